@@ -1,5 +1,4 @@
-"""Importers: convert device descriptions of other programs into device files, and report what could not be carried
-over.
+"""Importers: convert device descriptions of other programs into device files, and report what was left out.
 
 ================  ==============================================================================================
 `formats`         Chooses the importer for a device description of another program, by the file's form

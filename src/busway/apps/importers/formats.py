@@ -1,6 +1,6 @@
 """Chooses the importer for a device description of another program, by the file's form.
 
-Knows names of formats and how files of each look from outside.
+Knows the names of formats, and the endings and first lines of their files.
 """
 
 from collections.abc import Mapping
@@ -35,12 +35,15 @@ def import_file(
 
     Args:
         path: the file.
-        format: one of `FORMATS`; None to tell by its name and first lines.
-        address: of SunSpec models: offset of the register ``ID``.
-        counts: of SunSpec models: places of groups, by name.
+        format: a key of `FORMATS`; None to find the format by the ending of the file's name and its contents.
+        address: for SunSpec models only: offset of the register ``ID`` in the device.
+        counts: for SunSpec models only: how often a repeated group is there, by its name or that of its count.
+
+    Returns:
+        The points found, and what could not be carried over.
 
     Raises:
-        ConfigError: it cannot be read, or is not of that format.
+        ConfigError: the file cannot be read, its format is unknown, or it is not of that format.
     """
     if format is not None and format not in FORMATS:
         raise ConfigError(f"there is no such format, but {', '.join(FORMATS)}", key=format)

@@ -23,7 +23,15 @@ _META: Final = ("unique_id", "device_class", "state_class", "precision", "scan_i
 
 
 def read_home_assistant(text: str, name: str) -> ImportedDevice:
-    """Import the points of a Home Assistant configuration. Raises `ConfigError` for unsupported YAML."""
+    """Import the points of a Home Assistant configuration (its ``modbus:`` part); report what is not carried over.
+
+    Args:
+        text: the YAML text, with the key ``modbus`` or only what is below it.
+        name: the file's name, for errors.
+
+    Raises:
+        ConfigError: the text is no YAML, or is more than plain data; or PyYAML is not installed.
+    """
     document = parse_yaml(text, name)
     data, root = document.data, ()
     found = ImportedDevice()

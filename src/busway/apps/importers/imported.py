@@ -1,10 +1,10 @@
 """The result of an import: points put together into units, checked, and written as a device file.
 
-Knows the schema of device files and reports; knows no format of others.
+Knows the schema of device files and reports; knows no format of other programs.
 
-1. Nothing is dropped in silence: each key, point or section that is not carried over is a line of the report, with
-   where it stood and why.
-2. A point that cannot be is left out and reported; the others are kept. Points that share registers are allowed to.
+1. Nothing is dropped in silence: each key, point or section that is not carried over is a line of the report, with its
+   place in the file and the reason.
+2. An invalid point is left out and reported; the others are kept. Points may share registers.
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,7 +20,7 @@ from ...errors import ConfigError
 from ..simulator.device_text import device_text
 
 WRONG_VALUE: Final = (ValueError, TypeError, AttributeError, OverflowError)
-"""What reading a value of a file raises where it has another type or form."""
+"""Exceptions that converting a value of an imported file raises if it has another type or form than expected."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +28,9 @@ class Omission:
     """A part of the imported file that was not carried over, and why.
 
     Attributes:
-        where: line of the source, or path in it; empty for all of it.
-        what: the point, key or section.
-        why: as a sentence without a subject.
+        where: place in the imported file: a line or a name; empty for the whole file.
+        what: the point, key or section that was left out.
+        why: the reason, as a sentence whose subject is ``what``.
     """
 
     where: str
@@ -43,7 +43,7 @@ class Omission:
 
 @dataclass(frozen=True, slots=True)
 class ImportedPoint:
-    """An imported point: its keys in a device file, and its position in the original file."""
+    """An imported point: its keys in a device file, and its place in the imported file (``where``, for reports)."""
 
     keys: dict[str, Any]  # what TOML has
     where: str = ""
@@ -51,13 +51,15 @@ class ImportedPoint:
 
 @dataclass(slots=True)
 class ImportedDevice:
-    """The points that an importer found in a file, and what it could not carry over.
+    """The result of an import: the points found in a file of another program, and what was not carried over.
+
+    An importer fills it; `text` and `sections` turn it into a device file.
 
     Attributes:
-        points: by unit number, each with its position in the original file.
-        groups: ``[[unit.group]]`` of each unit, as a device file has them.
+        points: the points, by unit number.
+        groups: the groups of points of each unit, by unit number, as ``[[unit.group]]`` of a device file has them.
         remarks: comment lines for the head of the device file.
-        omissions: the parts that were not carried over.
+        omissions: the parts of the imported file that were not carried over.
     """
 
     points: dict[int, list[ImportedPoint]] = field(default_factory=dict)
@@ -66,27 +68,36 @@ class ImportedDevice:
     omissions: list[Omission] = field(default_factory=list)
 
     def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
-        """Add an imported point to a unit. Keys whose value is None are left out."""
+        """Add an imported point to a unit; it is checked later, by `sections`.
+
+        Args:
+            unit: the unit number.
+            keys: the keys of the point in a device file; those whose value is None are left out.
+            where: place of the point in the imported file, for reports.
+        """
         kept = {key: value for key, value in keys.items() if value is not None}
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 
     def omit(self, where: str, what: str, why: str) -> None:
-        """Report that something in the imported file is not carried over."""
+        """Add to the report that a part of the imported file is not carried over; arguments as of `Omission`."""
         self.omissions.append(Omission(where, what, why))
 
     @contextmanager
     def reporting(self, where: str, what: str) -> Iterator[None]:
-        """Context manager that reports values of a wrong type or form in the imported file, and goes on."""
+        """Context manager that reports a part of the imported file as left out if reading its values fails.
+
+        The exceptions `WRONG_VALUE` end the block and are not raised. Arguments as of `Omission`.
+        """
         try:
             yield
         except WRONG_VALUE as error:
             self.omit(where, what, f"has a value that cannot be read: {error}")
 
     def sections(self) -> list[SimulatedUnitSection]:
-        """Return the imported units, checked; invalid points are reported and left out.
+        """Return the imported units, sorted by number and checked; invalid points are reported and left out.
 
         Raises:
-            ConfigError: no point is left.
+            ConfigError: no valid point is left, or a unit is invalid as a whole.
         """
         found = [self._unit(number) for number in sorted({*self.points, *self.groups})]
         if not any(section.point or section.group for section in found):
@@ -131,7 +142,14 @@ class ImportedDevice:
             kept = [each for at, each in enumerate(kept) if at not in wrong or "is taken by" in wrong[at]]
 
     def text(self, source: str) -> str:
-        """Return the text of the device file, with what was not carried over in its first lines."""
+        """Return the text of the device file; comment lines at its top list what was not carried over.
+
+        Args:
+            source: name of the imported file, for the first comment line.
+
+        Raises:
+            ConfigError: no valid point is left, or a unit is invalid as a whole.
+        """
         units = self.sections()
         remarks = [f"Converted from {source} by busway points convert.", *self.remarks]
         if self.omissions:
@@ -140,12 +158,15 @@ class ImportedDevice:
 
 
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
-    """Return the tables in a list of an imported file, each with its position; empty if it is not a list."""
+    """Return the tables (as of TOML, or mappings of YAML) in a list of an imported file, each after its position.
+
+    Other elements are skipped; nothing is returned if ``value`` is not a list.
+    """
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
 
 def _once(name: str, taken: set[str]) -> str:
-    """Return an unused name: the given one, or the same with a number appended."""
+    """Return the given name if it is not among those taken, else the name with a number appended."""
     if name not in taken:
         return name
     number = 2

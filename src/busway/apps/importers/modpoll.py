@@ -1,7 +1,7 @@
 """Importer for modpoll: its CSV of lines ``device``, ``poll`` and ``ref``.
 
-Knows modpoll's columns and types. Its addresses are offsets on the wire. A byte order and a word order are written as
-``BE_LE``.
+Knows modpoll's columns and types. Addresses of modpoll are offsets on the wire. An order such as ``BE_LE`` names the
+order of bytes and then that of words.
 """
 
 import csv
@@ -26,13 +26,18 @@ _BOOLS: Final = re.compile(r"bool(8|16)?")
 
 
 def is_modpoll(text: str) -> bool:
-    """Whether a CSV looks like modpoll's: its lines begin with ``device``, ``poll`` and ``ref``."""
+    """Whether a CSV text looks like a modpoll configuration: it has lines that begin with ``poll`` and with ``ref``."""
     heads = [line.partition(",")[0].strip().lower() for line in text.splitlines()]
     return "poll" in heads and "ref" in heads
 
 
 def read_modpoll(text: str, name: str) -> ImportedDevice:
-    """Import the points of a modpoll configuration."""
+    """Import the points of a modpoll configuration (CSV); lines that are not carried over are reported.
+
+    Args:
+        text: the CSV text.
+        name: the file's name; not used, for other importers need it.
+    """
     found = ImportedDevice()
     unit, table, order = 1, "", "ABCD"
     rows = csv.reader(io.StringIO(text))

@@ -1,8 +1,9 @@
 """Reads plain data from YAML by PyYAML (``busway[yaml]``), with the line of each key and item.
 
-1. Data alone: a tag such as ``!include`` would need another program, and is refused with its line.
-2. A text has at most `LONGEST` characters, and `MOST_NODES` values where aliases are written out, so that no text
-   exhausts time or memory. Keys that merge (``<<``) are refused: they would be copied before they are counted.
+1. Only plain data are read: a tag such as ``!include`` would need another program, and is refused with its line.
+2. A text has at most `LONGEST` characters, and at most `MOST_NODES` values, those included that aliases stand for, so
+   that no text exhausts time or memory. Merge keys (``<<``) are refused: PyYAML would copy their values before they are
+   counted.
 """
 
 from dataclasses import dataclass, field
@@ -18,25 +19,38 @@ MOST_NODES: Final = 100_000
 _TAG: Final = "tag:yaml.org,2002:"
 _CONVERTED: Final = frozenset({"null", "bool", "int", "float"})
 _KEPT: Final = frozenset({"str", "timestamp", "value", "seq", "map"})
-"""What stays as it is written; dates are texts."""
+"""Types of YAML whose scalars stay texts as written, such as dates, and the types of lists and tables."""
 
 
 @dataclass(slots=True)
 class YamlDocument:
-    """The data of a YAML text, and the line of each key and item."""
+    """The data of a YAML text, and the line of each key and list item.
+
+    Attributes:
+        data: dictionaries, lists, texts, numbers, booleans and None.
+        lines: line numbers from 1, by the path of keys and list positions from the root.
+    """
 
     data: Any  # what YAML has
     lines: dict[Place, int] = field(default_factory=dict)
 
     def line(self, place: Place) -> int:
-        """The line of a path in the document, or of the nearest part around it."""
+        """Return the line number of a path in the document, or of the nearest part around it; 1 if there is none."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place, 1)
 
 
 def parse_yaml(text: str, name: str) -> YamlDocument:
-    """Parse a YAML text. Raises `ConfigError` with file and line if it is invalid or more than plain data."""
+    """Parse a YAML text that has only plain data.
+
+    Args:
+        text: the YAML text.
+        name: the file's name, for errors.
+
+    Raises:
+        ConfigError: the text is no YAML, is more than plain data, or is too large; or PyYAML is not installed.
+    """
     require("yaml", "a file of YAML")
     yaml = import_module("yaml")
     if len(text) > LONGEST:
@@ -57,14 +71,22 @@ def parse_yaml(text: str, name: str) -> YamlDocument:
 
 
 class _Reader:
-    """Turns the nodes of a parsed YAML text into data."""
+    """Turns the nodes of a YAML text, as PyYAML has parsed it, into a `YamlDocument` (``found``)."""
 
     def __init__(self, name: str, loader: Any) -> None:  # PyYAML has no types
         self.found = YamlDocument(None)
         self._name, self._loader, self._left = name, loader, MOST_NODES
 
     def value(self, node: Any, place: Place) -> Any:  # a node of PyYAML, and what YAML has
-        """Return a parsed YAML node as plain Python data."""
+        """Return a parsed YAML node as plain Python data, and note the lines of its parts.
+
+        Args:
+            node: a node of PyYAML.
+            place: path of the node from the root.
+
+        Raises:
+            ConfigError: the node has a tag, a merge key or a repeated key, or the text has too many values.
+        """
         self._left -= 1
         kind = node.tag.removeprefix(_TAG)
         if self._left < 0:

@@ -1,10 +1,10 @@
 """Importer for SunSpec: models in JSON.
 
-Knows the types of the SunSpec Device Information Model Specification and what each has for "not implemented".
+Knows the types of the SunSpec Device Information Model Specification and the value of each for "not implemented".
 
-1. A model begins with its registers ``ID`` and ``L``; where these stand in a device is not said by the model.
+1. A model begins with its registers ``ID`` and ``L``; the model does not say where they are in a device.
 2. A group whose count is the name of a point, or 0 (as many as ``L`` has room for), is read as often as the device
-   says, if nothing stands behind it. Otherwise what follows would move with the count: then the count has to be given.
+   says, if no registers follow it. Otherwise what follows would move with the count: then the count has to be given.
 """
 
 import json
@@ -16,9 +16,9 @@ from ...values.refusal import shown
 from .imported import WRONG_VALUE, ImportedDevice
 
 FIRST_MODEL: Final = 40002
-"""Offset of the first model where the map begins at 40000, behind the marker "SunS"."""
+"""Offset of the first model in devices whose map begins at 40000, after the marker "SunS"."""
 MOST: Final = 20
-"""Places of a group whose number the device says."""
+"""Repetitions of a group that are written at most, if the device says how many there are."""
 
 _ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
     "int16": ("int16", 0x8000),
@@ -43,7 +43,7 @@ _ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
     "ipv6addr": ("ipv6", None),
     "eui48": ("eui64", None),
 }
-"""Types: what they are here, and the number that stands for "not implemented"; floats have NaN for it."""
+"""For each SunSpec type, the value type in a device file and the number for "not implemented", NaN for floats."""
 _UNITS: Final = {"C": "°C", "Secs": "s", "Pct": "%", "Degrees": "°", "deg": "°", "VAr": "var", "Var": "var"}
 _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comments")
 
@@ -51,16 +51,16 @@ _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comment
 def read_sunspec(
     text: str, name: str, *, first: int = FIRST_MODEL, counts: Mapping[str, int] | None = None
 ) -> ImportedDevice:
-    """Import the points of a SunSpec model.
+    """Import the points of a SunSpec model, all as unit 1; report what is not carried over.
 
     Args:
-        text: the model.
-        name: the file's name, for messages.
-        first: offset of its register ``ID``.
-        counts: how many places a group has, by its name or that of its count.
+        text: the model in JSON.
+        name: the file's name, for errors.
+        first: offset of the model's register ``ID`` in the device.
+        counts: how often a repeated group is there, by its name or that of its count.
 
     Raises:
-        ConfigError: it is no model, or the number of places of a group has to be given.
+        ConfigError: the text is no SunSpec model, or the count of a repeated group has to be given.
     """
     try:
         model = json.loads(text)
@@ -85,7 +85,7 @@ def read_sunspec(
 
 
 class _Model:
-    """The points and groups of a SunSpec model; gives each its address, counted from the model's first register."""
+    """Turns the points and groups of a SunSpec model into those of a device file, each with its address."""
 
     def __init__(self, found: ImportedDevice, name: str, counts: dict[str, int]) -> None:
         self._found = found
@@ -93,7 +93,7 @@ class _Model:
         self._counts = counts
 
     def take(self, group: Mapping[str, Any], first: int) -> None:
-        """Import the points and inner groups of a group of the SunSpec model."""
+        """Import the top-level group of the model, with its inner groups; ``first`` is the offset of ``ID``."""
         points, at = self._points(group, first, ())
         for keys in points:
             self._found.add(1, keys, keys["name"])
@@ -138,8 +138,13 @@ class _Model:
         return section, at + (count or MOST) * (end - at)
 
     def _count_by_length(self, name: str, at: int, size: int, first: int) -> str:
-        """Add a computed point for the number of repeated groups, derived from the model length ``L``. Returns its
-        name.
+        """Add a computed point for how often a group is there, computed from the model's length ``L``; return its name.
+
+        Args:
+            name: name of the group.
+            at: offset of the group's first register.
+            size: registers of one repetition.
+            first: offset of the model's register ``ID``.
         """
         counting = f"{name}_count"
         self._found.add(1, {"name": counting, "formula": f"(L - {at - first - 2}) // {size}"}, name)
@@ -201,7 +206,7 @@ class _Model:
 
 
 def _symbols(point: Mapping[str, Any], name: str, found: ImportedDevice) -> Iterator[tuple[str, int]]:
-    """Return names and numbers of a point's values; a number with two names keeps the first."""
+    """Yield the names and numbers of a point's values or bits; of two names for one number the second is reported."""
     seen: set[int] = set()
     for each in point.get("symbols", []):
         value = each.get("value")

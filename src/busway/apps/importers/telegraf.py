@@ -1,6 +1,6 @@
 """Importer for Telegraf: its ``[[inputs.modbus]]`` in three styles (register, request, metric).
 
-Knows Telegraf's keys and types. Its addresses count from 0.
+Knows Telegraf's keys and types. Addresses of Telegraf count from 0.
 """
 
 from collections.abc import Mapping
@@ -21,7 +21,7 @@ _TYPES: Final = {
     **{name.upper(): name for name in ("int16", "uint16", "int32", "uint32", "int64", "uint64")},
 }  # fmt: skip
 _SCALED: Final = {"FIXED": "int", "UFIXED": "uint", "FLOAT32": "uint"}
-"""Types of the register style whose size follows from the number of addresses; FLOAT32 is an old name of UFIXED."""
+"""Types of the register style whose size is the number of addresses; FLOAT32 is an old name of UFIXED."""
 _KNOWN: Final = {
     "name", "slave_id", "controller", "configuration_type", "coils", "discrete_inputs", "holding_registers",
     "input_registers", "request", "metric", "timeout", "interval",
@@ -33,7 +33,15 @@ _FIELD_KEYS: Final = {
 
 
 def read_telegraf(text: str, name: str) -> ImportedDevice:
-    """Import the points of a Telegraf configuration. Raises `FileError` if it is no TOML."""
+    """Import the points of a Telegraf configuration (``[[inputs.modbus]]``); report what is not carried over.
+
+    Args:
+        text: the TOML text.
+        name: the file's name, for errors.
+
+    Raises:
+        FileError: the text is no TOML.
+    """
     source = read_source(text, name)
     found = ImportedDevice()
     inputs = source.data.get("inputs")

@@ -1,8 +1,8 @@
-"""What a client and a unit said to each other in a capture: counts, items, times, and what was wrong.
+"""The exchanges between each client and unit of a capture: counts, items, times, and what was wrong.
 
 Knows exchanges; prints nothing. The memory depends on the number of conversations, and not on that of packets.
 
-1. A conversation is that of a client address, a server and a unit: connections that were made anew belong to it.
+1. A conversation is all exchanges of a client address, a server and a unit, over all their connections.
 2. Bytes whose unit is unknown belong to a conversation of their own, without a unit.
 3. Limits: `MOST_CONVERSATIONS`; what comes after them is counted in `CapturedConversations.left_out`.
 """
@@ -23,7 +23,14 @@ MOST_CONVERSATIONS: Final = 10_000
 
 @dataclass(slots=True)
 class Troubles:
-    """What was wrong of one kind: how often, the first case, and the worst where one is worse than another."""
+    """All troubles of one kind in a conversation.
+
+    Attributes:
+        count: how many there were.
+        first: the first one.
+        worst: the one with the longest response time, for late and slow replies; None for other kinds.
+        seconds: that response time.
+    """
 
     count: int
     first: Trouble
@@ -33,21 +40,22 @@ class Troubles:
 
 @dataclass(slots=True)
 class CapturedConversation:
-    """What a client and a unit said to each other.
+    """Summary of all exchanges between one client and one unit of a capture.
 
     Attributes:
         client: address of the client; empty for a serial line.
         server: address and port of the server; name of a serial line.
         unit: unit identifier; None for bytes whose unit is unknown.
-        first, last: seconds since 1970 of the first and of the last exchange.
-        requests: by function code, broadcasts included.
+        first: time of the first frame, seconds since 1970.
+        last: time of the last frame, seconds since 1970.
+        requests: number of requests by function code, broadcasts included.
         replies: number of replies to requests, exceptions included.
-        exceptions: by function code and exception code.
-        items: what each function touched, by table.
-        waiting: requests that still waited when the capture ended.
-        broadcasts: requests that no unit answers.
-        times: of the replies.
-        slowest_packet: packet of the slowest reply.
+        exceptions: number of exceptions by function code and exception code.
+        items: registers and bits that were asked for, by function code and table.
+        waiting: number of requests that still waited for a reply when the capture ended.
+        broadcasts: number of broadcasts, which no unit answers.
+        times: the response times.
+        slowest_packet: number of the packet with the slowest reply; 0 without replies.
         troubles: what was wrong, by kind.
     """
 
@@ -67,7 +75,7 @@ class CapturedConversation:
     troubles: dict[TroubleKind, Troubles] = field(default_factory=dict)
 
     def add(self, exchange: CapturedExchange) -> None:
-        """Count an exchange."""
+        """Add an exchange of this client and unit to the counts, times, items and troubles."""
         self.first, self.last = min(self.first, exchange.time), max(self.last, exchange.time)
         for trouble in exchange.troubles:
             self._trouble(trouble, exchange.seconds or 0.0)
@@ -103,10 +111,10 @@ class CapturedConversation:
 
 
 class CapturedConversations:
-    """All conversations of a capture.
+    """All conversations of a capture, collected from its exchanges; iterating gives each `CapturedConversation`.
 
     Attributes:
-        left_out: exchanges of conversations beyond the limit.
+        left_out: number of exchanges not counted, because they belong to conversations beyond `MOST_CONVERSATIONS`.
     """
 
     def __init__(self) -> None:
@@ -114,7 +122,7 @@ class CapturedConversations:
         self._found: dict[tuple[str, str, int | None], CapturedConversation] = {}
 
     def add(self, exchange: CapturedExchange) -> None:
-        """Count an exchange in the conversation that it belongs to."""
+        """Add an exchange to its conversation; a new conversation beyond the limit is only counted in ``left_out``."""
         channel = exchange.channel
         key = channel.client_text, channel.server_text, exchange.unit
         conversation = self._found.get(key)
@@ -126,7 +134,7 @@ class CapturedConversations:
         conversation.add(exchange)
 
     def __iter__(self) -> Iterator[CapturedConversation]:
-        """Yield the conversations in the order in which they began in the file."""
+        """Return an iterator over the conversations, in the order of their first exchange in the capture."""
         return iter(self._found.values())
 
     def __len__(self) -> int:

@@ -1,12 +1,12 @@
 """Finds the reply to each request of a capture, and what is wrong with the two.
 
-Knows frames of a capture and the rules of replies; knows no file. What it gives is counted by `conversations`.
+Knows frames of a capture and the rules of replies; knows no file. `conversations` counts the exchanges found.
 
-1. On TCP and UDP a reply answers the oldest request with its transaction number that still waits. Frames of RTU and
+1. On TCP and UDP a reply answers the oldest request with its transaction identifier that still waits. Frames of RTU and
    ASCII have none: over a network a reply answers the request before it, on a line `busway.observe.pairing` decides.
-2. A request waits until its reply comes, its number is used again after ``reply_window``, or the connection ends. A
-   reply after ``reply_window`` is late. What waits when the capture ends, and not longer than that, is no fault.
-3. A missing reply is not the device's fault where the capture lacks bytes of that direction: the trouble says so.
+2. A request waits until its reply comes, its identifier is used again after ``reply_window``, or the connection ends. A
+   reply after ``reply_window`` is late. A request that waits when the capture ends, no longer than that, is no trouble.
+3. A missing reply is not the device's fault if the capture lacks bytes of that direction: the trouble says so.
 4. Limits: `MOST_WAITING` requests of a connection wait; then the oldest is given up.
 """
 
@@ -36,11 +36,11 @@ from ...values import Address, format_address
 
 MOST_WAITING: Final = 4096
 _REMEMBERED: Final = 16
-"""Frames of a line whose packets are remembered: those that `Pairing` may speak of again."""
+"""Latest frames of a line that are kept with their packets, because `Pairing` may refer to them later."""
 
 
 class TroubleKind(Enum):
-    """What can be wrong in a conversation."""
+    """Kinds of troubles in a capture; the value is the text that reports show."""
 
     NO_REPLY = "no reply"
     LATE_REPLY = "late reply"
@@ -73,7 +73,14 @@ _OF_BYTES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Trouble:
-    """Something wrong: what, in which packet, when (seconds since 1970), and in words."""
+    """Something that was wrong in a capture.
+
+    Attributes:
+        kind: the kind of trouble.
+        packet: number of the packet.
+        time: time of the packet, seconds since 1970.
+        text: details in words; may be empty.
+    """
 
     kind: TroubleKind
     packet: int
@@ -86,17 +93,17 @@ class CapturedExchange:
     """A request and its reply in a capture, or one without the other, or bytes that are neither.
 
     Attributes:
-        channel: connection or line.
+        channel: the connection or line.
         unit: unit identifier; None for bytes whose unit is unknown.
-        asked: the frame of the request; None for a reply without one.
-        request: the same, decoded.
-        answered: the frame of the reply.
-        reply: the same, decoded; None where it is malformed.
-        seconds: from request to reply.
-        troubles: what is wrong.
-        is_open: whether the request still waited when the capture ended.
-        is_broadcast: whether no unit answers it.
-        time: seconds since 1970 of its first frame.
+        time: time of the first frame, seconds since 1970.
+        asked: the frame of the request; None without one.
+        request: the decoded request; None without one, or if its function code is invalid.
+        answered: the frame of the reply; None without one.
+        reply: the decoded reply; None without one, or if it is malformed or of another function.
+        seconds: from request to reply; None if one is missing.
+        troubles: what is wrong with the two.
+        is_open: whether the request still waited for its reply when the capture ended.
+        is_broadcast: whether the request is a broadcast, which no unit answers.
     """
 
     channel: CapturedChannel
@@ -113,16 +120,16 @@ class CapturedExchange:
 
     @property
     def exception(self) -> int | None:
-        """The exception code of the reply, if it is one."""
+        """The exception code of the reply; None if there is no reply, or it is no exception."""
         return self.reply.exception if isinstance(self.reply, ExceptionResponse) else None
 
 
 class Exchanges:
-    """Takes what `CapturedTraffic` gives, and gives the exchanges of all connections and lines.
+    """Finds the exchanges of a capture: takes the events of `CapturedTraffic`, and joins requests with their replies.
 
     Args:
-        reply_window: seconds after which a reply is late.
-        slow: seconds after which a reply is slow.
+        reply_window: seconds after which a reply is reported as late.
+        slow: seconds after which a reply is reported as slow.
     """
 
     def __init__(self, reply_window: float = 3.0, slow: float = 1.0) -> None:
@@ -131,7 +138,10 @@ class Exchanges:
         self._matchers: dict[int, _NetworkMatcher | _LineMatcher] = {}
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
-        """Yield the exchanges that this event completes."""
+        """Take the next event of the capture, and yield the exchanges that it completes; often none.
+
+        Events are to be given in order, each iterator used up before the next event.
+        """
         channel = event.channel
         matcher = self._matchers.get(channel.number)
         if matcher is None:
@@ -145,7 +155,7 @@ class Exchanges:
             yield self._judged(exchange)
 
     def _judged(self, exchange: CapturedExchange) -> CapturedExchange:
-        """Return an exchange with what its time and its exception add to the troubles."""
+        """Return an exchange with further troubles for a late or slow reply and for an exception."""
         answered, seconds = exchange.answered, exchange.seconds
         if answered is None:
             return exchange
@@ -165,7 +175,7 @@ class Exchanges:
 
 
 def _place(request: AnyRequest | None) -> str:
-    """Return which items a request touches, for a sentence."""
+    """Return the first range of items that a request touches, as the end of a sentence; empty if there is none."""
     if not isinstance(request, Request):
         return ""
     return "".join(
@@ -184,7 +194,7 @@ def _decoded(asked: CapturedFrame) -> tuple[AnyRequest | None, list[Trouble]]:
 
 
 def _reply_to(request: AnyRequest | None, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
-    """Return the decoded reply, and what does not fit the request."""
+    """Return the decoded reply and no trouble; or None and a trouble if it is malformed or does not fit the request."""
     try:
         reply = STANDARD.decode_reply(answered.pdu)
         if isinstance(request, Request) and not isinstance(reply, ExceptionResponse):
@@ -207,7 +217,14 @@ def _unmatched(answered: CapturedFrame, text: str) -> CapturedExchange:
 
 @dataclass(slots=True)
 class _Waiting:
-    """A request that waits for its reply, what is wrong with it, and whether the capture lacks bytes of replies."""
+    """A request that waits for its reply.
+
+    Attributes:
+        asked: the frame of the request.
+        request: the decoded request; None if its function code is invalid.
+        troubles: what is wrong with the request.
+        lacks_bytes: whether the capture lacks bytes in which the reply may have been.
+    """
 
     asked: CapturedFrame
     request: AnyRequest | None
@@ -215,6 +232,7 @@ class _Waiting:
     lacks_bytes: bool = False
 
     def exchange(self, *more: Trouble, is_open: bool = False) -> CapturedExchange:
+        """Return the exchange of this request without a reply, with further troubles; ``is_open``: it still waits."""
         asked = self.asked
         troubles = (*self.troubles, *more)
         return CapturedExchange(
@@ -222,13 +240,14 @@ class _Waiting:
         )
 
     def unanswered(self, why: str = "") -> CapturedExchange:
-        """Return the exchange of a request whose reply the capture does not have."""
+        """Return the exchange of this request with the trouble that its reply did not come, or may not be captured."""
         kind, text = TroubleKind.NO_REPLY, f"to {function_name(self.asked.pdu[0])}{_place(self.request)}{why}"
         if self.lacks_bytes:
             kind, text = TroubleKind.MISSING, f"perhaps the reply {text}"
         return self.exchange(Trouble(kind, self.asked.packet, self.asked.time, text))
 
     def answered_by(self, answered: CapturedFrame) -> CapturedExchange:
+        """Return the exchange of this request with its reply, and troubles if the two do not fit."""
         asked = self.asked
         packet, time = answered.packet, answered.time
         troubles = list(self.troubles)
@@ -249,7 +268,7 @@ class _Waiting:
 
 
 class _NetworkMatcher:
-    """Finds replies on one connection, where addresses tell requests from replies."""
+    """Finds the replies of one connection or UDP conversation, where the direction of each frame is known."""
 
     def __init__(self, reply_window: float) -> None:
         self._window = reply_window
@@ -257,6 +276,7 @@ class _NetworkMatcher:
         self._size = 0
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
+        """Yield the exchanges that the next event of the connection completes."""
         if isinstance(event, ChannelEnd):
             yield from self._end(event)
         elif isinstance(event, FaultyBytes):
@@ -324,7 +344,7 @@ class _NetworkMatcher:
 
 
 class _LineMatcher:
-    """Finds replies on one serial line, from what `Pairing` hears."""
+    """Finds the replies of one serial line, where `Pairing` tells requests from replies."""
 
     def __init__(self, reply_window: float) -> None:
         self._pairing = Pairing(reply_window)
@@ -332,6 +352,7 @@ class _LineMatcher:
         self._now = 0.0
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
+        """Yield the exchanges that the next event of the line completes."""
         if isinstance(event, ChannelEnd):
             asked = self._pairing.deadline()
             for heard in self._pairing.tick(max(event.time, self._now)):

@@ -8,7 +8,10 @@ from collections.abc import Iterator
 
 
 class ItemRanges:
-    """A set of offsets, kept as sorted ranges; ranges that touch each other are one."""
+    """A set of registers or bits of one table, kept as sorted ranges; ranges that touch each other are joined.
+
+    Iterating gives the ranges, and the length is their number.
+    """
 
     __slots__ = ("_ends", "_firsts")
 
@@ -17,7 +20,7 @@ class ItemRanges:
         self._ends: list[int] = []
 
     def add(self, first: int, count: int) -> None:
-        """Add ``count`` offsets from ``first`` on."""
+        """Add ``count`` registers or bits, from the 0-based offset ``first`` on."""
         end = first + count
         low, high = bisect_left(self._ends, first), bisect_right(self._firsts, end)
         if low < high:
@@ -26,7 +29,7 @@ class ItemRanges:
         self._ends[low:high] = [end]
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Yield the ranges: first offset and the one behind the last."""
+        """Return an iterator over the ranges in order; each is its first offset and the one after its last."""
         return zip(self._firsts, self._ends, strict=True)
 
     def __len__(self) -> int:

@@ -5,12 +5,12 @@ Knows exchanges and simulation files; writes no file.
 1. Each item has the value that was seen first, read or written, so that the requests of the capture, sent again in
    their order, get the replies of the capture; or the one that was seen last.
 2. Items that were never read or written do not exist: they are refused with 02. Any other exception of the device, and
-   one for items that do exist, becomes a fault of the file, for this function and the items that it never gave.
-3. Units that never answered are left out. Where the capture shows such, the file asks for silence, else the simulator
-   answers 0B for them.
+   one for items that do exist, becomes a fault of the file, for this function and the items that it never returned.
+3. Units that never answered are left out. If the capture shows requests to such units that had no reply, the file asks
+   for silence, else the simulator answers 0B for them.
 4. What a file cannot say is a remark: functions that hold no items, values that changed by themselves, requests that
-   were answered and refused, a second server with the same units.
-5. Limits: `MOST_ITEMS` and `MOST_REQUESTS` of all units together; what comes after them is a remark.
+   were answered and refused.
+5. Limits: `MOST_ITEMS` and `MOST_REQUESTS` of all units together; a remark says when they were reached.
 """
 
 from collections import Counter
@@ -48,7 +48,7 @@ from .item_ranges import ItemRanges
 MOST_ITEMS: Final = 1_000_000
 MOST_REQUESTS: Final = 100_000
 _MOST_TIMES: Final = 10_000
-"""Reply times that the median of a unit is taken of: the first ones."""
+"""Response times from which the median of a unit is computed: the first so many."""
 _NOT_THERE: Final = frozenset((ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND))
 _KEPT: Final = frozenset(
     (
@@ -62,7 +62,7 @@ _KEPT: Final = frozenset(
         FunctionCode.ENCAPSULATED_INTERFACE,
     )
 )
-"""Functions that the simulator answers from what the file has."""
+"""Functions that the simulator answers from the contents of the file."""
 
 _INDIVIDUAL: Final = 0x80
 """Bit of a conformity level: single objects can be asked for, too. The simulator always offers that."""
@@ -72,13 +72,13 @@ _Asked = tuple[int, tuple[Span, ...]]
 
 @dataclass(slots=True)
 class RecordedFile:
-    """A simulation file made of a capture.
+    """A simulation file made from a capture.
 
     Attributes:
-        text: the file.
-        server: the server that it stands for.
-        units: numbers of its units.
-        remarks: what it cannot say, one sentence each.
+        text: the text of the file.
+        server: address and port, or line, of the server that the file simulates.
+        units: numbers of the units in the file.
+        remarks: where the simulation differs from the capture, one sentence each.
     """
 
     text: str
@@ -88,14 +88,14 @@ class RecordedFile:
 
 
 class RecordedDevices:
-    """Collects what the devices of a capture answered, exchange by exchange."""
+    """Collects what the devices of a capture answered, exchange by exchange, and makes simulation files from it."""
 
     def __init__(self) -> None:
         self._servers: dict[str, dict[int, _RecordedUnit]] = {}
         self._limits = _Limits()
 
     def add(self, exchange: CapturedExchange) -> None:
-        """Take an exchange of the capture."""
+        """Record the values, exceptions and response time of one exchange; broadcasts and lone replies are ignored."""
         if exchange.unit is None or exchange.asked is None or exchange.is_broadcast:
             return
         units = self._servers.setdefault(exchange.channel.server_text, {})
@@ -105,15 +105,15 @@ class RecordedDevices:
         unit.add(exchange)
 
     def file(self, server: str | None = None, *, last: bool = False, delays: bool = False) -> RecordedFile:
-        """Return the simulation file that answers as one server of the capture did.
+        """Return a simulation file that answers as one server of the capture did.
 
         Args:
             server: address of the server, with or without its port, or name of a line; None for the only one.
-            last: whether items have the value that was seen last, and not first.
-            delays: whether replies take as long as they typically did.
+            last: True: items have the value that was seen last in the capture; False: the one seen first.
+            delays: whether replies are delayed by the median response time of their unit.
 
         Raises:
-            ConfigError: no unit of the server answered; or there are several servers, which it names.
+            ConfigError: no unit of the server answered; or several servers fit, which the message names.
         """
         name, units = self._chosen(server)
         there = [unit for _, unit in sorted(units.items()) if unit.is_there]
@@ -151,7 +151,7 @@ class RecordedDevices:
 
 
 def _host(name: str) -> str:
-    """Return a server's address without its port."""
+    """Return a server's address without its port and without the brackets of IPv6."""
     return name.rpartition(":")[0].strip("[]")
 
 
@@ -162,13 +162,20 @@ def _listed(names: Sequence[str] | dict[str, Any]) -> str:
 
 @dataclass(slots=True)
 class _Limits:
-    """How many items and requests are recorded, of all units together."""
+    """Counts the items and requests that are recorded, of all units together, against the limits.
+
+    Attributes:
+        items: items recorded so far.
+        requests: different requests recorded so far.
+        is_reached: whether something was not recorded because of a limit.
+    """
 
     items: int = 0
     requests: int = 0
     is_reached: bool = False
 
     def has_room(self, *, items: int = 0, requests: int = 0) -> bool:
+        """Count further items and requests, and return True; return False, and count none, if that passes a limit."""
         if self.items + items > MOST_ITEMS or self.requests + requests > MOST_REQUESTS:
             self.is_reached = True
             return False
@@ -182,9 +189,9 @@ class _RecordedUnit:
 
     Attributes:
         number: its unit identifier.
-        answered: number of positive replies.
+        answered: number of normal replies.
         unanswered: number of requests without a reply.
-        refusals: exceptions by function and items, with their number.
+        refusals: how often each exception code was the reply, by function and items of the request.
     """
 
     def __init__(self, number: int, limits: _Limits) -> None:
@@ -207,10 +214,11 @@ class _RecordedUnit:
 
     @property
     def is_there(self) -> bool:
-        """Whether the unit answered, and not a gateway for it."""
+        """Whether the unit itself ever answered; exceptions of a gateway (0A, 0B) do not count."""
         return self.answered > 0 or any(code not in _NOT_THERE for codes in self.refusals.values() for code in codes)
 
     def add(self, exchange: CapturedExchange) -> None:
+        """Record one exchange with a request to this unit."""
         asked, request = exchange.asked, exchange.request
         assert asked is not None
         if exchange.answered is None:
@@ -297,7 +305,7 @@ class _RecordedUnit:
     # The file.
 
     def keys(self, *, last: bool) -> dict[str, Any]:  # what TOML has
-        """Return the keys of the unit in a simulation file."""
+        """Return the keys of the unit in a simulation file; ``last``: with the values seen last, not first."""
         keys: dict[str, Any] = {"unit": self.number}
         if self._objects:
             names = {number: name for name, number in OBJECT_NUMBERS.items()}
@@ -316,7 +324,7 @@ class _RecordedUnit:
         return keys | item_keys({table: items for table, items in tables.items() if items})
 
     def _missing_functions(self) -> set[int]:
-        """Return the functions that were answered with 01 and never otherwise."""
+        """Return the functions that were always answered with exception 01: the unit does not have them."""
         refused = {
             function for (function, _), codes in self.refusals.items() if ExceptionCode.ILLEGAL_FUNCTION in codes
         }
@@ -327,7 +335,10 @@ class _RecordedUnit:
         return refused - known
 
     def faults(self, *, delays: bool) -> Iterator[dict[str, Any]]:  # what TOML has
-        """Yield the ``[[fault]]`` sections that make the unit refuse what it refused, and take as long as it took."""
+        """Yield the ``[[fault]]`` sections that make the simulated unit refuse what the unit refused.
+
+        With ``delays`` one more, which delays its replies by the median response time.
+        """
         wanted: dict[tuple[int, int], dict[Table, ItemRanges]] = {}
         for function, code, spans in self._unlike():
             tables = wanted.setdefault((function, code), {})
@@ -349,7 +360,10 @@ class _RecordedUnit:
             yield {"name": name, "fault_profile": "late", "units": self.number, "parameters": {"delay": delay}}
 
     def _unlike(self) -> Iterator[tuple[int, int, list[Span]]]:
-        """Yield the refusals that the items of the file do not explain: function, code, items that were never given."""
+        """Yield the refusals that need a fault, because the items of the file alone do not cause them.
+
+        Each is the function, the exception code, and the refused items that the function never returned.
+        """
         missing = self._missing_functions()
         for (function, spans), codes in self.refusals.items():
             code = codes.most_common(1)[0][0]
@@ -365,7 +379,7 @@ class _RecordedUnit:
         return all(offset in self._first[span.table] for offset in range(span.address, span.address + span.count))
 
     def _never_given(self, function: int, span: Span) -> Iterator[Span]:
-        """Yield the parts of a refused range that this function gave in no other request."""
+        """Yield the parts of a refused range that this function returned or wrote in no other request."""
         at, end = span.address, span.address + span.count
         for first, behind in self._given.get(function, {}).get(span.table, ()):
             if at < first < end:
@@ -376,7 +390,7 @@ class _RecordedUnit:
             yield Span(span.table, at, end - at, span.writes)
 
     def remarks(self) -> Iterator[str]:
-        """Yield what the file cannot say of this unit."""
+        """Yield a sentence for each way in which the simulated unit differs from the unit of the capture."""
         of = f"unit {self.number}"
         if self._changed:
             yield f"{of}: {counted(len(self._changed), 'item')} changed; the file has one value of each"
