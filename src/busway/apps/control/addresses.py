@@ -1,11 +1,12 @@
 """Addresses of control sockets (which ``busway status`` asks), and the directories that contain them.
 
-Knows paths and the environment; opens nothing but that directory.
+Knows paths and the environment; creates the directory, and opens no file or socket.
 
 1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that exists, else ``busway-<user id>`` among the temporary
    files. It must belong to the user and be closed to others; any other is refused, since another user may have made it.
-2. It holds ``<name>.sock`` for a Unix domain socket, or ``<name>.json`` with URL and token for loopback HTTP. The
-   name is the process id, with a number behind it if a process has several.
+2. The directory holds ``<name>.sock`` for a Unix domain socket, ``<name>.json`` with URL and token for loopback HTTP.
+   The name of a socket is the process id, with a number behind it if a process has several; that of a token file the
+   process id and the port.
 """
 
 import os
@@ -28,7 +29,7 @@ TOKEN_SUFFIX = ".json"
 
 @dataclass(frozen=True, slots=True)
 class UnixAddress:
-    """The address of a Unix domain socket at which a program tells its status."""
+    """The address of a control service on a Unix domain socket: the path of the socket."""
 
     path: Path
 
@@ -54,7 +55,7 @@ def parse_control_address(text: str) -> ControlAddress:
     """Parse the address of a control service: a socket path, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
 
     Raises:
-        ConfigError: it is not an address, or not one of this host.
+        ConfigError: the text is empty or has no valid port, or its host is not a loopback address.
     """
     host_port = text.removeprefix("http://").removesuffix("/")
     _, colon, port_text = text.rpartition(":")
@@ -70,7 +71,7 @@ def parse_control_address(text: str) -> ControlAddress:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a numeric address is a loopback address."""
+    """Whether a host is a numeric loopback address, such as ``127.0.0.1`` or ``::1``; False for names of hosts."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -78,13 +79,13 @@ def is_loopback(host: str) -> bool:
 
 
 def control_directory(environment: Mapping[str, str] | None = None) -> Path:
-    """Return the directory for control sockets of this user; created if missing.
+    """Return the directory for control sockets of this user; created, with mode 0700, if missing.
 
     Args:
-        environment: used instead of that of the process.
+        environment: environment variables to use instead of those of the process.
 
     Raises:
-        ConfigError: it cannot be made, belongs to another user, or is open to others.
+        ConfigError: the directory cannot be created, belongs to another user, or is open to others.
     """
     path = _candidates(environment)[0]
     try:
@@ -98,15 +99,18 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
 
 
 def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
-    """Return all directories that may hold control sockets of this user; services and shells differ in them.
+    """Return all directories that may hold control sockets of this user: services and shells use different ones.
 
-    Directories that do not exist, or are not the user's alone, are left out.
+    Directories that do not exist, or do not belong to the user alone, are left out.
+
+    Args:
+        environment: environment variables to use instead of those of the process.
     """
     return [path for path in _candidates(environment) if path.exists() and not _problem(path)]
 
 
 def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
-    """Return possible directories for control sockets, the preferred one first."""
+    """Return the possible directories for control sockets of this user, existing or not, the preferred one first."""
     runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
     own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
     temporary = Path(tempfile.gettempdir()) / own

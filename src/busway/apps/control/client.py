@@ -1,8 +1,8 @@
 """Client of the control service: finds running servers and gateways and asks them for their status.
 
-Knows the client's side of HTTP over a Unix domain socket and over loopback; knows no status.
+Knows the client's side of HTTP over a Unix domain socket and over loopback; knows nothing of what a status contains.
 
-1. Blocking, with one time limit for each step. A response is at most `ANSWER_LIMIT` bytes.
+1. Blocking, with one time limit for each step. At most `ANSWER_LIMIT` bytes of a response are read.
 """
 
 import http.client
@@ -33,7 +33,12 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A running server or gateway, and the address of its control socket, where it is asked for its status."""
+    """A running server or gateway, by the address of its control service.
+
+    Attributes:
+        address: where the control service answers.
+        token: token that each request must carry; empty for a Unix domain socket.
+    """
 
     address: ControlAddress
     token: str = ""
@@ -43,7 +48,11 @@ class Running:
 
 
 def find_running(*directories: Path) -> list[Running]:
-    """Return the running programs whose control sockets are in these directories, sorted by name."""
+    """Return the running programs whose control sockets or tokens are in these directories.
+
+    They are in the order of the directories, in each first those with a Unix socket, by name, then those on loopback.
+    Each is asked whether it answers, at most a second each; programs that do not answer are left out.
+    """
     found: list[Running] = []
     for directory in directories:
         if HAS_UNIX_SOCKETS:
@@ -54,7 +63,15 @@ def find_running(*directories: Path) -> list[Running]:
 
 
 def find_one(text: str, *directories: Path) -> Running:
-    """Return the running program with this socket path, URL, or name (a process id). Raises `ConfigError`."""
+    """Return the program with this control address; whether it runs is not checked.
+
+    Args:
+        text: path of the control socket, URL, or name of the socket in one of the directories (a process id).
+        directories: where sockets and tokens are searched.
+
+    Raises:
+        ConfigError: the text is no address of this host, or no token is found for the URL.
+    """
     address = parse_control_address(text)
     if isinstance(address, LoopbackAddress):
         known = [running for directory in directories for running in _with_tokens(directory)]
@@ -71,18 +88,20 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """Ask a running program for a resource of its control service; returns the decoded JSON, or a text.
+    """Ask a running program for a resource of its control service, and return the decoded JSON, or else the text.
+
+    Blocks until the response has come.
 
     Args:
         running: the program.
-        resource: ``/status``, ``/connections``, ``/metrics``, ``/reset-counters``, ``/reload``.
-        method: ``GET`` or ``POST``.
-        timeout: seconds for each step.
+        resource: ``/status``, ``/connections``, ``/metrics``, ``/reset-counters`` or ``/reload``.
+        method: ``GET``; ``POST`` for the last two.
+        timeout: seconds for each step: to connect, to send, to receive.
 
     Raises:
         LinkDown: no program answers at the address.
-        NoReply: the answer did not come in time, or the program's event loop is stuck.
-        ConfigError: the token is wrong, the resource does not exist, or the request failed: the sentence says why.
+        NoReply: the response did not come in time, or the program's event loop is stuck, or it is about to end.
+        ConfigError: the token is wrong, the resource does not exist, or the request failed; the message says why.
         BadReply: the response is not valid.
     """
     connection = _Connection(running.address, timeout)
@@ -123,7 +142,7 @@ def _error(status: int, content: Any, running: Running) -> ModbusError:
 
 
 class _Connection(http.client.HTTPConnection):
-    """HTTP connection to a control service over a Unix domain socket or loopback."""
+    """HTTP connection to a control service, over a Unix domain socket or loopback."""
 
     def __init__(self, address: ControlAddress, timeout: float) -> None:
         if isinstance(address, LoopbackAddress):
@@ -133,6 +152,7 @@ class _Connection(http.client.HTTPConnection):
         self._address = address
 
     def connect(self) -> None:
+        """Connect to the control service. Raises `OSError` if that fails."""
         if isinstance(self._address, LoopbackAddress):
             super().connect()
             return
@@ -144,7 +164,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """Return the running programs on loopback whose access tokens are in a directory."""
+    """Return the programs on loopback whose tokens are in a directory; whether they run is not checked."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:

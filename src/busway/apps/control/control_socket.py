@@ -2,10 +2,11 @@
 
 Knows sockets, files and their modes; knows no request.
 
-1. At no moment can another user connect: a Unix socket gets its mode before it listens, a token its mode before it is
-   written.
-2. What a dead program left behind is replaced. A socket that answers, or any other file, is left alone.
-3. At the end a file is removed only if it is still the one that was made.
+1. At no moment can another user connect: a Unix socket gets its mode before it listens, a token file gets its mode
+   before the token is written.
+2. A socket or token file that a dead program left behind is replaced. A socket that answers, or any other file, is left
+   alone.
+3. At the end a file is removed only if it is still the one that was created.
 """
 
 import contextlib
@@ -25,17 +26,18 @@ from ...transport.tcp import network_kind
 from .addresses import HAS_UNIX_SOCKETS, KEY, SOCKET_SUFFIX, TOKEN_SUFFIX, ControlAddress, LoopbackAddress, UnixAddress
 
 _LONGEST_PATH = 103
-"""Bytes of a Unix socket's path that every system takes; Linux has 107."""
+"""Bytes of a Unix socket's path that every system accepts; Linux accepts 107."""
 _CONNECT_SECONDS = 1.0
 
 
 @dataclass
 class Bound:
-    """The listening socket of a control service, with the file of its socket or token.
+    """The bound socket of a control service, with the file of its socket or token.
 
     Attributes:
+        socket: the bound socket.
         address: its address.
-        token: token that each request must carry; empty where the file system guards the socket.
+        token: token that each request must carry; empty for a Unix socket, which the mode of its file guards.
     """
 
     socket: socket.socket
@@ -45,12 +47,12 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Store which file belongs to the control socket, to remove it later."""
+        """Note the file that was created for the control socket, so that `remove` can remove it."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
     def remove(self) -> None:
-        """Remove the file of the control socket, unless another program has replaced it."""
+        """Remove the file of the control socket, unless another program has replaced it; the socket stays open."""
         made, self._made = self._made, None
         if made is None:
             return
@@ -61,7 +63,14 @@ class Bound:
 
 
 def bind_default(directory: Path) -> Bound:
-    """Create a control socket in a directory under a free name. Raises as `bind_unix` and `bind_loopback`."""
+    """Create a control socket in a directory, named after the process; on loopback where there are no Unix sockets.
+
+    Sockets that dead programs left in the directory are removed.
+
+    Raises:
+        ConfigError: the path of the socket is too long.
+        LinkDown: the socket cannot be bound, or its token cannot be written.
+    """
     sweep(directory)
     for number in count(1):
         name = str(os.getpid()) if number == 1 else f"{os.getpid()}-{number}"
@@ -74,11 +83,11 @@ def bind_default(directory: Path) -> Bound:
 
 
 def bind_unix(address: UnixAddress) -> Bound:
-    """Create a Unix domain socket of mode 0600 at which a program tells its status.
+    """Create and bind a Unix domain socket of mode 0600 for a control service; it does not listen yet.
 
     Raises:
-        ConfigError: another file is at the path, or the path is too long.
-        LinkDown: it cannot be bound, or a running program answers there.
+        ConfigError: another file is at the path, the path is too long, or this system has no Unix domain sockets.
+        LinkDown: the socket cannot be bound, or a running program answers at the path.
     """
     path = address.path.absolute()
     if not HAS_UNIX_SOCKETS:
@@ -99,7 +108,13 @@ def bind_unix(address: UnixAddress) -> Bound:
 
 
 def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
-    """Create a loopback socket for a control service, with its token in a file of the directory. Raises `LinkDown`."""
+    """Create and bind a loopback socket for a control service, and write a new token into a file of the directory.
+
+    The file has mode 0600.
+
+    Raises:
+        LinkDown: the address cannot be bound, or the token cannot be written.
+    """
     bound = bind_tcp(address.host, address.port)
     real = LoopbackAddress(address.host, int(bound_name(bound).rpartition(":")[2]))
     made = Bound(bound, real, secrets.token_urlsafe(32))
@@ -119,7 +134,7 @@ def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
 
 
 def is_alive(path: Path) -> bool:
-    """Whether a program answers at a Unix control socket."""
+    """Whether a program answers at a Unix control socket; True also if it is too busy to answer within a second."""
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(_CONNECT_SECONDS)
         try:
@@ -132,7 +147,7 @@ def is_alive(path: Path) -> bool:
 
 
 def sweep(directory: Path) -> None:
-    """Remove the socket files of programs that ended without removing them."""
+    """Remove the Unix sockets in a directory at which no program answers: those of programs that died."""
     for path in directory.glob(f"*{SOCKET_SUFFIX}"):
         with contextlib.suppress(OSError):
             if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):
@@ -140,7 +155,7 @@ def sweep(directory: Path) -> None:
 
 
 def same_user(accepted: socket.socket) -> bool:
-    """Whether the program at the other end of a Unix socket runs as the same user or root; True if unknown."""
+    """Whether the peer of an accepted Unix socket runs as the same user or root; True if the system cannot tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True

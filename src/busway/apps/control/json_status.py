@@ -1,6 +1,6 @@
 """Converts a status to JSON: dataclasses become objects, enum members their values.
 
-Knows types; knows no status. A field that a dataclass gains appears by itself.
+Knows types; knows no status. So a new field of a status appears in the JSON without a change here.
 """
 
 import math
@@ -11,7 +11,11 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Return a status as numbers, texts, lists and objects. Infinity and NaN become null, bytes hexadecimal text."""
+    """Return a status as data for `json.dumps`: numbers, texts, lists, dictionaries and None.
+
+    Dataclasses become dictionaries, enum members their values or else names, bytes hexadecimal text, times texts in
+    ISO 8601; infinity and NaN become None. Other objects become their ``str``.
+    """
     if isinstance(value, Enum):
         return value.value if isinstance(value.value, str) else value.name.lower()
     if value is None or isinstance(value, bool | int | str):

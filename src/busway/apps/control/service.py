@@ -1,13 +1,12 @@
-"""The control service of a running server or gateway: answers requests for its status, reset and reload.
+"""The control service of a running server or gateway: answers HTTP requests for its status, reset and reload.
 
-Knows resources and requests; knows no server: a `Subject` is an object with a status.
+Knows resources and requests; knows no server: a `Subject` is any object with a status.
 
-1. ``GET /status`` is the whole state, ``GET /connections`` a part of it, ``GET /metrics`` the metrics for a scraper.
+1. ``GET /status`` is the whole status, ``GET /connections`` a part of it, ``GET /metrics`` the metrics for a scraper.
    ``POST /reset-counters`` and ``POST /reload`` exist where the subject offers them.
-2. The subject is asked in its own event loop, for at most `GATHER_SECONDS`: where the loop is stuck, the response says
-   so.
-3. Over loopback each request carries the token and a ``Host`` of loopback: a foreign web page has
-   neither. Requests with an ``Origin`` are refused.
+2. The subject is asked in its own event loop, for at most `GATHER_SECONDS`: if the loop is stuck, the response says so.
+3. Over loopback each request must carry the token and a ``Host`` of loopback: a foreign web page has neither. Requests
+   with an ``Origin`` are refused.
 """
 
 import asyncio
@@ -35,7 +34,7 @@ _log = logging.getLogger("busway.apps.control")
 
 GATHER_SECONDS: Final = 2.0
 RELOAD_SECONDS: Final = 30.0
-"""Reloading reads files and certificates."""
+"""Time limit of a reload, which reads files and certificates."""
 _JSON: Final = "application/json"
 OFF: Final = "off"
 
@@ -60,31 +59,35 @@ class Reloadable(Protocol):
     """Interface of a server or gateway that can read its files again on demand."""
 
     async def reload(self) -> Any:
-        """Read the files again; the result is shown to the client. Raises `ModbusError`; then nothing has changed."""
+        """Read the files again, apply them, and return what changed, as data for JSON.
+
+        Raises:
+            ModbusError: the files cannot be used; nothing has changed.
+        """
 
 
 Reload = Callable[[], Any]
-"""Reads the files again; may be a coroutine function. Its result is shown to the client."""
+"""A function or coroutine function that reads the files again; its result is sent to the client as JSON."""
 AnswerMetrics = Callable[[HttpRequest], HttpResponse]
 
 
 class Control:
-    """The service that tells the status of a server or gateway while the ``async with`` block lasts::
+    """Control service of a server or gateway: answers requests for its status while the ``async with`` block lasts::
 
         async with busway.serve(units={1: device}) as server, Control(server):
             ...
 
     Args:
         subject: a server, a gateway, or another object with a ``status()``.
-        at: path of a Unix domain socket, or an address of loopback, ``127.0.0.1:0``. None: a socket of its own
-            where `busway status` finds it.
-        name: name of the program, to tell several apart.
+        at: path of a Unix domain socket, or an address of loopback such as ``127.0.0.1:0``. None: a new socket in the
+            directory where `busway status` looks for sockets.
+        name: name of the program in its status, to tell several programs apart.
         directory: directory of sockets and tokens, instead of `control_directory`.
-        reload: reads the files again, if the subject itself does not.
-        metrics: returns the metrics, for example `MetricsEndpoint.answer`.
+        reload: reads the files again; None: the subject does that, if it is `Reloadable`.
+        metrics: answers requests for the metrics, for example `MetricsEndpoint.answer`; None: there are no metrics.
 
     Attributes:
-        address: where it answers; None while it does not.
+        address: where the service answers; None while it does not run.
 
     Raises:
         ConfigError: ``at`` is not an address of this host.
@@ -124,10 +127,10 @@ class Control:
             self._resources["POST", "/reload"] = self._reload_files
 
     async def start(self) -> None:
-        """Start to answer requests for the status. Called in the subject's event loop.
+        """Open the control socket and start to answer requests. To be called in the subject's event loop.
 
         Raises:
-            ConfigError: another file is at the path, or the directory is not the user's own.
+            ConfigError: another file is at the path, or the directory does not belong to the user alone.
             LinkDown: the address cannot be bound, or another program answers there.
         """
         if self._service is not None:
@@ -145,7 +148,7 @@ class Control:
         self._service.start()
 
     async def stop(self) -> None:
-        """Stop answering and remove the control socket. Returns when the threads have ended."""
+        """Stop answering, remove the control socket, and wait until the service's threads have ended."""
         service, self._service = self._service, None
         bound, self._bound = self._bound, None
         self.address = None
@@ -213,8 +216,14 @@ class Control:
         return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
     def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
-        """Run the function ``work`` in the server's event loop and return its result. `HttpError` 503 or 504 if it
-        hangs.
+        """Run a function or coroutine function in the subject's event loop, wait for it, and return its result.
+
+        Args:
+            work: the function.
+            seconds: how long to wait for it.
+
+        Raises:
+            HttpError: the event loop has ended (503), or the result did not come in time (504).
         """
         assert self._loop is not None
 
@@ -260,14 +269,17 @@ async def open_control(
     reload: Reload | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
-    """Context manager that opens a `Control`; None for ``off``, or if the default socket cannot be bound (logged).
+    """Context manager that runs a `Control` in its block and gives it; gives None if there is no control service.
+
+    There is none for ``off``, and none if the default socket cannot be opened, which is logged.
 
     Args:
         subject, name, reload, metrics: as of `Control`.
         at: as of `Control`, or ``off``.
 
     Raises:
-        ConfigError, LinkDown: the address ``at`` is invalid or cannot be bound.
+        ConfigError: the address ``at`` is invalid, or another file is there.
+        LinkDown: the address ``at`` cannot be bound, or another program answers there.
     """
     if at == OFF:
         yield None

@@ -1,6 +1,6 @@
 """The access policy and address lists that a running service applies, and their replacement by a reload.
 
-Knows rules, lists and listeners; knows no file, and does not know when it is read again.
+Knows rules, lists and listeners; knows no file, and not when a reload happens.
 
 1. Without a policy, listeners that the network reaches are read-only, unless writes were allowed on the command line.
 2. A listener keeps its `ReloadableAllowList` for as long as the service lives; only the lists in it change.
@@ -18,17 +18,17 @@ from .overrides import Overrides
 
 
 class AccessInForce:
-    """The access rules that a running service applies to its server, replaced at a reload.
+    """The access rules that a running service applies to its server: policy and address lists, replaced at a reload.
 
     Args:
-        configuration: the one that the service starts with.
-        overrides: options of the command line that replace it.
+        configuration: the configuration with which the service starts.
+        overrides: command-line options that replace parts of the configuration.
 
     Attributes:
         rules: the access rules in force; None without a policy.
-        allow_list: the addresses that may connect to any listener.
-        is_guarded: whether the server gets a policy at all; set by `guard`.
-        read_only: URLs of the listeners that are read-only because there is no policy.
+        allow_list: the addresses that may connect, for all listeners; a listener may have a list of its own beside.
+        is_guarded: whether the server has a policy at all, so that one can be replaced; set by `guard`.
+        read_only: URLs of the listeners that are read-only because there is no policy; known once they are bound.
     """
 
     def __init__(self, configuration: DeclaredServer, overrides: Overrides) -> None:
@@ -40,7 +40,15 @@ class AccessInForce:
         self._allow_lists: dict[str, ReloadableAllowList] = {}  # of single listeners, by URL
 
     def guard(self, listeners: Sequence[Listener]) -> Policy | None:
-        """Start to apply the access rules. Returns the policy to start the server with; None if it needs none."""
+        """Put the access rules into force before the start, and return the policy to start the server with.
+
+        Args:
+            listeners: the listeners with which the server starts.
+
+        Returns:
+            None if the server needs no policy: there are no rules, nothing can be reloaded, and the network does not
+            reach a listener.
+        """
         self.allow_list.lists = self._lists(self.rules)
         self.is_guarded = (
             self.rules is not None
@@ -50,18 +58,33 @@ class AccessInForce:
         return self.cautious_policy(self.rules)
 
     def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
-        """Return a policy as if other hosts could reach every listener, until that is known; None if none is needed."""
+        """Return a policy that is safe before it is known which listeners the network reaches: it assumes all.
+
+        Args:
+            rules: the access rules; None: listeners are read-only, unless writes were allowed on the command line.
+
+        Returns:
+            None if the server has no policy (`is_guarded`).
+        """
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
-        """Apply these rules to the running server, whose listeners are bound."""
+        """Give a running server, whose listeners are bound, the policy of these rules; None: as rule 1 says."""
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]
         self.read_only = () if rules is not None or self._overrides.allow_writes else tuple(exposed)
         server.replace_policy(self._policy(rules, exposed))
 
     def replace_lists(self, new: DeclaredServer, rules: AccessRules | None) -> bool:
-        """Replace the address lists. Returns whether a list of a single listener has changed."""
+        """Replace all address lists by those of a new configuration; open connections are not ended.
+
+        Args:
+            new: the new configuration, with the lists of single listeners.
+            rules: the new access rules, with the list for all listeners; None without a policy.
+
+        Returns:
+            Whether the list of a single listener has changed.
+        """
         self.allow_list.lists = self._lists(rules)
         changed = False
         for one in new.listeners:
@@ -72,7 +95,10 @@ class AccessInForce:
         return changed
 
     def listeners(self, configuration: DeclaredServer) -> list[Listener]:
-        """Return the listeners of a configuration, each with address lists that can be replaced."""
+        """Return the listeners of a configuration, with address lists that `replace_lists` can replace.
+
+        Listeners of the command line, if there are any, are returned instead; they have no list of their own.
+        """
         if self._overrides.listen:
             return [Listener(url) for url in self._overrides.listen]
         found = []
@@ -85,8 +111,9 @@ class AccessInForce:
         return found
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
-        """Return the policy of the access rules; without rules, one that makes listeners read-only that other hosts
-        reach.
+        """Return the policy of the access rules; without rules, one that makes the ``exposed`` listeners read-only.
+
+        ``exposed`` has their URLs, or beginnings of URLs. If the command line allows writes, none is read-only.
         """
         if rules is not None:
             return rules.policy

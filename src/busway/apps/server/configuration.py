@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from ...server.server import Server
 
 ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
-"""Hosts of listeners that stand for every interface."""
+"""Hosts of listeners that mean every network interface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,18 +49,18 @@ class Configuration:
     """The checked contents of a configuration file, as objects that can be served or opened.
 
     Attributes:
-        name: the file's name.
-        file: its sections.
+        name: path of the file, as it was given.
+        file: the sections of the file.
         listeners: the listeners of the server, each with its own options.
         limits: limits and timeouts of listeners without their own.
-        tls: certificates of the listeners that have none of their own; None without ``[security]``.
-        access: rules on what may be asked, and on who may connect; None if there are none.
+        tls: TLS options of the listeners that have none of their own; None if ``[security]`` has no certificate.
+        access: rules on what may be requested, and on who may connect; None without ``[policy]``.
         audit: path of the audit log; None if there is none.
-        control: path or address of the control socket; None for the usual one.
+        control: path or address of the control socket; None for the default one.
         links: the links by name.
         warnings: warnings about the file, each with file, line and key.
-        changes: options of listeners that go before those of the file.
-        at_once: sections that hold at once when the file is read again while it runs.
+        changes: options of listeners that replace those of the file.
+        at_once: sections whose changes a reload applies without a restart.
     """
 
     name: str
@@ -79,16 +79,17 @@ class Configuration:
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
     ) -> "Server":  # Any: as `busway.serve` takes them
-        """Create a server for the units of the file, not started yet, with its policy and its address lists.
+        """Create a server for the units of the file, not started yet, with policy and address lists of the file.
 
-        The audit log, metrics and control socket are opened by `busway serve`; a program opens those that it wants.
+        Audit log, metrics and control socket of the file are not opened: `busway serve` does that, and a program opens
+        those that it wants.
 
         Args:
             listen: endpoints, or `Listener`s, instead of those of the file.
-            options: of `busway.serve`, instead of those of the file.
+            options: options of `busway.serve`, instead of those of the file.
 
         Raises:
-            ConfigError: an endpoint or option that cannot be; the file has no unit.
+            ConfigError: an endpoint or option is invalid, or the file has no unit.
         """
         from ...config.devices import build_units
         from ...server.serving import serve
@@ -101,11 +102,14 @@ class Configuration:
         )
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Do nothing: policy and lists are applied elsewhere, other changes take effect at the next start."""
+        """Do nothing and return no sentences: of a server only policy and lists change at a reload, which others apply.
+
+        A gateway applies more here (`DeclaredServer.apply_to`).
+        """
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """Return the options that the file gives to `busway.serve`."""
+        """Return options of the file for `busway.serve`: those of ``[server]``, and TLS; not its policy and units."""
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
 
@@ -114,21 +118,37 @@ class Configuration:
         return {} if self.access is None else {"policy": self.access.policy, "authorize": self.access.addresses}
 
     def open(self, name: str, *, shared: bool = True) -> "AsyncLink":
-        """Return a link named in the file, as `busway.open` gives it. Raises `ConfigError` if there is none."""
+        """Return a link of the file for asyncio programs, as `busway.open` does.
+
+        Args:
+            name: name of the link.
+            shared: whether the connection is shared with other links to the same endpoint, as of `busway.open`.
+
+        Raises:
+            ConfigError: there is no link of this name.
+        """
         from ...client.aio import open_link
 
         link = self._link_to_open(name)
         return open_link(link.url, shared=shared, **link.options)
 
     def connect(self, name: str, *, shared: bool = True) -> "BlockingLink":
-        """Return a link named in the file, as `busway.connect` gives it. Raises `ConfigError` if there is none."""
+        """Return a link of the file for blocking programs, as `busway.connect` does.
+
+        Args:
+            name: name of the link.
+            shared: whether the connection is shared with other links to the same endpoint, as of `busway.connect`.
+
+        Raises:
+            ConfigError: there is no link of this name.
+        """
         from ...client.blocking import connect
 
         link = self._link_to_open(name)
         return connect(link.url, shared=shared, **link.options)
 
     def _link_to_open(self, name: str) -> NamedLink:
-        """Return a link named in the file, after setting the configured limit of connections."""
+        """Return a link of the file, after setting the limit of connections of this process that the file has."""
         supported = self.file.client.supported_connections
         if supported is not None:
             from ...client.registry import limit_local_connections
@@ -137,7 +157,11 @@ class Configuration:
         return self.link(name)
 
     def link(self, name: str) -> NamedLink:
-        """Return the link that the file declares by this name. Raises `ConfigError` that lists all of them."""
+        """Return the declaration of a link: its URL and options. Nothing is opened.
+
+        Raises:
+            ConfigError: there is no link of this name; the message lists all names.
+        """
         link = self.links.get(name)
         if link is None:
             there = f"there are {', '.join(self.links)}" if self.links else "there is none"
@@ -151,13 +175,14 @@ def load_configuration(
     """Load the configuration of a system from a file: server, listeners, client, security, policy and units.
 
     Args:
-        path: the file, in TOML. Every device file is one.
-        preflight: whether the files that it names are opened too, to say now what would fail later.
-        changes: options of listeners that go before those of the file.
+        path: the file, in TOML. Every device file is such a file.
+        preflight: whether the files that it names, such as certificates, are opened too, so that what is wrong with
+            them is reported now and not later.
+        changes: options of listeners that replace those of the file.
 
     Raises:
-        ConfigError: the file cannot be read, or something in it cannot be; then it has all ``problems``, each with
-            file, line and key.
+        FileError: the file is wrong; ``problems`` has all errors, each with file, line and key.
+        ConfigError: the file cannot be read.
     """
     name = os.fspath(path)
     return parse_configuration(read_text(name), name, preflight=preflight, changes=changes)
@@ -169,12 +194,12 @@ def parse_configuration(
     """Parse the configuration of a system from a TOML text.
 
     Args:
-        text: the content of the file.
-        name: its name, for sentences; paths in it are relative to its folder.
+        text: the contents of the file.
+        name: path of the file, for errors; paths in the text are relative to its folder. The file is not read.
         preflight, changes: as of `load_configuration`.
 
     Raises:
-        FileError: all that is wrong, each with file, line and key.
+        FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
     """
     try:
         file, source = parse_with_source(text, SystemFile, name)
@@ -186,7 +211,7 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """Return the error for an invalid file; if it is a simulation or gateway file, only which command reads it."""
+    """Return the error for an invalid file; for a simulation file only one that names the command that reads it."""
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -205,14 +230,17 @@ def put_together(
     changes: Mapping[str, Any] | None = None,
     link_defaults: Mapping[str, Any] = MappingProxyType({}),
 ) -> Configuration:
-    """Build a configuration from a checked file; to be used only after `ConfigurationReport.end`.
+    """Build the configuration of a file whose sections were checked one by one; errors go to a report, none is raised.
+
+    The result may be used only after `ConfigurationReport.end`, which raises the errors. Its warnings are those of the
+    report, and not set here.
 
     Args:
-        file: its sections.
-        name: its name; paths in it are relative to its folder.
-        report: collects what is wrong, and what is odd.
+        file: the sections of the file.
+        name: path of the file; paths in it are relative to its folder.
+        report: collects errors and warnings.
         preflight, changes: as of `load_configuration`.
-        link_defaults: options of the links, where the program that uses them has other defaults.
+        link_defaults: defaults of the options of links that differ from those of `busway.open`.
     """
     makers = _Makers(file, name, report, changes or {})
     limits = makers.limits()
@@ -247,7 +275,7 @@ def _control(file: SystemFile, name: str) -> str | None:
 
 
 class _Makers:
-    """Creates the listeners of a file; settings of a listener override the general ones."""
+    """Creates the listeners of a file; options of a single listener replace the general ones. Errors go to a report."""
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file
@@ -259,11 +287,11 @@ class _Makers:
         self._security = {key: value for key, value in file.security.options().items() if key in offered}
 
     def limits(self) -> ListenerParameters | None:
-        """Limits and timeouts for the listeners that have none of their own."""
+        """Return the limits and timeouts for listeners that have none of their own; None if invalid (reported)."""
         return self._limits({}, ("server",))
 
     def tls(self) -> TlsParameters | None:
-        """TLS options for the listeners that have none of their own."""
+        """Return the TLS options for listeners that have none of their own; None if the file has no certificate."""
         if self._security.get("certificate") is None:
             return None
         return build_parameters(TlsParameters, rooted(self._security, self._name))
@@ -278,7 +306,12 @@ class _Makers:
         )
 
     def listener(self, place: Place, endpoint: Endpoint) -> Listener:
-        """Create the listener whose URL is at a path of the file, without its invalid options."""
+        """Create a listener of the file; its invalid options are reported and left out.
+
+        Args:
+            place: where its URL is in the file: in a ``[[listener]]`` section, or in ``listen``.
+            endpoint: the URL.
+        """
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
             self._check_options.warn(place, f"{endpoint.url} listens on every interface of this host")
         if endpoint.carrier == "serial":
@@ -297,7 +330,7 @@ class _Makers:
         return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
     def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
-        """Return the listener after its URL and certificates were checked; problems are reported."""
+        """Check the TLS options of a listener, report what is wrong, and return the listener unchanged."""
         options = parse_endpoint(listener.endpoint).options
 
         def place_of(key: str | None) -> Place:

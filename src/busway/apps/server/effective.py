@@ -17,7 +17,7 @@ from .configuration import Configuration
 
 
 def effective(configuration: Configuration) -> Iterator[str]:
-    """Return the configuration with all defaults as lines of TOML: each section that a component uses."""
+    """Yield server, listeners and links of a configuration as lines of TOML, with all options, defaults included."""
     yield "[server]"
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
     chosen = Offer.of(*SERVERS).chosen(given)
@@ -58,14 +58,14 @@ def _link(link: NamedLink) -> Iterator[str]:
 def values(
     parameters: Any, *, without: frozenset[str] = frozenset()
 ) -> Iterator[str]:  # Any: classes of no common base
-    """Return a TOML line for each option of a parameter object."""
+    """Yield a TOML line ``name = value`` for each field of a parameter object, but for the names in ``without``."""
     for field in fields(parameters):
         if field.name not in without:
             yield line(field.name, getattr(parameters, field.name))
 
 
 def line(name: str, value: object) -> str:
-    """Return a key and its value as a TOML line."""
+    """Return a key and its value as a TOML line; None as the text that means "none" in files."""
     return f"{name} = {_written(value)}"
 
 

@@ -1,6 +1,6 @@
 """Interfaces of what a service runs (a server, a gateway or a simulation), and of the configuration that declares it.
 
-Knows what is asked of both; knows no file and no listener.
+Knows which methods a service and its reload call; knows no file and no listener.
 """
 
 from collections.abc import Iterable, Sequence
@@ -15,7 +15,7 @@ from ...session.pipeline import RequestObserver
 
 
 class RunningServer(Protocol):
-    """Interface of a server or gateway that `busway serve` or `gateway` runs."""
+    """Interface of a running server, gateway or simulation, as a service and its reload use it."""
 
     @property
     def endpoints(self) -> list[str]:
@@ -23,34 +23,38 @@ class RunningServer(Protocol):
 
     @property
     def is_running(self) -> bool:
-        """Whether the server was started and not stopped."""
+        """Whether the server was started and is not stopped."""
 
     def status(self) -> Any:  # a dataclass, of its own kind
-        """Return the current status of the server or gateway."""
+        """Return the current status of the server or gateway, as a dataclass of its own kind."""
 
     @property
     def functions(self) -> FunctionTable:
         """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of the server's requests, before the start."""
+        """Register an observer that is told of each request; to be called before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
-        """Use another access policy, from the next request on."""
+        """Use another access policy from the next request on; open connections stay."""
 
     def end_unauthorized(self) -> int:
-        """Abort connections of hosts that may no longer connect; returns their number."""
+        """Abort the connections of hosts that the address lists no longer allow; return their number."""
 
     def reload_security(self) -> None:
-        """Read the TLS certificates again. Raises `ConfigError`; a listener keeps its old ones if they are unusable."""
+        """Read the TLS certificates again; they hold from the next connection on.
+
+        Raises:
+            ConfigError: a certificate cannot be used; that listener keeps its old ones.
+        """
 
     async def __aenter__(self) -> object:
-        """Open the listeners of the server."""
+        """Start the server: open its listeners."""
 
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None, /
     ) -> bool | None:
-        """Close the listeners of the server."""
+        """Stop the server: close its listeners and connections."""
 
 
 class DeclaredServer(Protocol):
@@ -66,7 +70,7 @@ class DeclaredServer(Protocol):
 
     @property
     def access(self) -> AccessRules | None:
-        """The access rules of the configuration; None without any."""
+        """The access rules that the configuration declares; None if it has no policy."""
 
     @property
     def audit(self) -> str | None:
@@ -74,14 +78,31 @@ class DeclaredServer(Protocol):
 
     @property
     def control(self) -> str | None:
-        """Address of the control socket; None for the default one."""
+        """Path or address of the control socket; None for the default one."""
 
     @property
     def at_once(self) -> frozenset[str]:
-        """Names of the file's sections that a reload applies without a restart."""
+        """Names of the sections of the file whose changes a reload applies without a restart."""
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> RunningServer:  # of several types
-        """Create the server that the configuration declares, not started yet."""
+        """Create the server that the configuration declares; it is not started yet.
+
+        Args:
+            listen: endpoints or listeners instead of those of the file.
+            options: options of `busway.serve`, instead of those of the file.
+        """
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Apply the configuration to a running server, as far as possible without a restart. Raises `ModbusError`."""
+        """Apply the configuration to a running server, as far as that is possible without a restart.
+
+        Args:
+            running: the server, made by `serve` of an earlier configuration.
+            listen: the listeners that it is to have.
+            policy: the access policy for it; None without one.
+
+        Returns:
+            What changed, each as a sentence.
+
+        Raises:
+            ModbusError: a part cannot be opened; nothing has changed.
+        """

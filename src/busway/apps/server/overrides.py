@@ -1,6 +1,6 @@
 """Command-line overrides of a configuration: other listeners, a policy file, an audit log, addresses of services.
 
-Knows what a command can override; knows no option text and no server.
+Knows what a command can override; knows neither the texts of command-line options nor a server.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,25 +12,25 @@ from .interfaces import DeclaredServer
 
 
 def declared_rules(configuration: DeclaredServer) -> AccessRules | None:
-    """Return the access rules that the configuration file itself declares."""
+    """Return the access rules that the configuration file itself declares; None if it has no policy."""
     return configuration.access
 
 
 @dataclass(frozen=True, slots=True)
 class Overrides:
-    """Command-line options that replace parts of a configuration.
+    """Command-line options that replace parts of a configuration; the defaults leave everything to the file.
 
     Attributes:
-        listen: endpoints instead of those of the file.
-        rules: gives the access rules; called again when files are read again.
-        addresses: a list of who may connect, beside those of the file.
-        allow_writes: whether listeners that the network reaches take writes without a policy.
-        audit: path of the audit log.
-        metrics: address on which the metrics are offered.
-        control: path or address of the control socket, or ``off``.
-        standard_port: whether port 502 is listened on beside others; None leaves it to the file.
-        can_reload: whether there is something to be read again.
-        name: name of the program, to tell several apart.
+        listen: endpoints instead of those of the file; empty for those of the file.
+        rules: returns the access rules for a configuration; called again at each reload.
+        addresses: a further list of who may connect, beside that of the file; None for none.
+        allow_writes: whether, without a policy, listeners that the network reaches accept writes.
+        audit: path of the audit log; None for that of the file.
+        metrics: host and port on which the metrics are offered; None for those of the file.
+        control: path or address of the control socket, or ``off``; None for that of the file.
+        standard_port: whether the server listens on port 502 beside other ports; None leaves it to the file.
+        can_reload: whether the service can be reloaded, because there are files to be read again.
+        name: name of the program in its status, to tell several programs apart.
     """
 
     listen: Sequence[str] = ()

@@ -3,11 +3,11 @@
 Knows what differs between two configurations, and what can be replaced; knows no request.
 
 1. A mistake in a file that is read again changes nothing: everything stays as it was. The files are read and checked in
-   a thread, and applied in the event loop in one step, so that the server answers meanwhile.
+   a thread, so that the server answers meanwhile, and then applied in the event loop.
 2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
    hold from the next connection on; the audit log is reopened. Other differences are named: they take effect at the
    next start, but for the sections in ``at_once`` of the configuration. Those of a gateway are in
-   `busway.apps.gateway.configuration`, and its `Gateway.change` applies them.
+   `busway.apps.gateway.configuration`, and `Gateway.change` applies them.
 """
 
 import asyncio
@@ -29,16 +29,16 @@ if TYPE_CHECKING:
 _REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
 
 _MANY_RULES: Final = 10_000
-"""Above this number, one run of the garbage collector would be felt: 10 ms for the objects of these rules."""
+"""Number of rules above which they are excluded from garbage collection: one run takes 10 ms for so many rules."""
 
 
 class Reload:
-    """Reads the configuration of a running server again, and applies what can change.
+    """Reads the configuration of a running server again, and applies what can change without a restart.
 
     Args:
-        read: reads the configuration.
-        overrides: command-line overrides of it.
-        started_with: the configuration that the service was started with.
+        read: reads and checks the configuration; called in a thread.
+        overrides: command-line options that replace parts of the configuration.
+        started_with: the configuration with which the service was started.
         access: the access rules in force, which a reload replaces.
     """
 
@@ -55,10 +55,15 @@ class Reload:
         self._access = access
 
     async def run(self, server: RunningServer, audit: "AuditLog | None") -> list[str]:
-        """Read the configuration again and apply it. Returns one sentence for each change.
+        """Read the configuration again, apply it, and return a sentence for each change. One call at a time.
+
+        Args:
+            server: the running server.
+            audit: its audit log, which is opened again (for log rotation); None without one.
 
         Raises:
-            ConfigError, LinkDown: the files have a mistake, or something they name cannot be had; nothing has changed.
+            ConfigError, LinkDown: the files have a mistake, or something that they name cannot be opened; nothing has
+                changed.
         """
         with collecting_paused():
             found: list[ReloadedConfiguration] = []  # and not the thread's result, which would live a little longer
@@ -72,7 +77,7 @@ class Reload:
         return done
 
     def exclude_rules_from_gc(self) -> None:
-        """Exclude many access rules from garbage collection, which would go through all of them each time."""
+        """Exclude the access rules from garbage collection if there are very many, because each run would visit all."""
         rules = self._access.rules
         if rules is not None and len(rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
@@ -84,7 +89,7 @@ class Reload:
     async def _apply(
         self, reloaded: "ReloadedConfiguration", server: RunningServer, audit: "AuditLog | None"
     ) -> list[str]:
-        """Apply a reloaded configuration to the running server. Returns one sentence for each change."""
+        """Apply a reloaded configuration to the running server, and return a sentence for each change."""
         new, rules, access = reloaded.configuration, reloaded.rules, self._access
         followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
         done = []
@@ -118,14 +123,14 @@ def _read_certificates_again(server: RunningServer) -> str:
 
 @dataclass(frozen=True, slots=True)
 class ReloadedConfiguration:
-    """A configuration that was read again, and how it differs from what runs.
+    """A configuration that was read again, and how it differs from the running one.
 
     Attributes:
-        configuration: what the files declare.
-        rules: their access rules.
+        configuration: the configuration that was read.
+        rules: the access rules that were read; None without a policy.
         are_other_rules: whether these differ from the rules in force.
-        later: changed sections that take effect at the next start.
-        before: the rules in force.
+        later: names of changed sections that take effect only at the next start.
+        before: the rules of the policy in force.
     """
 
     configuration: DeclaredServer
@@ -135,7 +140,7 @@ class ReloadedConfiguration:
     before: tuple[Rule, ...]
 
     def rule_lists(self) -> list[list[Any]]:
-        """Return the lists of access rules, which may be large, so that `let_go` can free them after the reload."""
+        """Return copies of all lists of access rules, old and new, so that `let_go` can free large ones in a thread."""
         policy = self.configuration.file.policy
         read = () if self.rules is None else self.rules.policy.rules
         return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
@@ -144,15 +149,15 @@ class ReloadedConfiguration:
 def read_again(
     old: DeclaredServer, new: DeclaredServer, rules_in_force: AccessRules | None, rules: AccessRules | None
 ) -> ReloadedConfiguration:
-    """Read and check the configuration again and compare it with what runs.
+    """Check a configuration that was read again, prepare its rules, and compare it with the running one.
 
-    With many rules that takes long, so call it in a thread.
+    Applies nothing. With many rules that takes long, so call it in a thread.
 
     Args:
-        old: the configuration that the server was started with.
-        new: the configuration that was read.
-        rules_in_force: the rules on access until now.
-        rules: the access rules that were read.
+        old: the configuration with which the server was started.
+        new: the configuration that was read again.
+        rules_in_force: the access rules until now; None without a policy.
+        rules: the access rules that were read again, or of the command line; None without a policy.
 
     Raises:
         ConfigError: a certificate cannot be used.
@@ -166,7 +171,7 @@ def read_again(
 
 
 def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
-    """Return the sections in which two configurations differ and that need a restart."""
+    """Return the names of the sections in which two configurations differ and which need a restart."""
     found = []
     for name in type(old.file).model_fields:
         before, after = getattr(old.file, name), getattr(new.file, name)

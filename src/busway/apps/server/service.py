@@ -20,19 +20,20 @@ if TYPE_CHECKING:
 
 
 class Service:
-    """A running server with the services around it; an asynchronous context manager that starts and stops all of them.
+    """A server with its policy, audit log, metrics and control socket; ``async with`` starts and stops all of them.
 
     Args:
-        read: reads the configuration; called again by `reload`.
-        overrides: command-line overrides of it.
+        read: reads the configuration; called at once, and again by `reload`.
+        overrides: command-line options that replace parts of the configuration.
 
     Attributes:
-        configuration: the one that it was started with.
-        server: the server, after the start.
-        metrics: URL of the metrics; empty without any.
+        configuration: the configuration with which the service was started.
+        server: the server; there once the block was entered.
+        metrics: URL of the metrics; empty if none are offered.
 
     Raises:
-        ConfigError, LinkDown: a component cannot be built or opened; then nothing runs.
+        ConfigError, LinkDown: a component cannot be built or opened; then nothing runs. Raised here or when the block
+            is entered.
     """
 
     server: RunningServer
@@ -103,10 +104,13 @@ class Service:
         )
 
     async def reload(self) -> list[str]:
-        """Read the configuration again and apply what can change while it runs. Returns one sentence for each change.
+        """Read the configuration again, apply what can change without a restart, and return a sentence for each change.
+
+        To be called in the event loop of the server, which goes on answering meanwhile.
 
         Raises:
-            ConfigError, LinkDown: the files have a mistake, or something they name cannot be had; nothing has changed.
+            ConfigError, LinkDown: the files have a mistake, or something that they name cannot be opened; nothing has
+                changed.
         """
         async with self._reloading:
             return await self._reload.run(self.server, self._audit)
