@@ -12,9 +12,10 @@ from ..transport.tls.certificates.authority import Authority, Issued
 from ..transport.tls.roles import ROLE_EXTENSION
 
 HOSTS: Final = ("localhost", "127.0.0.1", "::1")
+"""Names and addresses of this machine, for which server certificates are valid by default."""
 _EXPIRED_DAYS: Final = -1.0
 _STAND_IN: Final = "1.3.6.1.4.1.50316.802.2"
-"""As long as the role's number: what a certificate is built with before its number is changed into the role's."""
+"""Object identifier as long as the role's: a certificate is built with it, and the role's put in its place."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +23,8 @@ class CertificateFiles:
     """Paths of the files of one certificate: certificate, key and authority.
 
     Attributes:
-        certificate, key, authority: paths; ``authority`` is the one that its holder trusts.
+        certificate, key: paths of the certificate and its private key.
+        authority: path of the authority that the certificate's holder trusts.
         issued: the certificate itself.
     """
 
@@ -32,11 +34,11 @@ class CertificateFiles:
     issued: Issued
 
     def options(self) -> dict[str, str]:
-        """Return the keywords or URL options that name the certificate's files."""
+        """Return the files as keywords or URL options of a link or server: ``certificate``, ``key``, ``authority``."""
         return {"certificate": str(self.certificate), "key": str(self.key), "authority": str(self.authority)}
 
     def query(self) -> str:
-        """Return the options that name the certificate's files as the query of a URL, after ``?``."""
+        """Return the files as the query of a URL, to be put after ``?``: ``certificate=…&key=…&authority=…``."""
         return "&".join(f"{name}={value}" for name, value in self.options().items())
 
 
@@ -44,11 +46,13 @@ class CertificateStore:
     """A directory with a trusted authority, a foreign authority, and certificates that they sign.
 
     Args:
-        directory: where the files are written.
+        directory: an existing directory, where the files are written.
 
     Attributes:
+        directory: as given.
         authority: the authority that all programs trust.
         foreign: the authority that no program trusts.
+        authority_file: path of the certificate of ``authority``.
     """
 
     def __init__(self, directory: Path) -> None:
@@ -66,13 +70,27 @@ class CertificateStore:
         days: float = 30.5,
         authority: Authority | None = None,
     ) -> CertificateFiles:
-        """Create a server certificate, by default signed by the trusted authority."""
+        """Create a server certificate and write its files.
+
+        Args:
+            name: name of the certificate and of its files.
+            hosts: host names and addresses for which it is valid.
+            days: how long it is valid from now on; negative for an expired one.
+            authority: the authority that signs it; the trusted one by default.
+        """
         return self.write(name, (authority or self.authority).server(hosts, name=name, days=days))
 
     def client(
         self, name: str = "client", *, role: str | None = None, days: float = 30.5, authority: Authority | None = None
     ) -> CertificateFiles:
-        """Create a client certificate, by default signed by the trusted authority."""
+        """Create a client certificate and write its files.
+
+        Args:
+            name: name of the certificate and of its files.
+            role: role that it carries; None for none.
+            days: how long it is valid from now on; negative for an expired one.
+            authority: the authority that signs it; the trusted one by default.
+        """
         return self.write(name, (authority or self.authority).client(name, role=role, days=days))
 
     def expired_server(self) -> CertificateFiles:
@@ -84,7 +102,7 @@ class CertificateStore:
         return self.client("expired client", role=role, days=_EXPIRED_DAYS)
 
     def self_signed(self, name: str = "self-signed", *, hosts: Sequence[str] = HOSTS) -> CertificateFiles:
-        """Create a self-signed certificate."""
+        """Create a self-signed certificate, valid for ``hosts``, and write its files."""
         return self.write(name, Authority.self_signed(name, hosts))
 
     def client_with_role_value(self, value: bytes, *, name: str = "odd role") -> CertificateFiles:
@@ -106,13 +124,13 @@ class CertificateStore:
         days: float = 30.5,
         name: str = "revoked",
     ) -> Path:
-        """Create a file with the revocation list of an authority, by default the trusted one.
+        """Create a file with the revocation list of an authority, and return its path.
 
         Args:
-            revoked: the certificates on it.
-            authority: who signs it.
-            days: how long it is valid from now on; negative for one whose time is over.
-            name: it is written as NAME.crl, in place of an old one.
+            revoked: the certificates on the list.
+            authority: the authority that signs it; the trusted one by default.
+            days: how long it is valid from now on; negative for an expired list.
+            name: the file is NAME.crl in the directory; an old one is replaced.
         """
         file = self.directory / f"{name}.crl"
         serials = [one.issued.certificate.serial_number for one in revoked]
@@ -120,7 +138,7 @@ class CertificateStore:
         return file
 
     def write(self, name: str, issued: Issued) -> CertificateFiles:
-        """Write a certificate and its key as NAME.pem and NAME.key."""
+        """Write a certificate and its key as NAME.pem and NAME.key, and return their paths; a space becomes ``-``."""
         stem = name.replace(" ", "-")
         files = CertificateFiles(
             self.directory / f"{stem}.pem", self.directory / f"{stem}.key", self.authority_file, issued
@@ -129,7 +147,7 @@ class CertificateStore:
         return files
 
     def _two_roles(self, name: str, first: bytes, second: bytes) -> Issued:
-        """Issue a certificate with two role extensions, by changing and signing one again: no library makes it."""
+        """Issue a certificate with two role extensions, by changing one and signing it again: no library does this."""
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
         from cryptography.hazmat.primitives.asymmetric import ec

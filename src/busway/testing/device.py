@@ -4,7 +4,7 @@ from ..server.cells import Cells
 from ..server.device import Device
 
 ITEMS = 1000
-"""Items in each table of `known_device`."""
+"""Number of items in each table of `known_device` by default."""
 
 
 def known_device(items: int = ITEMS) -> Device:
@@ -16,7 +16,7 @@ def known_device(items: int = ITEMS) -> Device:
     are there.
 
     Args:
-        items: of each table, 20…50000.
+        items: number of items in each table, 20…50000.
     """
     return Device(
         holding_registers=Cells(values=list(range(items)), read_only=[(items - 10, 10)]),

@@ -12,8 +12,8 @@ class GoldenExchange:
     """One request PDU and the reply PDU that the specification gives for it.
 
     Attributes:
-        name: name of the exchange.
-        section: of MODBUS Application Protocol V1.1b3.
+        name: what is asked, in words.
+        section: section of MODBUS Application Protocol V1.1b3.
         request, reply: PDUs, function code first.
     """
 
@@ -73,22 +73,22 @@ GOLDEN_EXCHANGES: Final = (
         + b"V2.11".hex(),
     ),
 )
-"""One exchange for each function of the specification."""
+"""Exchanges of the specification, one for each function."""
 
 GOLDEN_EXCEPTIONS: Final = (
     _exchange("a coil that does not exist", "7", "01 04A1 0001", "81 02"),
     _exchange("a quantity of 0", "6.3", "03 006B 0000", "83 03"),
     _exchange("a function that is not there", "7", "41", "C1 01"),
 )
-"""Requests that are refused, with the refusal."""
+"""Exchanges whose request is refused: the reply is an exception."""
 
 
 def golden_adu(pdu: bytes, *, transaction: int = 1, unit: int = 1) -> bytes:
     """Return a PDU with an MBAP header, built without the code under test.
 
     Args:
-        pdu: 1…253 bytes.
-        transaction: 0…65535.
-        unit: 0…255.
+        pdu: function code and data, 1…253 bytes.
+        transaction: transaction identifier, 0…65535.
+        unit: unit identifier, 0…255.
     """
     return transaction.to_bytes(2, "big") + bytes(2) + (len(pdu) + 1).to_bytes(2, "big") + bytes((unit,)) + pdu

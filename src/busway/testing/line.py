@@ -8,7 +8,7 @@ Knows ptys, a thread and the clock; `VirtualLine` decides what is on the line at
         with BlockingSerialPort(line.paths[0], settings) as port:
             port.write(request)
 
-1. One thread owns the line and the ptys. It does what other threads ask for, in between.
+1. One thread owns the line and the ptys. In between, it carries out the orders of other threads.
 2. Characters are handed over at the moment their last bit has passed. Where they are shorter than `GRANULARITY`,
    several are handed over together, as a UART with a buffer does; the last one of a transmission always in its time.
 3. A pty takes some 50 µs from a write until the other end has woken up, which no wire does. That is
@@ -39,23 +39,32 @@ from .virtual_line import NOISE, LineByte, Transmission, VirtualLine, VirtualPor
 __all__ = ["NOISE", "LineByte", "PacedLine", "Transmission", "VirtualLine", "VirtualPort"]
 
 GRANULARITY = 0.0005
-"""Seconds. Waking two programs for every character of 115 200 baud would take more than a processor; this is below
-1.5 characters at every rate, where the specification holds that silence at 750 µs."""
+"""Seconds of characters that may be handed over together, by default.
+
+Waking two programs for every character of 115 200 baud would take more than a processor; this is below 1.5 characters
+at every rate, where the specification holds that silence at 750 µs.
+"""
 
 SPIN = 0.0001
-"""Seconds before each handing over at which the thread wakes up: a sleeping one is woken some 50 µs late, and finding
-out what to hand over takes as long. What is left is waited for in a loop."""
+"""Seconds before each handing over at which the thread wakes up; the rest is waited for in a loop.
+
+A sleeping thread is woken some 50 µs late, and finding out what to hand over takes as long.
+"""
 ROUNDING = 1e-9
-"""Seconds, above what subtracting and adding a transit may lose."""
+"""Seconds that subtracting and adding a transit may lose at most."""
 
 TRANSIT_SAMPLES = 11
+"""Number of measurements of the time that a pty takes."""
 TIME_TO_FALL_ASLEEP = 0.002
-"""Seconds. A processor that has just slept wakes up faster than one of a line that is quiet for longer."""
+"""Seconds before each measurement: a processor wakes up faster if it has not slept for long."""
 LONGEST_TRANSIT = 0.0002
-"""Seconds. A machine that is busy while it is measured must not make characters arrive before their time."""
+"""Most seconds that a pty is taken to need.
+
+A machine that is busy while it is measured must not make characters arrive before their time.
+"""
 
 LARGEST_BACKLOG = 4096
-"""Characters of a port that wait to be sent; beyond, its program is made to wait, as by a real port."""
+"""Most characters of a port that wait to be sent; beyond, its program is made to wait, as by a real port."""
 
 
 @dataclass(slots=True)
@@ -99,13 +108,15 @@ class _Listener:
 
 
 class PacedLine:
-    """A serial bus in real time with the given number of ports. A context manager; `close` ends it.
+    """A serial bus in real time with the given number of ports. A context manager that ends it.
+
+    Its methods may be called from any thread.
 
     Attributes:
-        paths: where the ports are, by number. They are links; a path stays when its port is unplugged and comes back.
-        settings: what gives a character its length.
-        character_time: seconds that one takes.
-        overruns: characters that were lost because no program fetched them.
+        paths: path of each port, by number. A path is a link, and stays when its port is unplugged and comes back.
+        settings: baud rate and character format, which set the length of a character.
+        character_time: seconds that one character takes.
+        overruns: number of characters that were lost because no program read them.
     """
 
     def __init__(
@@ -124,12 +135,15 @@ class PacedLine:
         """Create the simulated line with its ports and start its thread.
 
         Args:
-            ports: how many, at least 1.
-            baud, parity, data_bits, stop_bits: what gives a character its length, as in `SerialSettings`.
+            ports: number of ports, at least 1.
+            baud, parity, data_bits, stop_bits: baud rate and character format, as in `SerialSettings`.
             echo: whether ports hear themselves: all, none, or those with these numbers.
-            noise: probability, 0…1, that a character is damaged.
-            seed: of what is random.
+            noise: probability that a character is damaged, 0…1.
+            seed: seed of random choices.
             granularity: seconds of characters that may be handed over together; 0 hands over each by itself.
+
+        Raises:
+            ValueError: ``ports`` is below 1.
         """
         self._line = VirtualLine(
             ports, baud, parity, data_bits=data_bits, stop_bits=stop_bits, echo=echo, noise=noise, seed=seed
@@ -185,13 +199,16 @@ class PacedLine:
 
     @property
     def tap(self) -> list[LineByte]:
-        """Return every character seen on the line with its time (``time.monotonic``) and port; the last 200 000."""
+        """The last 200 000 characters seen on the line, with time (``time.monotonic``) and port, the oldest first."""
         copied: list[LineByte] = []
         self._do(lambda: copied.extend(self._line.tap))
         return copied
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """Return the bytes seen on the line, split at silences (seconds; 1.5 characters) or changes of sender."""
+        """Return the bytes seen on the line, split at silences and at changes of sender.
+
+        ``silence`` is the number of seconds that separate two transmissions of one port; 1.5 characters if None.
+        """
         return gathered(self.tap, self.character_time, silence)
 
     def forget(self) -> None:
@@ -205,11 +222,11 @@ class PacedLine:
         self._do(clear)
 
     def cut(self, *ports: int) -> None:
-        """Disconnect these ports, or all, from the simulated line, like a cut cable."""
+        """Disconnect these ports, or all if none is given, from the simulated line, like a cut cable."""
         self._do(lambda: self._line.cut(*ports))
 
     def mend(self, *ports: int) -> None:
-        """Reconnect these ports, or all, to the simulated line after `cut`."""
+        """Reconnect these ports, or all if none is given, to the simulated line after `cut`."""
         self._do(lambda: self._line.mend(*ports))
 
     def inject(self, data: bytes) -> None:
@@ -217,20 +234,28 @@ class PacedLine:
         self._do(lambda: self._line.inject(data, max(time.monotonic(), self._line.now)))
 
     def unplug(self, port: int) -> None:
-        """Remove a port like a pulled adapter: its path is gone, and programs that have it open get an error."""
+        """Remove a port like a pulled adapter: its path is gone, and programs that have it open get an error.
+
+        Raises:
+            ValueError: the port is unplugged already.
+        """
         self._do(lambda: self._unplug(port))
 
     def replug(self, port: int, name: str | None = None) -> str:
-        """Bring an unplugged port back, and give its path: the one it had, or ``name`` in the same directory."""
+        """Bring an unplugged port back. Returns its path: the one it had, or ``name`` in the same directory.
+
+        Raises:
+            ValueError: the port is plugged in.
+        """
         self._do(lambda: self._replug(port, name))
         return self.paths[port]
 
     def wait_quiet(self, silence: float | None = None, timeout: float = 10.0) -> None:
-        """Wait until the line was silent for so many seconds.
+        """Wait until the line has been silent for a time.
 
         Args:
-            silence: seconds; 3.5 characters if not given.
-            timeout: seconds after which it is given up.
+            silence: seconds of silence; 3.5 characters if None.
+            timeout: seconds to wait at most.
 
         Raises:
             TimeoutError: the line was not quiet in that time.
@@ -405,8 +430,9 @@ _PR_SET_TIMERSLACK = 29
 
 
 def _ask_for_exact_timers() -> None:
-    """Ask Linux for exact timers in this thread: by default they may be 50 µs late, half a character at 115 200
-    baud.
+    """Ask Linux for exact timers in this thread.
+
+    By default timers may be 50 µs late, half a character at 115 200 baud.
     """
     if sys.platform == "linux":
         ctypes.CDLL(None).prctl(_PR_SET_TIMERSLACK, 1, 0, 0, 0)

@@ -10,7 +10,7 @@ segment.
     pair.deliver()                                # until nothing is on its way any more
 
 1. Segments arrive in the order in which they were written, cut and joined as the `Passage` of their direction says.
-2. With ``schedule`` (``loop.call_soon``) what was written arrives by itself; what is delayed waits for `deliver`.
+2. With ``schedule`` (``loop.call_soon``) written bytes arrive without a call; delayed ones wait for `deliver`.
 """
 
 import asyncio
@@ -23,13 +23,13 @@ from typing import Any
 
 @dataclass(frozen=True, slots=True)
 class Passage:
-    """How bytes travel between the two ends of a connection in memory: delay, loss, splitting and merging.
+    """How bytes travel in one direction of a connection in memory: delay, loss, splitting and merging.
 
     Args:
-        drop: probability, 0…1, that a segment is lost.
+        drop: probability that a segment is lost, 0…1.
         delay: seconds in transit.
-        split: bytes of the pieces that they arrive in; 0 for whole ones.
-        merge: whether segments in transit at the same moment arrive as one.
+        split: bytes of each piece in which a segment arrives; 0 for whole segments.
+        merge: whether segments that arrive at the same moment arrive as one.
         seed: seed of random choices.
     """
 
@@ -41,7 +41,12 @@ class Passage:
 
 
 class MemoryTransport(asyncio.Transport):
-    """One end of a connection in memory, as an asyncio transport. ``written`` has everything it has sent."""
+    """One end of a connection in memory, as an asyncio transport; created by `MemoryPair`.
+
+    Attributes:
+        written: every segment that this end has sent, in order, lost ones included.
+        in_transit: segments on their way to the other end, each with the time of its arrival.
+    """
 
     def __init__(self, passage: Passage, extra: Mapping[str, Any]) -> None:  # Any: as asyncio has it
         super().__init__(dict(extra))
@@ -126,7 +131,7 @@ class MemoryTransport(asyncio.Transport):
         self._protocol = protocol
 
     def due(self, now: float) -> bytes:
-        """Return the next segment of written bytes that reaches the other end by ``now``; empty if there is none."""
+        """Remove and return the next segment that has reached the other end at ``now`` (seconds); empty if none has."""
         if not self.in_transit or self.in_transit[0][0] > now:
             return b""
         data = self.in_transit.popleft()[1]
@@ -168,14 +173,14 @@ class MemoryPair:
 
     Args:
         first, second: the protocols at its ends.
-        forth: treatment of segments from the first to the second.
-        back: treatment of segments the other way.
-        schedule: calls a function soon (``loop.call_soon``); None: only `deliver` moves anything.
-        extra: result of ``get_extra_info`` of both transports.
+        forth: how bytes travel from the first to the second; at once and whole by default.
+        back: how bytes travel from the second to the first.
+        schedule: calls a function soon (``loop.call_soon``); None: bytes arrive only in `deliver`.
+        extra: what ``get_extra_info`` of both transports looks names up in.
 
     Attributes:
         first, second: the transports of the ends.
-        now: seconds; moved by `deliver`.
+        now: the time in seconds; moved by `deliver`.
     """
 
     def __init__(
@@ -198,12 +203,12 @@ class MemoryPair:
         self.second.join(self, second)
 
     def open(self) -> None:
-        """Call `connection_made` of both protocols; of the second one first, like a listener that accepts."""
+        """Call ``connection_made`` of both protocols; of the second one first, like a listener that accepts."""
         self._protocols[1].connection_made(self.second)
         self._protocols[0].connection_made(self.first)
 
     def something_left(self) -> None:
-        """Schedule a delivery, if there is a scheduler, because a transport has sent something or closed."""
+        """Schedule a delivery, if there is a scheduler; called by a transport that has sent something or closed."""
         if self._schedule is not None and not self._scheduled:
             self._scheduled = True
             self._schedule(self._deliver_scheduled)
@@ -213,7 +218,7 @@ class MemoryPair:
         self.deliver()
 
     def deliver(self, seconds: float = 0.0) -> None:
-        """Let time pass, and deliver the bytes that arrive by then, until none is on its way."""
+        """Move the time by ``seconds``, and deliver all bytes that arrive by then, and replies to them."""
         self.now += seconds
         while self._step(self.first, self.second) or self._step(self.second, self.first):
             pass

@@ -43,7 +43,7 @@ class MakePacedLine(Protocol):
     """Type of the function that the pytest fixture ``paced_line`` returns."""
 
     def __call__(self, ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
-        """Create a real-time serial line for the test; arguments as of `busway.testing.line.PacedLine`."""
+        """Create a real-time serial line until the test ends; arguments as of `busway.testing.line.PacedLine`."""
 
 
 @pytest.fixture
@@ -67,10 +67,10 @@ def simulator() -> Iterator[Simulator]:
 
 @pytest.fixture
 def paced_line() -> Iterator[MakePacedLine]:
-    """Fixture: a function that creates a real-time serial line of pseudo-terminals until the test ends:
-    ``paced_line()``.
+    """Fixture: a function that creates a real-time serial line until the test ends: ``paced_line(ports=2)``.
 
-    Its ``paths`` are the ports: one for the program under test, one for ``simulator(…, url=f"rtu://{path}")``.
+    Its ``paths`` are the ports, pseudo-terminals: one for the program under test, one for
+    ``simulator(…, url=f"rtu://{path}")``.
     """
     from contextlib import ExitStack
 

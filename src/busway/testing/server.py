@@ -34,9 +34,9 @@ from ..server.local import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
-"""Requests that a server keeps for its test to look at."""
+"""Number of requests that a server keeps for its test to look at."""
 LONGEST_WAIT = 10.0
-"""Seconds after which waiting for something that should happen at once has failed."""
+"""Seconds after which waiting for a condition, which should hold at once, fails."""
 
 
 class FaultyServer:
@@ -49,14 +49,16 @@ class FaultyServer:
         clock: clock of delays; the event loop's by default.
         host: address to listen on; the port is a free one.
         functions: the table of functions.
-        options: the options of the named fault profiles, each for those that have it.
+        options: parameters of the named fault profiles; each profile gets those that it has.
 
     Raises:
-        ConfigError: an unknown name or option.
+        ConfigError: an unknown name or parameter.
 
     Attributes:
+        endpoint: URL of the server; empty before it is started.
+        loop: its event loop; None before it is started.
         faults: the faults.
-        requests: the requests received, the latest `REMEMBERED_REQUESTS`, in order.
+        requests: the requests received, in order; the latest `REMEMBERED_REQUESTS`.
     """
 
     def __init__(
@@ -100,22 +102,22 @@ class FaultyServer:
         schedule: Schedule | None = None,
         **options: Any,  # Any: what the fault profile takes
     ) -> AppliedFault:
-        """Add a fault to the server and return it.
+        """Add a fault to the server.
 
         Args:
-            fault_profile: its name, or a fault.
-            units: unit identifiers that it strikes, 0…255; None for all, here and below.
-            functions: function codes, 1…127.
-            addresses: items, 0-based; requests that touch one of them.
-            probability: 0…1, the part of those requests that it strikes.
-            schedule: when it is on.
-            options: the options of the fault profile.
+            fault_profile: the name of a fault profile, or a fault.
+            units: unit identifiers of the requests that it applies to, 0…255; None for all.
+            functions: function codes of those requests, 1…127; None for all.
+            addresses: range of items, 0-based, in every table; those requests touch one of them. None for all.
+            probability: part of those requests that it changes, 0…1.
+            schedule: when it is active; None for always.
+            options: parameters of the fault profile.
 
         Returns:
-            The fault with its switch: ``on()``, ``off()``, ``struck``.
+            The added fault: ``on()`` and ``off()`` switch it, ``struck`` counts.
 
         Raises:
-            ConfigError: an unknown name or option, or an impossible selection.
+            ConfigError: an unknown name or parameter, or a value out of its range.
         """
         (fault,) = _faults_of((fault_profile,), options)
         selection = Selection(units, functions, addresses, probability, schedule or Schedule())
@@ -123,7 +125,7 @@ class FaultyServer:
 
     @property
     def clock(self) -> Clock:
-        """The clock that times delayed replies. Available once the server is started."""
+        """The clock that times delayed replies. Available once the server has been started."""
         assert self._clock is not None, "the server has not been started"
         return self._clock
 
@@ -138,7 +140,7 @@ class FaultyServer:
         return self._tap.accepted
 
     async def start(self) -> None:
-        """Start the faulty server on a free port of ``host``."""
+        """Start the faulty server on a free port of ``host``; ``endpoint`` is its URL then."""
         self.loop = asyncio.get_running_loop()
         if self._clock is None:
             self._clock = LoopClock(self.loop)
@@ -152,7 +154,7 @@ class FaultyServer:
         await self.until(lambda: not self.connections)
 
     def drop_connections(self) -> None:
-        """Close all client connections; safe from any thread."""
+        """Close all client connections soon; may be called from any thread once the server has been started."""
         assert self.loop is not None
         self.loop.call_soon_threadsafe(self._drop)
 
@@ -161,8 +163,10 @@ class FaultyServer:
             faulty.connection.close()
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Wait, in the server's event loop, until a condition about the server holds. Raises `TimeoutError` after a
-        while.
+        """Wait, in the server's event loop, until a condition holds; checked whenever the server's state changes.
+
+        Raises:
+            TimeoutError: the condition did not hold within `LONGEST_WAIT` seconds.
         """
         async with asyncio.timeout(LONGEST_WAIT):
             while not condition():
@@ -170,8 +174,10 @@ class FaultyServer:
                 await self._changed_here.wait()
 
     def wait_until(self, condition: Callable[[], bool]) -> None:
-        """Wait, in a thread other than the server's, until a condition about the server holds. Raises
-        `TimeoutError`.
+        """Wait, in any thread but the server's, until a condition holds; checked whenever the server's state changes.
+
+        Raises:
+            TimeoutError: the condition did not hold within `LONGEST_WAIT` seconds.
         """
         with self._changed:
             if not self._changed.wait_for(condition, LONGEST_WAIT):
@@ -201,12 +207,12 @@ class FaultyServer:
 def faulty_server(
     device: Device | Mapping[int, Device], *fault_profiles: str | Fault, **options: Any
 ) -> Iterator[FaultyServer]:  # Any: as FaultyServer says
-    """Context manager that runs a `FaultyServer` in a thread of its own, for blocking clients.
+    """Context manager that runs a `FaultyServer` in a thread of its own, for blocking clients; yields the server.
 
     Args:
         device: as in `FaultyServer`.
         fault_profiles: as in `FaultyServer`.
-        options: as in `FaultyServer`.
+        options: as in `FaultyServer`, ``seed``, ``clock``, ``host`` and ``functions`` included.
     """
     server = FaultyServer(device, *fault_profiles, **options)
     thread = _ServerThread(server)
@@ -255,7 +261,10 @@ class _ServerThread:
 
 
 def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """Create the named faults of devices; each option is given to those fault profiles that have it."""
+    """Return the faults with these profiles; each parameter is given to those named profiles that have it.
+
+    Raises `ConfigError` for a parameter that none of them has.
+    """
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}
     for option in options:

@@ -11,7 +11,7 @@ Knows simulations and threads; knows no test framework (`busway.testing.plugin` 
         assert device["4x1"] == 43
 
 1. The server lives in a thread: a test may block, sleep or run an event loop of its own, and the device answers.
-2. What the test reads and sets is not seen as Modbus: ``reads`` and ``writes`` have what clients did, in order.
+2. ``reads`` and ``writes`` have the accesses of clients alone, in order, and not those of the test.
 """
 
 import asyncio
@@ -51,22 +51,22 @@ def simulated_device(
     speed: float = 1.0,
     clock: "Clock | None" = None,
 ) -> "Iterator[SimulatedDevice]":
-    """Context manager that serves a simulated device from values or a file, in a thread of its own.
+    """Context manager that serves a simulated device from values or a file, in a thread; yields a `SimulatedDevice`.
 
     Args:
-        content: what it holds. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to values: ``bool`` for
-            bits; an ``int`` is one register, a ``float`` is float32, a text is a string; ``(value, type)`` or ``(value,
-            type, order)`` say another type; a list goes on from its address. Exactly these items exist. Or the path of
-            a simulation file (``.toml``), the path of a register map (``.csv``), or ``"device:meter"``. Values that a
-            file keeps over restarts are neither taken up nor kept.
+        content: values of the device, or a file. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to
+            values: ``bool`` for bits; an ``int`` is one register, a ``float`` is float32, a text is a string; ``(value,
+            type)`` or ``(value, type, order)`` choose another type; a list goes on from its address. Exactly these
+            items exist. Or the path of a simulation file (``.toml``), the path of a register map (``.csv``), or
+            ``"device:meter"``. Values that a file keeps over restarts are neither restored nor saved.
         unit: the unit of values and of a map, 0…255; None for unit 1, which then answers for all units.
         url: where to listen; a free port of 127.0.0.1 by default. Files with listeners of their own listen here too.
-        seed: of noise and chance; None for that of the file, or 0.
+        seed: seed of noise and chance; None for that of the file, or 0.
         speed: seconds of the device in one second.
-        clock: what delays and behaviours are measured by, such as a `FakeClock`; the real time by default.
+        clock: clock of delays and behaviours, such as a `FakeClock`; the real time by default.
 
     Raises:
-        ConfigError: the content, a value or the URL cannot be.
+        ConfigError: the content, a value or the URL is invalid.
         LinkDown: the URL cannot be listened on.
     """
     from ..apps.simulator.simulation import Simulation
@@ -81,15 +81,17 @@ def simulated_device(
 
 
 class SimulatedDevice:
-    """A simulated device that is being served, as `simulated_device` yields it. Its methods may be called from any
-    thread.
+    """A simulated device that is being served, as `simulated_device` yields it.
+
+    Its methods may be called from any thread.
 
     Attributes:
         endpoints: URLs of its listeners as they are bound.
         simulation: the simulation behind it.
         reads: reads by clients that were answered, in order (`Access`): ``unit``, ``table``, ``address``, ``count``,
             ``values``, ``function``.
-        writes: writes by clients that were executed, in order (`Change`): the same with ``old`` and ``new``.
+        writes: writes by clients that were executed, in order (`Change`): the same with ``old`` and ``new`` in place of
+            ``values``.
     """
 
     def __init__(self, simulation: "Simulation", endpoints: Sequence[str]) -> None:
@@ -106,7 +108,7 @@ class SimulatedDevice:
 
     @property
     def endpoint(self) -> str:
-        """URL at which the device is served: ``tcp://127.0.0.1:40123``."""
+        """URL of the device's first listener: ``tcp://127.0.0.1:40123``."""
         return self.endpoints[0]
 
     @property
@@ -127,11 +129,12 @@ class SimulatedDevice:
         return port
 
     def __getitem__(self, key: str) -> Any:  # what its type says
-        """Read a point (``"tank.level"``, ``"3/voltage"``, or an address that was given), or a single item by its
-        address.
+        """Return the value of a point or item: ``device["tank.level"]``, ``device["3/voltage"]``, ``device["4x1"]``.
+
+        An address means the point that was declared at it; otherwise the item, if there is only one unit.
 
         Raises:
-            InvalidRequest: there is no such point and no such item.
+            InvalidRequest: there is no such point and no such item, or several units have it.
         """
         name = self._key(key)
         if name is not None:
@@ -139,8 +142,10 @@ class SimulatedDevice:
         return self._only_device(key).read(parse_address(key))
 
     def __setitem__(self, key: str, value: Any) -> None:  # what its type says
-        """Set a point or item, whether clients may write it or not. Raises `InvalidRequest` as `__getitem__`, or if it
-        does not fit.
+        """Set a point or item, whether clients may write it or not; keys are those of `__getitem__`.
+
+        Raises:
+            InvalidRequest: there is no such point or item, or the value does not fit.
         """
         name = self._key(key)
         if name is not None:
@@ -164,20 +169,21 @@ class SimulatedDevice:
         """Make the device misbehave while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
 
         Args:
-            fault_profile: its name (`busway.testing.FAULT_PROFILES`).
-            units: the unit that it strikes, 0…255, or several; None for all, here and below.
-            functions: a function code, 1…127, or several.
-            addresses: items: an address, several, or a ``range`` of offsets in any table.
-            probability: 0…1, the part of those requests that it strikes.
-            skip: requests, of those, that pass first.
-            times: requests that it strikes; None for any number.
+            fault_profile: the name of a fault profile (`busway.testing.FAULT_PROFILES`).
+            units: unit identifier of the requests that the fault applies to, 0…255, or several; None for all.
+            functions: function code of those requests, 1…127, or several; None for all.
+            addresses: items that those requests touch: an address, several, or a ``range`` of offsets in any table;
+                None for all.
+            probability: part of those requests that it changes, 0…1.
+            skip: number of those requests that pass unchanged first.
+            times: number of requests that it applies to after them; None for any number.
             parameters: the parameters of the fault profile.
 
         Returns:
             The fault: ``struck`` counts, ``off()`` and ``on()`` switch it within the block.
 
         Raises:
-            ConfigError: a name, a parameter or a choice that cannot be.
+            ConfigError: an unknown name or parameter, or a value out of its range.
         """
         from ..faults.fault import Schedule
 
@@ -198,14 +204,14 @@ class SimulatedDevice:
             board.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
-        """Wait until a client writes an item after this call. Returns the item's new value.
+        """Wait until a client writes an item after this call. Returns the new value of the item.
 
         Args:
-            address: the item, or the name of a point.
-            timeout: seconds.
+            address: address of the item, or the name of a point.
+            timeout: seconds to wait at most.
 
         Raises:
-            TimeoutError: no client wrote it in time.
+            TimeoutError: no client wrote the item in time.
         """
         name = self._key(address)
         place = self.simulation.points[name].section.place if name is not None else parse_address(address)
@@ -228,7 +234,7 @@ class SimulatedDevice:
             self._changed.notify_all()
 
     def _key(self, key: str) -> str | None:
-        """Return the key ``UNIT/NAME`` of the point that a user's key means; None for an item without a name."""
+        """Return the key ``UNIT/NAME`` of the point that a key of the test means; None for an item without a name."""
         points = self.simulation.points
         if key in points:
             return key
@@ -239,7 +245,7 @@ class SimulatedDevice:
         return found[0] if found else None
 
     def _standing_at(self, key: str) -> list[str]:
-        """Return the names of the points at an address in any notation."""
+        """Return the keys of the points at an address in any notation; empty if ``key`` is no address."""
         try:
             place = parse_address(key)
         except InvalidRequest:
@@ -297,7 +303,7 @@ class _Thread:
 
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
-    """Return the simulation that a test declares by a file, by a text, or by values by address."""
+    """Return the declaration of the simulation that a test asks for, by a file or by values by address."""
     from ..apps.simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
@@ -314,7 +320,10 @@ def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
 
 
 def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
-    """Return the text of a device file with one unit. Without a number, the unit answers for all units."""
+    """Return the text of a device file with one unit that has these points.
+
+    Without ``unit`` it is unit 1, which answers for all units.
+    """
     from ..apps.simulator.device_text import device_text
     from ..config.files.simulation import SimulatedUnitSection
 
@@ -343,7 +352,7 @@ def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
 
 
 def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
-    """Return the keys of a device file that declare the points for a value at an address."""
+    """Yield for each value at an address the keys of a device file that declare its point."""
     place = parse_address(address)
     if place.table is None:
         raise ConfigError("does not say which table; write 4x1 or holding:0", key=address)
@@ -359,7 +368,7 @@ def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
-    """Return the keys of a device file that declare a point's type, chosen by its value."""
+    """Return the keys of a device file that declare a point's value, and its type as the value implies it."""
     if isinstance(value, tuple) and 2 <= len(value) <= 3:
         return dict(zip(("value", "type", "order"), value, strict=False))
     if isinstance(value, bool):

@@ -1,7 +1,7 @@
 """A simulated serial bus without real time: ports, characters with durations, collisions and cut wires.
 
 Knows character times and which port hears which; knows no clock, no thread and no device: every call is given the
-time, so that hours on a line pass in seconds and every run is the same. `PacedLine` puts real ports around it.
+time, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real ports.
 
 1. A character is heard when its last bit has passed, by every other port; by its sender too where that has an echo.
 2. Two ports that send at once spoil each other's characters, and neither hears while it sends (a driver that sends
@@ -18,10 +18,10 @@ from ..options.ports import Parity, SerialSettings
 from ..transport.serial.marks import Received
 
 NOISE = -1
-"""The number under which the tap lists characters that no port has sent."""
+"""The port number of characters that no port has sent, in the recorded characters."""
 
 TAP_SIZE = 200_000
-"""Characters that the tap keeps, some 100 bytes of memory each: four minutes of uninterrupted talk at 9600 baud."""
+"""Characters that are recorded, some 100 bytes of memory each: four minutes of uninterrupted traffic at 9600 baud."""
 
 
 @dataclass(slots=True)
@@ -30,10 +30,10 @@ class LineByte:
 
     Attributes:
         time: when its last bit passed, in seconds.
-        port: its sender, or `NOISE`.
-        value: as it was heard, 0…255.
-        damaged: whether that differs from what was sent.
-        heard_by: the ports that heard it.
+        port: number of the port that sent it, or `NOISE`.
+        value: its value as it was heard, 0…255.
+        damaged: whether the value differs from what was sent.
+        heard_by: numbers of the ports that heard it.
     """
 
     time: float
@@ -48,10 +48,10 @@ class Transmission:
     """Characters that one port of the simulated line sent without a silence between them.
 
     Attributes:
-        port: their sender, or `NOISE`.
+        port: number of the port that sent them, or `NOISE`.
         begin, end: from the first start bit to the last stop bit, in seconds.
-        data: as they were heard.
-        damaged: how many of them differ from what was sent.
+        data: the characters as they were heard.
+        damaged: number of characters that differ from what was sent.
     """
 
     port: int
@@ -66,11 +66,12 @@ class VirtualLine:
 
     Attributes:
         ports: its ports, by number.
-        settings: what all of them are set to.
-        tap: every character that has passed, the oldest first; the last 200 000 of them.
-        now: how far it has been advanced, in seconds.
-        collisions: characters that were spoilt because two ports talked at once.
-        noise: probability, 0…1, that a character is damaged on its way. May be changed at any time.
+        settings: baud rate and character format of all ports.
+        character_time: seconds that one character takes.
+        tap: the recorded characters: every one that has passed, the oldest first; the last 200 000 by default.
+        now: the time up to which the line has been advanced, in seconds.
+        collisions: number of characters that were damaged because two ports sent at once.
+        noise: probability that a character is damaged on its way, 0…1. May be changed at any time.
     """
 
     def __init__(
@@ -89,12 +90,15 @@ class VirtualLine:
         """Create a line on which nothing is sent yet.
 
         Args:
-            ports: how many, at least 1.
-            baud, parity, data_bits, stop_bits: what gives a character its length, as in `SerialSettings`.
+            ports: number of ports, at least 1.
+            baud, parity, data_bits, stop_bits: baud rate and character format, as in `SerialSettings`.
             echo: whether ports hear themselves: all, none, or those with these numbers.
-            noise: probability that a character is damaged.
-            seed: of what is random; the same seed gives the same run.
-            tap_size: how many characters the tap keeps.
+            noise: probability that a character is damaged, 0…1.
+            seed: seed of random choices; the same seed gives the same run.
+            tap_size: most characters that are recorded.
+
+        Raises:
+            ValueError: ``ports`` is below 1.
         """
         if ports < 1:
             raise ValueError(f"a line has at least one port, not {ports}")
@@ -118,21 +122,21 @@ class VirtualLine:
         self._tolerance = self.character_time * 1e-6
 
     def deadline(self) -> float | None:
-        """Return when the next character on the simulated line will have been sent; None while no port sends."""
+        """Return the time at which the next character on the line will have been sent; None while no port sends."""
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
-        """Return when the first of the sending ports will have sent all its characters; None while no port sends."""
+        """Return the time at which the first of the sending ports will have sent everything; None if none sends."""
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
-        """Return when the simulated line will be quiet, all written characters sent; None while no port sends."""
+        """Return the time at which all written characters will have been sent; None while no port sends."""
         return max((port.free_at for port in self._talkers if port.talking), default=None)
 
     def advance(self, until: float) -> list[LineByte]:
-        """Let time pass. Returns the characters that were completely sent by ``until``, in order.
+        """Move the time to ``until`` (seconds). Returns the characters that were completely sent by then, in order.
 
-        Each is also put into `VirtualPort.read` of those who heard it.
+        The ports that heard a character get it in `VirtualPort.read`.
         """
         passed: list[LineByte] = []
         while True:
@@ -147,22 +151,22 @@ class VirtualLine:
         return passed
 
     def cut(self, *ports: int) -> None:
-        """Disconnect these ports, or all, from the simulated line: characters from and to them are lost."""
+        """Disconnect these ports, or all if none is given, from the line: characters from and to them are lost."""
         self._cut.update(ports or range(len(self.ports)))
 
     def mend(self, *ports: int) -> None:
-        """Reconnect these ports, or all, to the simulated line after `cut`."""
+        """Reconnect these ports, or all if none is given, to the simulated line after `cut`."""
         self._cut.difference_update(ports or range(len(self.ports)))
 
     def inject(self, data: bytes, now: float) -> float:
-        """Put characters on the line that no port has sent. Returns when the last of them is over."""
+        """Put characters on the line that no port has sent. Returns the time at which the last of them has passed."""
         return self._noise_source.write(data, now)
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """The recorded characters, split at silences or where another port began to send.
+        """Return the recorded characters, split at silences and where another port began to send.
 
         Args:
-            silence: seconds that separate two transmissions of one port; 1.5 characters if not given.
+            silence: seconds that separate two transmissions of one port; 1.5 characters if None.
         """
         return gathered(list(self.tap), self.character_time, silence)
 
@@ -215,8 +219,8 @@ class VirtualPort:
         number: its number on the line.
         echo: whether it hears itself.
         talking: whether it has characters to send.
-        free_at: when the last character written will have passed.
-        passed_at: when its last character passed.
+        free_at: time at which the last character written will have passed, in seconds.
+        passed_at: time at which its last character passed, in seconds.
     """
 
     __slots__ = (
@@ -244,10 +248,10 @@ class VirtualPort:
         self.passed_at: float = float("-inf")
 
     def write(self, data: bytes, now: float) -> float:
-        """Put characters on the line from ``now`` on, or as soon as earlier ones of this port are sent.
+        """Put characters on the line from ``now`` (seconds) on, or as soon as earlier ones of this port are sent.
 
         Returns:
-            When the last of them will have passed.
+            The time at which the last of them will have passed.
 
         Raises:
             ValueError: the line has been advanced beyond ``now``.
@@ -263,7 +267,7 @@ class VirtualPort:
     def read(self) -> Received:
         """Return the bytes received by this port since the last call, and how many of them are damaged.
 
-        Damage shows only where there is a parity bit, as on a real port; the data has it in any case.
+        Without a parity bit no byte counts as damaged, as on a real port; damaged bytes are returned nevertheless.
         """
         received = Received(bytes(self._data), self._errors)
         self._data.clear()
@@ -279,16 +283,16 @@ class VirtualPort:
 
     @property
     def head_begin(self) -> float:
-        """When the next character of this port begins on the simulated line. Only while it is sending."""
+        """Time at which the next character of this port begins. Only while the port is sending."""
         return self._outgoing[0][0]
 
     @property
     def head_end(self) -> float:
-        """When the next character of this port ends on the simulated line. Only while it is sending."""
+        """Time at which the next character of this port ends. Only while the port is sending."""
         return self._outgoing[0][0] + self._line.character_time
 
     def take(self) -> tuple[float, float, int]:
-        """Remove the first waiting character, which was just sent. Returns its begin, end and value."""
+        """Remove the first waiting character, which has just been sent. Returns its begin, end and value."""
         begin, value = self._outgoing.popleft()
         self.talking = bool(self._outgoing)
         end = self.passed_at = begin + self._line.character_time
@@ -302,7 +306,13 @@ class VirtualPort:
 
 
 def gathered(tap: Iterable[LineByte], character_time: float, silence: float | None = None) -> list[Transmission]:
-    """Return a line's recorded characters, split into transmissions as `VirtualLine.transmissions` describes."""
+    """Return a line's recorded characters, in order, as transmissions; see `VirtualLine.transmissions`.
+
+    Args:
+        tap: the recorded characters.
+        character_time: seconds that one character takes.
+        silence: seconds that separate two transmissions of one port; 1.5 characters if None.
+    """
     limit = 1.5 * character_time if silence is None else silence
     found: list[Transmission] = []
     data = bytearray()
