@@ -151,7 +151,10 @@ class CollectorAlarms:
         return event
 
     async def events(self) -> AsyncGenerator[AlarmEvent, None]:
-        """Yield alarm events from now on, each after it is in the journal, until the collector ends."""
+        """Yield alarm events from now on, each once it is in the journal, until the collector ends.
+
+        For a reader that is too slow the oldest of `MOST_WAITING` events are dropped, and counted in ``readers_lost``.
+        """
         reader = _EventReader()
         self._readers.append(reader)
         try:

@@ -131,7 +131,7 @@ class RaisedAlarm:
 
     @property
     def key(self) -> AlarmKey:
-        """Device, point and limit that identify the alarm."""
+        """The key of the alarm: device, point and limit."""
         return self.device, self.point, self.limit
 
 

@@ -11,7 +11,7 @@ from .command import CommandResult
 
 
 class KeysUnavailable(ModbusError):
-    """Error: whether a command's key was used before cannot be known now. Nothing was sent."""
+    """Error: it cannot be known now whether a command's key was used before. Nothing was sent."""
 
 
 class KeyClaims(Protocol):

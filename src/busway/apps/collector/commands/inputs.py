@@ -154,7 +154,10 @@ class CommandInput(Protocol):
         """
 
     async def run(self, receiver: "CommandReceiver") -> None:
-        """Receive messages and pass them to `CommandReceiver.take`, until cancelled; reconnects after pauses."""
+        """Receive messages, pass each to `CommandReceiver.take` and send the answer, until cancelled.
+
+        A lost connection is opened again after pauses.
+        """
 
 
 class CommandReceiver:
@@ -195,7 +198,7 @@ class CommandReceiver:
         self._repeats = Repeats()
 
     def status(self) -> InputStatus:
-        """Return the status of the server from which this receiver gets commands."""
+        """Return the status of the server that commands come from: its connection, and counts of messages."""
         return InputStatus(self._name, self._taken, self._refused, self._error)
 
     async def run(self) -> None:
@@ -286,7 +289,11 @@ class CommandReceiver:
         return _encoded(result.content())
 
     async def _answers(self, device: str | None) -> bool:
-        """Return whether this collector answers a message for a device; None for one that names none (rule 5)."""
+        """Return whether this collector answers a message for a device (rule 5).
+
+        Args:
+            device: name of the device; None for a message that names none.
+        """
         return self._others is None or self._is_shared or await self._others.answers(device)
 
     def _command(self, message: InputMessage, given: dict[str, Any], device: str, point: str) -> PointCommand:

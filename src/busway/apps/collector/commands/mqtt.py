@@ -87,7 +87,10 @@ class MqttCommands:
         return bool(group)
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Receive commands over MQTT until cancelled; reconnect after growing pauses."""
+        """Receive commands over MQTT, have ``receiver`` execute them, and publish the answers, until cancelled.
+
+        A lost connection is opened again after growing pauses; the status of ``receiver`` shows the error.
+        """
         mqtt = import_module("aiomqtt")
         wait = PAUSE
         while True:

@@ -80,7 +80,10 @@ class NatsCommands:
         return bool(group)
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Receive commands over NATS until cancelled; reconnect after growing pauses."""
+        """Receive commands over NATS, have ``receiver`` execute them, and send the answers, until cancelled.
+
+        A lost connection is opened again after growing pauses; the status of ``receiver`` shows the error.
+        """
         nats = import_module("nats")
         wait = PAUSE
         while True:

@@ -18,9 +18,9 @@ class OtherOwners(Protocol):
     all, because no command can be passed on."""
 
     def owned_since(self, device: str) -> float | None:
-        """Return since when this collector polls a device, so that it executes commands for it; None if it does not.
+        """Return since when this collector polls the link of a device, in seconds of the monotonic clock; else None.
 
-        Seconds of the monotonic clock.
+        It executes the commands for devices of links that it polls.
         """
 
     async def answers(self, device: str | None) -> bool:

@@ -211,7 +211,12 @@ def _moved(point: Point, address: Address) -> Point:
 
 
 def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
-    """Return a mask of the register bits that belong to a point."""
+    """Return a mask of the bits of a register that belong to a point.
+
+    Args:
+        over_zeros: the register with the point's value written into zeros.
+        over_ones: the register with the same value written into ones.
+    """
     kept = int.from_bytes(over_zeros, "big") ^ int.from_bytes(over_ones, "big")
     return 0xFFFF & ~kept
 

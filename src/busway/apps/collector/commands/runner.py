@@ -69,7 +69,10 @@ class NoSuchPoint(InvalidRequest):
 
 
 class NotPolledNow(InvalidRequest):
-    """Error: the device's link is being stopped for a new configuration, so nothing can be sent. Try again."""
+    """Error: this collector does not poll the device's link at this moment; nothing was sent. Try again.
+
+    The link is being stopped for a new configuration, or another collector of the fleet polls it.
+    """
 
 
 class NoSuchCommand(InvalidRequest):
@@ -84,8 +87,8 @@ class WriteTarget:
         point: the point.
         poller: polls its device.
         rules: the limits for reading its device.
-        is_broadcast: whether its device has the unit that all devices of a line listen to.
-        is_absent: whether the point belongs to a group that the device says it has not.
+        is_broadcast: whether a write to the device is a broadcast, which all devices of a line execute.
+        is_absent: whether the point belongs to a group of points that the device, by its own values, does not have.
     """
 
     point: Point
@@ -131,7 +134,7 @@ class ArmedCommand:
 
 
 class _LinkEnded(Exception):
-    """Error: polling of the link has ended before or while the command was sent."""
+    """Error: polling of the link has ended before a command was sent, or while its answer was awaited."""
 
 
 @dataclass(slots=True)
@@ -190,7 +193,10 @@ class CommandRunner:
             self._append(each)
 
     def subscribe(self, told: Callable[[CommandResult], None]) -> None:
-        """Register a function that is called in the event loop with the result of each command. It must be quick."""
+        """Register a function that is called with the result of each recorded command when the command has ended.
+
+        It is called in the event loop, and must be quick.
+        """
         self._subscribers.append(told)
 
     async def close(self) -> None:

@@ -95,7 +95,7 @@ class SparkplugCommands:
         return False
 
     async def run(self, receiver: CommandReceiver) -> None:
-        """Execute the commands of Sparkplug hosts until cancelled."""
+        """Have ``receiver`` execute the commands that the sink passes on, until cancelled."""
         async with MessageTasks() as tasks:
             self._receiving = _Receiving(receiver, tasks, asyncio.get_running_loop())
             self._tell(receiver)

@@ -74,7 +74,11 @@ class CollectedTargets:
 
 
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
-    """Whether a device has unit identifier 0, so that a write to it is a broadcast to all units."""
+    """Whether a write to a device is a broadcast: its unit is 0, and several units can hear it.
+
+    With MBAP framing, unit 0 can be the one device behind an address; it is a broadcast if the link has other units
+    too.
+    """
     if device.unit != 0:
         return False
     endpoint = configuration.links[device.link].settings.endpoint

@@ -250,7 +250,10 @@ class Delivery:
             await asyncio.gather(*ends, return_exceptions=True)
 
     def _waits_for_the_clock(self, found: CommitRange) -> bool:
-        """Whether the next commits must wait because their times will still be corrected (rule 6)."""
+        """Whether commits must wait because their times are from before the wall clock was set (rule 6).
+
+        They wait until the times are corrected, at most `CLOCK_WAIT` seconds.
+        """
         if all(sample.time >= EARLIEST for sample in found.samples) and all(
             alarm.event.at >= EARLIEST for alarm in found.alarms
         ):

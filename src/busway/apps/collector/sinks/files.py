@@ -46,8 +46,8 @@ class FileSink:
         """Set where the sink writes its files; nothing is opened yet.
 
         Args:
-            path: the file, with ``{date}`` for one a day; for Parquet a folder.
-            kind: the format; None for what the name ends with.
+            path: the file, with ``{date}`` for one file a day; for Parquet a folder.
+            kind: the format; None for the format that the name of the file ends with.
 
         Raises:
             ConfigError: there is no such format.

@@ -28,7 +28,7 @@ _REFUSED: Final = (400, 413, 422)
 
 
 class InfluxSink:
-    """Sink that posts samples over HTTP in InfluxDB line protocol."""
+    """Sink that posts samples and alarm events over HTTP in InfluxDB line protocol."""
 
     def __init__(
         self,
@@ -66,7 +66,7 @@ class InfluxSink:
         self._client: Any = None  # httpx is loaded when it is used
 
     async def open(self) -> None:
-        """Create the HTTP client; it connects with the first batch."""
+        """Create the HTTP client. Nothing is sent: it connects with the first batch."""
         verify: Any = True if self._tls is None else self._tls
         self._client = import_module("httpx").AsyncClient(
             headers=self._headers, verify=verify, timeout=self._timeout, trust_env=False

@@ -80,7 +80,7 @@ class TopicSink(Protocol):
     """Interface of a sink that replaces characters of names in topics, so that two names could have the same topic."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names by which the receiver knows a device and a point.
+        """Return the names that the receiver knows a device and a point by.
 
         Returns:
             The name of the device, and that of the point among the points of the device. Two points with equal results

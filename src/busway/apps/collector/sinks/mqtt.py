@@ -39,7 +39,7 @@ class _Message:
     Attributes:
         topic: its topic.
         payload: its content.
-        key: sent as the user property ``key``, by which receivers recognise a message that comes again.
+        key: sent as the user property ``key``, so that receivers recognise a message that comes again.
         retain: whether the broker keeps the message for later subscribers.
     """
 
@@ -79,10 +79,11 @@ class MqttSink:
 
         Args:
             host, port: the broker.
-            topic: has ``{device}``; with ``per_point``, ``/{point}`` is added where it is missing.
-            per_point: one message for each sample.
+            topic: the topic of samples, with ``{device}``; with ``per_point``, ``/{point}`` is added if it is missing.
+            per_point: whether each sample is a message; else each device and commit is one.
             retain: whether the broker keeps the last message of each topic.
-            discovery: prefix of Home Assistant's discovery, ``homeassistant``; needs ``per_point``.
+            discovery: prefix of Home Assistant's discovery topics, ``homeassistant``; needs ``per_point``. None for
+                none.
             user, password: credentials for the broker.
             tls: the TLS context; None for no encryption.
             client_id: names this client to the broker; None for one that the library makes.
@@ -195,13 +196,13 @@ class MqttSink:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names by which topics, or Home Assistant, know a device and a point (`TopicSink`)."""
+        """Return the names that a device and a point have in topics, or in Home Assistant (`TopicSink`)."""
         if self._discovery is not None:
             return _plain(device), _plain(point)
         return topic_level(device), topic_level(point) if self._per_point else point
 
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
-        """Return the discovery messages for points that Home Assistant does not know yet."""
+        """Return discovery messages for the points of samples that were not announced to Home Assistant yet."""
         found = {}
         for sample in samples:
             key = (sample.device, sample.point)

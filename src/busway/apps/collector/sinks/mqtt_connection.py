@@ -27,10 +27,10 @@ _LEAST_SUSPECT: Final = 1024
 
 
 async def connect(client: Any) -> None:  # aiomqtt is loaded when it is used
-    """Connect an MQTT client to its broker; leaving the client's context disconnects it.
+    """Connect an MQTT client to its broker; ``client.__aexit__`` disconnects it.
 
     Raises:
-        aiomqtt.MqttError, OSError: it is not connected, and closed.
+        aiomqtt.MqttError, OSError: it is not connected; nothing of it is left open.
     """
     connecting = asyncio.ensure_future(client.__aenter__())
     try:

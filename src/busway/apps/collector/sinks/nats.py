@@ -51,8 +51,9 @@ class NatsSink:
 
         Args:
             url: ``nats://host:4222``.
-            subject: has ``{device}``.
-            stream: a stream that is made where it is not there, for the subjects of this sink.
+            subject: the subject of samples, with ``{device}``.
+            stream: name of a stream that is created, if it is missing, for the subjects of this sink; None to create
+                none.
             user, password, token: credentials for the server.
             tls: the TLS context; None for no encryption.
             timeout: seconds for connecting, and for an acknowledgement.

@@ -161,7 +161,7 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
 
 
 class _Socket(ssl.SSLSocket):
-    """A TLS socket that closes itself if its handshake fails, which the library for MQTT does not do."""
+    """A TLS socket that closes itself if its handshake fails; the MQTT library would leave it open."""
 
     def do_handshake(self, block: bool = False) -> None:
         """Perform the TLS handshake; if it fails, close the socket and raise `OSError`."""

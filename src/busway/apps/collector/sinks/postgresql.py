@@ -73,15 +73,16 @@ class PostgresqlSink:
 
         Args:
             url: ``postgresql://user@host:5432/database``, without a password.
-            table: name of the table, ``schema.table`` where it is not in the search path; small letters, digits, ``_``.
-            alarm_table: name of the table of events of alarms, likewise.
+            table: name of the table of samples, ``schema.table`` if it is not in the search path; small letters,
+                digits, ``_``.
+            alarm_table: name of the table of alarm events, likewise.
             password: the user's password.
-            tls: how to encrypt; None for as the server wants.
-            timescale: make the table a hypertable; the extension must be in the database.
+            tls: how to encrypt; None to leave that to the server and the URL.
+            timescale: whether the tables become hypertables of TimescaleDB; the extension must be in the database.
             timeout: seconds for each command.
 
         Raises:
-            ConfigError: a table has no such name.
+            ConfigError: the name of a table has other characters.
             MissingExtra: asyncpg is not installed.
         """
         require("asyncpg", "a sink to PostgreSQL")

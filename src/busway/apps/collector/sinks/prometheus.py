@@ -52,7 +52,7 @@ class LastValues:
                 self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
 
     def _forget_covered(self) -> None:
-        """Drop stored batches of which every point has a newer sample. Call with the lock held."""
+        """Remove the batches of which every point has a newer sample in another batch. Call with the lock held."""
         latest = self._latest()
         used = {id(batch) for batch, _ in latest.values()}
         self._batches = {group: batch for group, batch in self._batches.items() if id(batch) in used}
@@ -143,15 +143,15 @@ class PrometheusPage:
         Args:
             where: ``127.0.0.1:9503``; port 0 takes a free one. Every host that reaches it can read the values.
             points: patterns ``device/point`` of what is shown; at least one.
-            values: last values.
+            values: the last values.
             stale: seconds after which a value is left out.
-            alarms: gives the alarms that are active or not acknowledged; from any thread.
-            more: gives further families of metrics of prometheus-client; from any thread.
-            now: nanoseconds since 1970 UTC.
+            alarms: returns the alarms that are active or not acknowledged; called from another thread.
+            more: returns further families of metrics of prometheus-client; called from another thread.
+            now: returns nanoseconds since 1970 UTC.
 
         Raises:
             ConfigError: there is no pattern, or ``where`` is no address.
-            LinkDown: it cannot listen there.
+            LinkDown: the address cannot be bound.
             MissingExtra: prometheus-client is not installed.
         """
         require("prometheus_client", "a page for Prometheus")

@@ -146,7 +146,10 @@ class SparkplugCommand:
 
 
 class SparkplugCommandTaker(Protocol):
-    """Interface of the receiver of commands from Sparkplug hosts. Called in the sink's thread; must be quick."""
+    """Interface of the receiver of commands from Sparkplug hosts. Its methods are called in the sink's thread.
+
+    They must return at once.
+    """
 
     def take(self, command: SparkplugCommand) -> None:
         """Take a command to write a point and return at once; the Sparkplug host gets no reply."""
@@ -180,14 +183,15 @@ class SparkplugSink:
         Args:
             host, port: the broker.
             group, edge_node: names in all topics; without ``/``, ``+`` and ``#``.
-            primary_host: name of the host application without which nothing is sent; None for none.
-            number_file: keeps the number of the last connection; None where it need not survive a restart.
+            primary_host: name of the host application that must be online for anything to be sent; None for none.
+            number_file: file that keeps the number of the last connection (bdSeq) over a restart; None to begin again
+                at 1.
             user, password: credentials for the broker.
             tls: the TLS context; None for no encryption.
             client_id: names this client to the broker; None for one that the library makes.
             timeout: seconds for connecting, for an acknowledgement, and for the state of the primary host.
-            now: nanoseconds since 1970 UTC.
-            commands: takes values that hosts write; None where nothing may be written.
+            now: returns nanoseconds since 1970 UTC.
+            commands: takes the values that hosts write; None if hosts may write nothing.
 
         Raises:
             ConfigError: a name is empty or has a character that separates levels of topics.
@@ -262,7 +266,7 @@ class SparkplugSink:
             raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
 
     async def close(self) -> None:
-        """Publish the death of the edge node, and disconnect."""
+        """Publish the death of the edge node, and disconnect. Births follow with the next connection."""
         self._note_commands(f"the broker {self._where} is not connected")
         self._passed.clear()  # the broker may not have them
         tasks = [task for task in (self._listener, self._rebirth) if task is not None]

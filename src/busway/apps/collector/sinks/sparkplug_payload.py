@@ -74,7 +74,7 @@ class Metric:
 
 
 def type_of(value: Value) -> DataType:
-    """Return the Sparkplug type of a metric with this value."""
+    """Return the Sparkplug type of a metric with this value: BOOLEAN, INT64, UINT64, DOUBLE or STRING."""
     if isinstance(value, bool):
         return DataType.BOOLEAN
     if isinstance(value, int):
@@ -149,7 +149,7 @@ def _value_in(metric: Any, born: DataType | None) -> Value | None:  # a message 
 
 
 def _signed(value: int, bits: int) -> int:
-    """Return a number that was sent as two's complement as a signed integer."""
+    """Return the integer that a number of ``bits`` bits, sent as two's complement, stands for."""
     return value - (1 << bits) if value >= 1 << (bits - 1) else value
 
 
@@ -180,7 +180,7 @@ def _fill(message: Any, metric: Metric) -> None:
 
 @cache
 def _messages() -> dict[str, Any]:
-    """Return the protobuf classes of Sparkplug messages, by name."""
+    """Return the protobuf classes of Sparkplug messages, by name. Raises `MissingExtra`."""
     require("google.protobuf", "a sink for Sparkplug")
     file = import_module("google.protobuf.descriptor_pb2").FileDescriptorProto()
     file.name, file.package, file.syntax = "busway_sparkplug.proto", "busway.sparkplug", "proto2"

@@ -27,7 +27,7 @@ def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
     Args:
         database: the SQLite file of the segment.
         first: number of the first commit of the process that measured the shift.
-        shift: nanoseconds by which the clock was behind.
+        shift: how far the clock was behind, in nanoseconds.
 
     Returns:
         The number of samples that were moved.

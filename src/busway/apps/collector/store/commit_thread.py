@@ -58,10 +58,10 @@ class StoreStatus:
         waiting: samples that are not yet committed.
         lost: samples that were dropped since the start because the store could not be written.
         error: why the store cannot be written; None while it can.
-        upkeep_error: what failed when it was tried last: to seal or drop a part, to make commits durable, or to correct
-            times; None where all succeeded.
+        upkeep_error: the last error of sealing or deleting parts, of making commits durable, or of correcting times;
+            None if each of them succeeded when it was tried last.
         subscriber_failures: how often a subscriber of commits raised an error.
-        passed_over: samples since the start that were not kept, as a rule says.
+        passed_over: samples since the start that the report rules did not keep.
     """
 
     commits: int
@@ -328,7 +328,7 @@ class Committer:
         return taken
 
     def _describe_what_is_due(self) -> None:
-        """Write the descriptions of points (name, unit of measure, …) that apply from the next sample on."""
+        """Write the queued descriptions of points and report rules before which no samples are queued any more."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
             _, descriptions, rules = self._descriptions[0]
             self.writer.describe_points(descriptions)

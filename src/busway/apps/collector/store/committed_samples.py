@@ -168,7 +168,7 @@ class CommitReader:
         return last
 
     def _parts(self, after: int) -> list[StorePart]:
-        """Return the store's files that have commits after a number, in the order to read them."""
+        """Return the parts (files) of the store that have commits after a number, in the order to read them."""
         found = []
         for part in self._manifest.parts():
             known = self._facts_of_open(part) if part.kind == "open" else part

@@ -21,11 +21,11 @@ def open_database(path: Path, *statements: str, script: str = "", makes: bool = 
     Args:
         path: the file.
         statements: executed first.
-        script: executed after them.
-        makes: whether a file that is not there is made.
+        script: executed after the statements.
+        makes: whether the file is created if it is missing.
 
     Raises:
-        sqlite3.Error: the file cannot be opened, or something cannot be executed; then it is closed again.
+        sqlite3.Error: the file cannot be opened, or a statement failed; then the file is closed again.
     """
     name = os.fspath(path) if makes else f"file:{quote(os.fspath(path))}?mode=rw"
     database = sqlite3.connect(name, uri=not makes, isolation_level=None, check_same_thread=False, timeout=_TIMEOUT)

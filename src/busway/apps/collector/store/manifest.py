@@ -177,7 +177,14 @@ class MaintenanceRow:
 
 @dataclass(frozen=True, slots=True)
 class ReportedSample:
-    """The last sample of a point that a sink got, to which the point's report rule compares the next one."""
+    """The last sample of a point that a sink got; the report rule of the point compares the next sample with it.
+
+    Attributes:
+        device, point: names.
+        time: nanoseconds since 1970 UTC.
+        value: the value; None if it has none.
+        reason: number of the reason, 0 for good.
+    """
 
     device: str
     point: str
@@ -425,15 +432,15 @@ class Manifest:
             )
 
     def counters(self) -> list[CounterRow]:
-        """Return the states of running totals (accumulators) at the end of finished segment files."""
+        """Return the states of accumulators (running totals) at the end of all finished segments."""
         return [CounterRow(*row) for row in self._all("SELECT * FROM counters")]
 
     def maintenance(self) -> list[MaintenanceRow]:
-        """Return the devices that are in maintenance."""
+        """Return the devices that are in maintenance, ordered by name."""
         return [MaintenanceRow(*row) for row in self._all("SELECT * FROM maintenance ORDER BY device")]
 
     def begin_maintenance(self, row: MaintenanceRow) -> None:
-        """Record in the store that a device is in maintenance."""
+        """Record in the store that a device is in maintenance, with begin and reason; an earlier record is replaced."""
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO maintenance VALUES (?, ?, ?, ?)", astuple(row))
 
@@ -558,7 +565,7 @@ class Manifest:
             sink: name of the sink.
             number: number of the commit.
             lost: number of samples so far that the sink did not get because they were deleted before.
-            reported: the last sent samples of points with a report rule, by which the sink gets only some samples.
+            reported: the last sent samples of points with a report rule, of which the sink gets only some samples.
         """
         rows = [(sink, each.device, each.point, each.time, json.dumps(each.value), each.reason) for each in reported]
         with self.transaction() as database:

@@ -17,7 +17,7 @@ EXACT: Final = 2**53
 
 
 class ColumnTable(ABC):
-    """Base of query results: named columns of equal length, which Arrow, pandas and polars have too."""
+    """Base class of query results: named columns of equal length, which become tables of Arrow, pandas or polars."""
 
     __slots__ = ()
 
@@ -76,7 +76,7 @@ class SampleTable(ColumnTable):
 
     @property
     def quality(self) -> list[Quality]:
-        """Return the quality of each sample: good, uncertain or bad."""
+        """The quality of each sample: good, uncertain or bad."""
         return [quality_of(reason) for reason in self.reason]
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
@@ -99,15 +99,15 @@ class SampleTable(ColumnTable):
 
 @dataclass(frozen=True, slots=True)
 class BucketTable(ColumnTable):
-    """Minimum, maximum and mean of points by time bucket, in columns, ordered by time and point.
+    """Minimum, maximum and mean of points by time bucket, in columns, ordered by time, device and point.
 
     Attributes:
         device, point: names.
         time: nanoseconds since 1970 UTC at which the bucket begins.
-        minimum, maximum, mean: of the numbers that are not bad; None where there are none.
+        minimum, maximum, mean: of the numbers in the bucket that are not bad; None if there are none.
         count: how many numbers these are.
         samples: how many samples there are in all, bad ones and texts too; 0 in a gap.
-        reason: number of the worst reason, 0 where all were good.
+        reason: number of the worst reason of the samples, 0 if all were good.
     """
 
     device: list[str] = field(default_factory=list)
@@ -124,7 +124,7 @@ class BucketTable(ColumnTable):
         return len(self.time)
 
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
-        """Return the columns by name, with the reason in words."""
+        """Return the columns by name, with quality and reason in words."""
         return {
             "time": self.time,
             "device": self.device,

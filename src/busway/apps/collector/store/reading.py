@@ -77,6 +77,23 @@ class Store:
         check_store(self.folder)
 
     def points(self) -> list[StoredPoint]:
+        """Return samples, or minimum, maximum and mean for each time bucket.
+
+        Args:
+            points: ``device/point``, with ``*`` and ``?``; a device alone means all its points. Former names serve too.
+            since: from this time on: ``1h`` is an hour ago, or ISO 8601, a `datetime`, nanoseconds since 1970 UTC.
+            until: up to this time, without it.
+            bucket: length of a bucket: ``10s``, or seconds, 0.001 to 366 days; None for samples.
+
+        Returns:
+            A `SampleTable`, ordered by time; with ``bucket`` a `BucketTable`.
+
+        Raises:
+            InvalidRequest: a pattern names no point, a time cannot be understood, or there are more than `MOST_SAMPLES`
+                samples or `MOST_BUCKETS` buckets.
+            ConfigError: the store cannot be read.
+            MissingExtra: parts are sealed, and pyarrow is not installed.
+        """
         """Return all points of the store, also those that are no longer read. Raises `ConfigError`."""
         return self._from_manifest(Manifest.points)
 

@@ -354,7 +354,7 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
 
 
 def is_unmade(error: sqlite3.OperationalError) -> bool:
-    """Whether an error means that a segment file's tables do not exist yet, so that it has no samples."""
+    """Whether an error of SQLite means that the tables of a segment do not exist yet, so that it has no samples."""
     return "no such table" in str(error)
 
 

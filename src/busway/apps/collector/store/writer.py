@@ -157,7 +157,14 @@ class StoreWriter:
             opened.callback(self._close_segment)
 
     def close(self, now: int) -> None:
-        """Record in the store that it was closed on purpose, and close all files. Raises `sqlite3.Error`."""
+        """Record in the store that it was closed on purpose, close all files, and release the lock.
+
+        Args:
+            now: nanoseconds since 1970 UTC.
+
+        Raises:
+            sqlite3.Error, OSError: the manifest or the segment could not be written; all files are closed nevertheless.
+        """
         try:
             self.manifest.set_fact("ended", now)
         finally:
@@ -189,17 +196,17 @@ class StoreWriter:
         alarms: Sequence[AlarmEvent] = (),
         counters: Mapping[tuple[str, str], CounterState] | None = None,
     ) -> Commit:
-        """Write samples, intervals and alarms as one commit.
+        """Write samples, intervals and alarms as one commit, and return it.
 
         Args:
             batches: samples, of any devices and times.
             intervals: intervals that began or ended, and gaps.
-            now: nanoseconds since 1970 UTC.
-            alarms: events of alarms.
+            now: time of the commit, nanoseconds since 1970 UTC.
+            alarms: alarm events.
             counters: by device and point, states of accumulators that are in no batch.
 
         Raises:
-            sqlite3.Error, OSError: nothing of it was kept (the disk is full, for one); the store is as it was.
+            sqlite3.Error, OSError: nothing of it was stored, such as on a full disk; the same can be committed again.
         """
         keyed = [(self._ids(batch), batch) for batch in batches]
         events = [(self._id(event.device, event.point), event) for event in alarms]
@@ -284,7 +291,7 @@ class StoreWriter:
 
     @property
     def log_size(self) -> int:
-        """Return the size of the open segment file's write-ahead log in bytes."""
+        """The size of the open segment's write-ahead log in bytes; 0 if no segment is open."""
         return 0 if self._segment is None else self._segment.log_size()
 
     @property
