@@ -19,13 +19,15 @@ LIBRARIES = ("pymodbus", "minimalmodbus")
 
 
 def install(name: str) -> ModuleType:
-    """Make ``import NAME`` and its submodules give busway's compatible modules in this process. Returns the package.
+    """Make ``import NAME``, and imports of its submodules, give busway's compatible modules. Returns the package.
+
+    Holds for the whole process, from the call on.
 
     Args:
         name: ``pymodbus`` or ``minimalmodbus``.
 
     Raises:
-        ConfigError: the name is another one, or the original has been imported already; call `install` before.
+        ConfigError: another name, or the original has been imported already; call `install` before.
     """
     if name not in LIBRARIES:
         raise ConfigError(f"there is no compatible module for {name!r}; there are {' and '.join(LIBRARIES)}")

@@ -2,10 +2,10 @@
 
 Knows how values become registers by minimalmodbus' rules, and a port's settings; the line itself is a link of busway.
 
-1. Settings are attributes of ``instrument.serial`` and of the instrument. They are looked at for each call: a changed
-   one closes the link and opens another.
+1. Settings are attributes of ``instrument.serial`` and of the instrument. Each call checks them: after a change the
+   link is closed and another one opened.
 2. Instruments on one port share its settings and its link.
-3. Nothing is repeated. A write without an answer is `NoResponseError`, and may have been executed.
+3. No request is repeated. A write without a reply raises `NoResponseError`, and may have been executed.
 """
 
 import struct
@@ -29,7 +29,7 @@ BYTEORDER_LITTLE_SWAP = 3
 
 __author__ = "The busway developers"
 __version__ = "2.1.1"
-"""The release of minimalmodbus whose behaviour this is."""
+"""The release of minimalmodbus whose behaviour these modules have."""
 
 MOST_DECIMALS = 10
 LAST_REGISTER = 0xFFFF
@@ -41,39 +41,42 @@ FLOATS = {2: "f", 4: "d"}
 
 
 class InstrumentError(OSError):
-    """Base of the exceptions; minimalmodbus' name is ``ModbusException``."""
+    """Base of the exceptions of this module; minimalmodbus' name is ``ModbusException``."""
 
 
 class SlaveReportedException(InstrumentError):
-    """The device answered with an exception code."""
+    """The device answered with an exception code; base of the classes for single codes."""
 
 
 class SlaveDeviceBusyError(SlaveReportedException):
-    """The device is busy (05, 06)."""
+    """The device is busy (exception codes 05, 06)."""
 
 
 class NegativeAcknowledgeError(SlaveReportedException):
-    """The device cannot do what was asked (07)."""
+    """The device cannot do what was asked (exception code 07)."""
 
 
 class IllegalRequestError(SlaveReportedException):
-    """The device does not know function, address or value (01, 02, 03)."""
+    """The device does not know the function, address or value (exception codes 01, 02, 03)."""
 
 
 class MasterReportedException(InstrumentError):
-    """The port failed, or the answer did."""
+    """The port cannot be opened or failed; base of the exceptions for a missing or invalid reply."""
 
 
 class NoResponseError(MasterReportedException):
-    """No answer came in time."""
+    """No reply came in time; the device may have executed a write."""
 
 
 class LocalEchoError(MasterReportedException):
-    """Never raised here: what differs from an echo is taken as what it is, an answer or noise."""
+    """minimalmodbus' exception for a damaged echo; never raised here.
+
+    Bytes that differ from the echo are received as a reply or as noise.
+    """
 
 
 class InvalidResponseError(MasterReportedException):
-    """The answer breaks the protocol, or only a part of it came."""
+    """The reply breaks the protocol, or only a part of it came."""
 
 
 InstrumentError.__name__ = InstrumentError.__qualname__ = "ModbusException"
@@ -87,11 +90,11 @@ REFUSALS: dict[int, type[SlaveReportedException]] = {
     ExceptionCode.SERVER_DEVICE_BUSY: SlaveDeviceBusyError,
     0x07: NegativeAcknowledgeError,
 }
-"""The exception for a code of the device; others are `SlaveReportedException`."""
+"""The exception class for each exception code of a device; `SlaveReportedException` stands for the others."""
 
 
 def exception_for(error: ModbusError) -> InstrumentError:
-    """The exception that tells of an error of busway."""
+    """Return the exception of this module that stands for an error of busway; the caller raises it."""
     cause = error.__cause__ if isinstance(error.__cause__, ModbusError) else error
     if isinstance(cause, ExceptionReply):
         return REFUSALS.get(cause.code, SlaveReportedException)(str(error))
@@ -106,9 +109,13 @@ class InstrumentPort:
     """A serial port's settings by pyserial's names, and the link that was opened with them.
 
     Attributes:
-        port, baudrate, parity, bytesize, stopbits: of the line.
-        timeout: seconds that an answer may take; None for an hour.
-        write_timeout: changes nothing.
+        port: name of the port.
+        baudrate: bit/s.
+        parity: ``N``, ``E`` or ``O``.
+        bytesize: data bits, 7 or 8.
+        stopbits: stop bits, 1 or 2.
+        timeout: seconds that a reply may take; None for an hour.
+        write_timeout: has no effect.
     """
 
     def __init__(
@@ -143,7 +150,7 @@ class InstrumentPort:
         return self._link is not None and self._link.is_connected
 
     def open(self) -> None:
-        """Do nothing: a call opens the port when it needs it."""
+        """Do nothing: each call opens the port when it needs it."""
 
     def close(self) -> None:
         """Close the port; the next call opens it again."""
@@ -152,7 +159,12 @@ class InstrumentPort:
             link.close()
 
     def link(self, mode: str, local_echo: bool) -> BlockingLink:
-        """The link with the settings of now; the port is closed first if others were in force."""
+        """Return the link with the current settings; one with other settings is closed first.
+
+        Args:
+            mode: ``rtu`` or ``ascii``.
+            local_echo: whether the line gives back what is sent.
+        """
         # `Any`: the options of a link, chosen by name
         options: dict[str, Any] = {
             "baud": self.baudrate,
@@ -174,7 +186,10 @@ _ports: dict[str, InstrumentPort] = {}
 
 
 def _port_for(port: Any) -> InstrumentPort:
-    """The settings of a port by its name, or those of an object of pyserial, which is closed: a port has one user."""
+    """Return the settings of a port by its name; instruments on one port share them.
+
+    An object of pyserial gives its settings, and is closed: a port has one user.
+    """
     if isinstance(port, str):
         return _ports.setdefault(port, InstrumentPort(port))
     if not isinstance(getattr(port, "port", None), str):
@@ -186,17 +201,24 @@ def _port_for(port: Any) -> InstrumentPort:
 
 
 class Instrument:
-    """One device on a serial line.
+    """One device on a serial line, with the methods of minimalmodbus to read and write it.
 
     Args:
-        port: name of the port; or a ``serial.Serial``, whose settings are taken and which is closed.
-        slaveaddress: unit 1…247, or 0 to write to all.
+        port: name of the port; or a ``serial.Serial``, whose settings are copied and which is closed.
+        slaveaddress: unit 1…247, or 0 to write to all units.
         mode: ``rtu`` or ``ascii``.
         close_port_after_each_call: whether the port is closed after each call.
-        debug: changes nothing; the log of ``busway.TRACE`` shows the traffic.
+        debug: has no effect; the log of ``busway.TRACE`` shows the traffic.
 
-    Each method raises ``TypeError`` and ``ValueError`` for what it cannot send, and an exception of this module for
-    what did not succeed; after a write that was not answered the device may have executed it.
+    Attributes:
+        address, mode, close_port_after_each_call: as given; may be changed at any time.
+        serial: settings of the port; may be changed at any time.
+        handle_local_echo: whether the line gives back what is sent; False by default.
+        debug, precalculate_read_size, clear_buffers_before_each_transaction: have no effect.
+
+    Each method raises ``TypeError`` or ``ValueError`` for arguments that cannot be sent, and otherwise an
+    `InstrumentError`; after a write that was not answered the device may have executed the write. Register addresses
+    are 0…65535.
     """
 
     def __init__(
@@ -228,11 +250,11 @@ class Instrument:
 
     @property
     def roundtrip_time(self) -> float | None:
-        """Seconds that the last call took, waiting for its turn on the line included; None before the first."""
+        """Seconds that the last call took, waiting in the queue of the line included; None before the first call."""
         return self._roundtrip
 
     def _ask(self, request: Any) -> Any:  # a request of any class, and its reply
-        """Send a request of `busway.pdu` and return its reply."""
+        """Send a request of `busway.pdu` and return its reply, with the settings of the port and the instrument."""
         _whole("slaveaddress", self.address, 0, LAST_UNIT)
         timeout = LONGEST_TIMEOUT if self.serial.timeout is None else max(self.serial.timeout, SHORTEST_TIMEOUT)
         began = time.monotonic()
@@ -251,18 +273,18 @@ class Instrument:
     # --- bits ---------------------------------------------------------------------------------------------------------
 
     def read_bit(self, registeraddress: int, functioncode: int = 2) -> int:
-        """Read one bit, 0 or 1: a discrete input (2) or a coil (1)."""
+        """Return one bit, 0 or 1: a discrete input (function code 2) or a coil (1)."""
         return self.read_bits(registeraddress, 1, functioncode)[0]
 
     def read_bits(self, registeraddress: int, number_of_bits: int, functioncode: int = 2) -> list[int]:
-        """Read bits, each 0 or 1: discrete inputs (2) or coils (1)."""
+        """Return bits, each 0 or 1: discrete inputs (function code 2) or coils (1)."""
         _one_of("functioncode", functioncode, (1, 2))
         kind = ReadCoils if functioncode == 1 else ReadDiscreteInputs
         reply = self._ask(kind(_address(registeraddress), number_of_bits))
         return [int(bit) for bit in reply.bits(number_of_bits)] if self.address else []
 
     def write_bit(self, registeraddress: int, value: int, functioncode: int = 5) -> None:
-        """Write one coil, by function 5 or 15."""
+        """Write one coil, 0 or 1, by function code 5 or 15."""
         _one_of("functioncode", functioncode, (5, 15))
         state = bool(_whole("value", value, 0, 1))
         if functioncode == 5:
@@ -271,28 +293,31 @@ class Instrument:
             self._ask(WriteMultipleCoils.of(_address(registeraddress), [state]))
 
     def write_bits(self, registeraddress: int, values: Sequence[int]) -> None:
-        """Write coils, by function 15."""
+        """Write coils, each 0 or 1, by function code 15."""
         states = [bool(_whole("value", value, 0, 1)) for value in _list(values)]
         self._ask(WriteMultipleCoils.of(_address(registeraddress), states))
 
     # --- registers ----------------------------------------------------------------------------------------------------
 
     def read_registers(self, registeraddress: int, number_of_registers: int, functioncode: int = 3) -> list[int]:
-        """Read registers as numbers 0…65535: holding (3) or input registers (4)."""
+        """Return registers as numbers 0…65535: holding registers (function code 3) or input registers (4)."""
         _one_of("functioncode", functioncode, (3, 4))
         kind = ReadHoldingRegisters if functioncode == 3 else ReadInputRegisters
         found: list[int] = self._ask(kind(_address(registeraddress), number_of_registers)).registers
         return found
 
     def write_registers(self, registeraddress: int, values: Sequence[int]) -> None:
-        """Write holding registers, by function 16."""
+        """Write holding registers, each 0…65535, by function code 16."""
         registers = [_whole("value", value, 0, LAST_REGISTER) for value in _list(values)]
         self._ask(WriteMultipleRegisters.of(_address(registeraddress), registers))
 
     def read_register(
         self, registeraddress: int, number_of_decimals: int = 0, functioncode: int = 3, signed: bool = False
     ) -> int | float:
-        """Read one register, divided by 10 as often as it has decimals; an int if nothing is left over."""
+        """Return the number in one register, divided by 10 once for each decimal; an int if it is whole.
+
+        ``signed``: whether registers above 32767 are negative numbers.
+        """
         _whole("number_of_decimals", number_of_decimals, 0, MOST_DECIMALS)
         number = _decoded(self.read_registers(registeraddress, 1, functioncode), _integer_code(1, signed))
         value = number / 10**number_of_decimals if number_of_decimals else number
@@ -306,7 +331,10 @@ class Instrument:
         functioncode: int = 16,
         signed: bool = False,
     ) -> None:
-        """Write one register, by function 16 or 6; the value is multiplied by 10 as often as it has decimals."""
+        """Write a number to one holding register, multiplied by 10 once for each decimal, by function code 16 or 6.
+
+        Further decimals are cut off. ``signed``: whether the number may be negative.
+        """
         _one_of("functioncode", functioncode, (6, 16))
         _whole("number_of_decimals", number_of_decimals, 0, MOST_DECIMALS)
         number = int(float(_number("value", value)) * 10**number_of_decimals)
@@ -324,7 +352,10 @@ class Instrument:
         byteorder: int = BYTEORDER_BIG,
         number_of_registers: int = 2,
     ) -> int:
-        """Read a whole number of two or four registers."""
+        """Return the whole number in two or four registers; holding registers by default.
+
+        ``byteorder`` is one of the ``BYTEORDER_…`` constants, here and below.
+        """
         _one_of("number_of_registers", number_of_registers, (2, 4))
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
         return int(_decoded(registers, _integer_code(number_of_registers, signed), byteorder))
@@ -337,7 +368,7 @@ class Instrument:
         byteorder: int = BYTEORDER_BIG,
         number_of_registers: int = 2,
     ) -> None:
-        """Write a whole number to two or four registers, by function 16."""
+        """Write a whole number to two or four holding registers, by function code 16."""
         _one_of("number_of_registers", number_of_registers, (2, 4))
         number = _whole("value", value, -(1 << 63), (1 << 64) - 1)
         self.write_registers(registeraddress, _encoded(number, _integer_code(number_of_registers, signed), byteorder))
@@ -349,7 +380,7 @@ class Instrument:
         number_of_registers: int = 2,
         byteorder: int = BYTEORDER_BIG,
     ) -> float:
-        """Read a float of two or four registers."""
+        """Return the float in two or four registers; holding registers by default."""
         _one_of("number_of_registers", number_of_registers, tuple(FLOATS))
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
         return float(_decoded(registers, FLOATS[number_of_registers], byteorder))
@@ -357,19 +388,23 @@ class Instrument:
     def write_float(
         self, registeraddress: int, value: float, number_of_registers: int = 2, byteorder: int = BYTEORDER_BIG
     ) -> None:
-        """Write a float to two or four registers, by function 16."""
+        """Write a float to two or four holding registers, by function code 16."""
         _one_of("number_of_registers", number_of_registers, tuple(FLOATS))
         self.write_registers(
             registeraddress, _encoded(float(_number("value", value)), FLOATS[number_of_registers], byteorder)
         )
 
     def read_string(self, registeraddress: int, number_of_registers: int = 16, functioncode: int = 3) -> str:
-        """Read a text of two ASCII characters for each register."""
+        """Return a text of two ASCII characters for each register; zeros and spaces at its end are kept."""
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
         return struct.pack(f">{len(registers)}H", *registers).decode("ascii")
 
     def write_string(self, registeraddress: int, textstring: str, number_of_registers: int = 16) -> None:
-        """Write a text, filled up with spaces, by function 16. One that is too long is a ``ValueError``."""
+        """Write an ASCII text to holding registers, by function code 16; it is filled up with spaces.
+
+        Raises:
+            ValueError: the text has more than two characters for each register, or is not ASCII.
+        """
         if not isinstance(textstring, str):
             raise TypeError(f"The textstring should be a string, not {textstring!r}")
         size = 2 * _whole("number_of_registers", number_of_registers, 1, 123)
@@ -391,7 +426,7 @@ def _integer_code(registers: int, signed: bool) -> str:
 
 
 def _mark(byteorder: int) -> tuple[str, bool]:
-    """The struct mark of a byte order, and whether the bytes of each register are swapped after it."""
+    """Return the struct mark of a byte order, and whether the bytes of each register are swapped afterwards."""
     _whole("byteorder", byteorder, BYTEORDER_BIG, BYTEORDER_LITTLE_SWAP)
     is_little = byteorder in (BYTEORDER_LITTLE, BYTEORDER_LITTLE_SWAP)
     return "<" if is_little else ">", byteorder in (BYTEORDER_BIG_SWAP, BYTEORDER_LITTLE_SWAP)

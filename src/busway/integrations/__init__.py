@@ -4,5 +4,5 @@
 `modbus_connection`  The backend of modbus-connection, which Home Assistant's integrations speak Modbus through
 ===================  ===============================================================================================
 
-Each imports the other project, and is imported by who uses it; nothing in busway imports it.
+Each file imports the other project, and is imported by programs that use it; no file of busway imports it.
 """

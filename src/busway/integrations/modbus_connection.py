@@ -2,10 +2,10 @@
 
 Knows the classes, parameters and errors of modbus-connection 4; knows no frames and no connection.
 
-1. A `ModbusConnection` is one link of its own. What modbus-connection decides is left to it: when to connect, when to
-   drop, the spacing of requests, the timeout. With the preset ``passive`` the link repeats and recycles nothing.
-2. Every error of busway becomes one of modbus-connection, with the operation in its words.
-3. A late reply is never given to another request: so there is no `ModbusDesyncError`, but a `ModbusTimeoutError`.
+1. A `ModbusConnection` has a link of its own. modbus-connection decides when to connect and disconnect, the spacing of
+   requests and the timeout. With the preset ``passive`` the link repeats no request and recycles no connection.
+2. Every error of busway becomes one of modbus-connection; its text names the operation.
+3. A late reply is never given to another request: so `ModbusTimeoutError` is raised, and never `ModbusDesyncError`.
 """
 
 import asyncio
@@ -70,9 +70,9 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
     "tls": ("socket",),
     "serial": ("rtu", "ascii"),
 }
-"""The framings this backend carries per transport."""
+"""The framings that this backend can speak on each transport, by modbus-connection's names."""
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
-"""Seconds that a timeout may be; others are taken for the nearest."""
+"""Range of a link's timeout in seconds; others are replaced by the nearest."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
@@ -81,7 +81,11 @@ R = TypeVar("R")
 
 
 class ModbusConnection(BaseModbusConnection):
-    """A Modbus connection backed by busway.
+    """A connection of modbus-connection, made of a link of busway.
+
+    Args:
+        params: where to connect: one of the parameter classes of modbus-connection.
+        timeout, message_spacing, connect_delay: seconds, as modbus-connection defines them; None for its defaults.
 
     Raises:
         ValueError: busway cannot make such a connection; its `ConfigError` says why.
@@ -101,7 +105,7 @@ class ModbusConnection(BaseModbusConnection):
         self._client: AsyncLink | None = None
 
     def for_unit(self, unit_id: int) -> "BuswayUnit":
-        """Return the handle of a unit. Nothing is sent."""
+        """Return the object that reads and writes a unit. Nothing is sent."""
         return BuswayUnit(self, unit_id)
 
     def _new_link(self, context: ssl.SSLContext | None = None) -> AsyncLink:
@@ -165,7 +169,7 @@ BuswayConnection = ModbusConnection
 
 
 def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
-    """The URL and the options of a link to what the parameters name. Raises `ValueError`."""
+    """Return the URL and the options of a link to the place that the parameters name."""
     if isinstance(params, ModbusSerialParams):
         if params.device.startswith("socket://"):
             return f"{params.framer}+tcp://{params.device.removeprefix('socket://')}", {}
@@ -183,7 +187,7 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
 
 
 def _translated(error: BaseException, prefix: str) -> ModbusError:
-    """The error of modbus-connection for one of busway."""
+    """Return the error of modbus-connection for an error of busway; ``prefix``, the operation, begins its text."""
     message = f"{prefix}: {error}"
     match error:
         case WriteOutcomeUnknown() if error.__cause__ is not None:
@@ -206,7 +210,7 @@ def _translated(error: BaseException, prefix: str) -> ModbusError:
 def _operation(
     function: "Callable[Concatenate[BuswayUnit, P], Awaitable[R]]",
 ) -> "Callable[Concatenate[BuswayUnit, P], Coroutine[Any, Any, R]]":
-    """Connect, keep the spacing, and translate errors around an operation of a unit."""
+    """Decorator of a unit's operations: connects first, keeps the spacing of requests, and translates errors."""
 
     @functools.wraps(function)
     async def operation(self: "BuswayUnit", /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -229,7 +233,15 @@ def _operation(
 
 
 class BuswayUnit:
-    """One unit of a connection."""
+    """One unit of a connection, with the operations of modbus-connection.
+
+    Each operation connects first if necessary. Addresses are 0-based; registers are 0…65535. An operation raises an
+    error of modbus-connection, or ``ValueError`` for a value out of its range, if nothing was sent.
+
+    Args:
+        connection: the connection.
+        unit_id: unit identifier, 0…255.
+    """
 
     def __init__(self, connection: ModbusConnection, unit_id: int) -> None:
         self._connection = connection
@@ -246,29 +258,29 @@ class BuswayUnit:
 
     @property
     def connected(self) -> bool:
-        """Whether the link is up."""
+        """Whether the connection is open now."""
         return bool(self._connection.connected)
 
     def set_message_spacing(self, seconds: float) -> None:
-        """Keep the link quiet for so long before and after this unit's requests."""
+        """Set how many seconds no other request is sent before and after a request to this unit."""
         self._connection._pacer.set_unit_spacing(self._unit_id, seconds)
 
     def require_timeout(self, seconds: float | None) -> None:
-        """Ask the link for a timeout of at least so many seconds; None withdraws it."""
+        """Ask the connection for a timeout of at least ``seconds``; None withdraws this unit's wish."""
         self._connection._require_timeout(self._unit_id, seconds)
 
     def require_connect_delay(self, seconds: float | None) -> None:
-        """Ask the link for a pause of at least so many seconds after it opens; None withdraws it."""
+        """Ask the connection for a pause of at least ``seconds`` after it opens; None withdraws this unit's wish."""
         self._connection._require_connect_delay(self._unit_id, seconds)
 
     @_operation
     async def read_holding_registers(self, address: int, count: int) -> list[int]:
-        """Read holding registers, function 03."""
+        """Return the values of ``count`` holding registers, function 03."""
         return await self._unit.read_holding_registers(address, count=count, timeout=self._timeout)
 
     @_operation
     async def read_input_registers(self, address: int, count: int) -> list[int]:
-        """Read input registers, function 04."""
+        """Return the values of ``count`` input registers, function 04."""
         return await self._unit.read_input_registers(address, count=count, timeout=self._timeout)
 
     @_operation
@@ -278,17 +290,17 @@ class BuswayUnit:
 
     @_operation
     async def write_registers(self, address: int, values: list[int]) -> None:
-        """Write holding registers, function 16."""
+        """Write holding registers from ``address`` on, function 16."""
         await self._unit.write_multiple_registers(address, values, timeout=self._timeout)
 
     @_operation
     async def read_coils(self, address: int, count: int) -> list[bool]:
-        """Read coils, function 01."""
+        """Return the states of ``count`` coils, function 01."""
         return await self._unit.read_coils(address, count=count, timeout=self._timeout)
 
     @_operation
     async def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
-        """Read discrete inputs, function 02."""
+        """Return the states of ``count`` discrete inputs, function 02."""
         return await self._unit.read_discrete_inputs(address, count=count, timeout=self._timeout)
 
     @_operation
@@ -298,56 +310,59 @@ class BuswayUnit:
 
     @_operation
     async def write_coils(self, address: int, values: list[bool]) -> None:
-        """Write coils, function 15."""
+        """Write coils from ``address`` on, function 15."""
         await self._unit.write_multiple_coils(address, values, timeout=self._timeout)
 
     @_operation
     async def read_exception_status(self) -> int:
-        """Read eight status bits, function 07."""
+        """Return eight status bits of the device, 0…255, function 07."""
         return await self._unit.read_exception_status(timeout=self._timeout)
 
     @_operation
     async def report_server_id(self) -> bytes:
-        """Read the identification of function 17: what stands before the run indicator (00 or FF), or all of it."""
+        """Return the identification of function 17: the bytes before the run indicator (00, FF), or all without one."""
         return ServerId.of(await self._unit.report_server_id(timeout=self._timeout)).identification
 
     @_operation
     async def mask_write_register(self, address: int, and_mask: int, or_mask: int) -> None:
-        """Change bits of a holding register, function 22."""
+        """Change bits of a holding register, function 22.
+
+        Its new value is (old AND ``and_mask``) OR (``or_mask`` AND NOT ``and_mask``).
+        """
         await self._unit.mask_write_register(address, and_mask=and_mask, or_mask=or_mask, timeout=self._timeout)
 
     @_operation
     async def read_write_registers(
         self, read_address: int, read_count: int, write_address: int, write_values: list[int]
     ) -> list[int]:
-        """Write holding registers, then read some, function 23."""
+        """Write holding registers, then read some and return their values, function 23."""
         return await self._unit.read_write_multiple_registers(
             read_address, count=read_count, write_address=write_address, values=write_values, timeout=self._timeout
         )
 
     @_operation
     async def read_fifo_queue(self, address: int) -> list[int]:
-        """Read a queue of registers, function 24."""
+        """Return the registers of a FIFO queue, the oldest first, function 24."""
         return await self._unit.read_fifo_queue(address, timeout=self._timeout)
 
     @_operation
     async def read_device_identification(self) -> dict[int, bytes]:
-        """Read the basic objects of the identification, function 43/14."""
+        """Return the basic identification objects by number, function 43/14."""
         return await self._unit.read_device_identification(timeout=self._timeout)
 
     @_operation
     async def read_file_record(self, file: int, record: int, length: int) -> list[int]:
-        """Read registers of a file, function 20."""
+        """Return ``length`` registers of a file from ``record`` on, function 20."""
         return await self._unit.read_file_record(file, record, count=length, timeout=self._timeout)
 
     @_operation
     async def write_file_record(self, file: int, record: int, values: list[int]) -> None:
-        """Write registers of a file, function 21."""
+        """Write registers of a file from ``record`` on, function 21."""
         await self._unit.write_file_record(file, record, values, timeout=self._timeout)
 
     @_operation
     async def diagnostics(self, sub_function: int, data: int = 0) -> int:
-        """Send a sub-function of 08 with a word of data. Returns the word of the reply."""
+        """Send a sub-function of function 08 with a word of data, 0…65535, and return the word of the reply."""
         if not 0 <= data <= 0xFFFF:
             raise InvalidRequest(f"the data must be 0…65535, not {data}")
         reply = await self._unit.diagnostics(sub_function, data.to_bytes(2, "big"), timeout=self._timeout)
@@ -355,23 +370,23 @@ class BuswayUnit:
 
     @_operation
     async def get_comm_event_counter(self) -> tuple[bool, int]:
-        """Read whether the device is ready, and its count of messages, function 11."""
+        """Return whether the device is ready, and its count of communication events, function 11."""
         reply = await self._unit.get_comm_event_counter(timeout=self._timeout)
         return reply.status == 0, reply.event_count
 
     @_operation
     async def get_comm_event_log(self) -> bytes:
-        """Read the log of events, function 12."""
+        """Return the log of communication events, one byte for each, the newest first, function 12."""
         reply = await self._unit.get_comm_event_log(timeout=self._timeout)
         return bytes(reply.events)
 
     def on_connection_lost(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Register a callback for the loss of the link. Returns a function that removes it."""
+        """Register a function that is called when the connection is lost. Returns a function that unregisters it."""
         remove: Callable[[], None] = self._connection.on_connection_lost(callback)
         return remove
 
     async def disconnect(self) -> None:
-        """Drop the link; the next request makes a new one."""
+        """Close the connection; the next request makes a new one."""
         await self._connection.disconnect()
 
 
@@ -382,10 +397,16 @@ async def _connected(params: Params, pacing: Mapping[str, Any]) -> ModbusConnect
 
 
 async def connect_tcp(host: str, *, port: int = 502, framer: Any = None, **pacing: float | None) -> ModbusConnection:
-    """Open a Modbus TCP connection; ``pacing``: timeout, message_spacing, connect_delay.
+    """Return an open connection over TCP.
+
+    Args:
+        host: name or address of the device.
+        port: TCP port.
+        framer: ``socket`` (MBAP), ``rtu`` or ``ascii``; None for ``socket``.
+        pacing: ``timeout``, ``message_spacing`` and ``connect_delay`` of `ModbusConnection`.
 
     Raises:
-        ModbusConnectionError, ModbusTimeoutError: there is no connection.
+        ModbusConnectionError, ModbusTimeoutError: the connection cannot be made.
     """
     return await _connected(ModbusTcpParams(host=host, port=port, framer=framer), pacing)
 
@@ -393,7 +414,7 @@ async def connect_tcp(host: str, *, port: int = 502, framer: Any = None, **pacin
 async def connect_udp(
     host: str, *, port: int = 502, framer: Any = "socket", **pacing: float | None
 ) -> ModbusConnection:
-    """Open a Modbus UDP connection; ``pacing`` as of `connect_tcp`. Raises what that raises."""
+    """Return an open connection over UDP; arguments and errors are those of `connect_tcp`."""
     return await _connected(ModbusUdpParams(host=host, port=port, framer=framer), pacing)
 
 
@@ -409,7 +430,14 @@ async def connect_tls(
     sslctx: ssl.SSLContext | None = None,
     **pacing: float | None,
 ) -> ModbusConnection:
-    """Open a Modbus/TLS connection; ``pacing`` as of `connect_tcp`. Raises what that raises."""
+    """Return an open connection over TLS (Modbus/TCP Security); ``pacing`` and errors as for `connect_tcp`.
+
+    Args:
+        host: name or address of the device.
+        port: TCP port.
+        verify, check_hostname, client_cert, client_key, client_key_password, sslctx: as `ModbusTlsParams` has them.
+        pacing: ``timeout``, ``message_spacing`` and ``connect_delay`` of `ModbusConnection`.
+    """
     params = ModbusTlsParams(
         host=host,
         port=port,
@@ -433,7 +461,17 @@ async def connect_serial(
     framer: Any = "rtu",
     **pacing: float | None,
 ) -> ModbusConnection:
-    """Open a Modbus serial connection; ``pacing`` as of `connect_tcp`. Raises what that raises."""
+    """Return an open connection on a serial port; ``pacing`` and errors as for `connect_tcp`.
+
+    Args:
+        port: name of the port, or ``socket://host:port`` of a serial server.
+        baudrate: bit/s.
+        bytesize: data bits, 7 or 8.
+        parity: ``N``, ``E`` or ``O``.
+        stopbits: stop bits, 1 or 2.
+        framer: ``rtu`` or ``ascii``.
+        pacing: ``timeout``, ``message_spacing`` and ``connect_delay`` of `ModbusConnection`.
+    """
     params = ModbusSerialParams(
         device=port, baudrate=baudrate, bytesize=bytesize, parity=parity, stopbits=stopbits, framer=framer
     )

@@ -28,7 +28,7 @@ from .framer import FramerType
 from .pdu import ExceptionResponse
 
 __version__ = "3.16.1"
-"""The release of pymodbus whose behaviour this is; names of older ones are there too."""
+"""The release of pymodbus whose behaviour these modules have; names of older releases are there too."""
 
 __all__ = [
     "ExceptionResponse",
@@ -45,7 +45,7 @@ def pymodbus_apply_logging_config(level: str | int = "DEBUG", log_file_name: str
 
 
 def serve_as(name: str) -> None:
-    """Let imports below this name find the modules of this package."""
+    """Let imports below the name ``name``, such as ``pymodbus.client``, find the modules of this package."""
     serve_below(name)
 
 

@@ -1,6 +1,6 @@
 """The names of pymodbus' modules in all its releases, and which module here has what each of them had.
 
-1. A module that is here is itself; another name is a module that takes its attributes from those named in `HOMES`.
+1. A name of `OWN` gives the module of this package; another name a module with the attributes of those in `HOMES`.
 2. Names are served below this package, and after `serve_as` below ``pymodbus`` too, where they are the same objects.
 """
 
@@ -42,13 +42,17 @@ HOMES: dict[str, tuple[str, ...]] = {
     "transaction": ("framer",),
     "utilities": ("calls",),
 }
-"""Names of modules that are not here, and where their contents are."""
+"""Names of pymodbus' modules that this package does not have, and the modules here that have their contents."""
 PACKAGES = frozenset(name.partition(".")[0] for name in HOMES if "." in name)
-"""The modules that have others below them."""
+"""The names of modules that have others below them."""
 
 
 class AliasFinder(MetaPathFinder, Loader):
-    """Finds the modules of pymodbus below one name."""
+    """Finder and loader of the import system for the names of pymodbus' modules below one name.
+
+    Args:
+        root: that name, such as ``pymodbus``.
+    """
 
     def __init__(self, root: str) -> None:
         self.root: str = root
@@ -56,17 +60,17 @@ class AliasFinder(MetaPathFinder, Loader):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """The specification of a module that is here or has a home here; None for others."""
+        """Return the specification of a module of pymodbus below ``root``; None for others. Called by ``import``."""
         root, _, name = fullname.partition(f"{self.root}.")
         if root or not name or name not in OWN | HOMES.keys() or (name in OWN and self.root == HERE):
             return None
         return ModuleSpec(fullname, self, is_package=name in PACKAGES)
 
     def create_module(self, spec: ModuleSpec) -> None:
-        """Let the import system make the module."""
+        """Return None, so that the import system creates the module."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Fill a module of another name, or put the module that is here in its place."""
+        """Replace a module by one of this package, or fill it with attributes of others. Called by ``import``."""
         name = module.__name__.removeprefix(f"{self.root}.")
         if name in OWN:
             sys.modules[module.__name__] = import_module(f"{HERE}.{name}")
@@ -77,6 +81,6 @@ class AliasFinder(MetaPathFinder, Loader):
 
 
 def serve_below(root: str) -> None:
-    """Let imports below this name find pymodbus' modules; once is enough."""
+    """Let imports below the name ``root`` find pymodbus' modules; a second call does nothing."""
     if not any(isinstance(finder, AliasFinder) and finder.root == root for finder in sys.meta_path):
         sys.meta_path.append(AliasFinder(root)) if root == HERE else sys.meta_path.insert(0, AliasFinder(root))

@@ -1,7 +1,8 @@
 """The calls that all clients of pymodbus share, and the conversion of registers. Knows requests; knows no connection.
 
-Each call makes a request of `pdu` and gives it to ``execute``, which a client defines: the blocking ones return the
-response, the asyncio ones an awaitable of it. The unit is ``device_id``, ``slave`` or ``unit``, 1 if none is named.
+Each call creates a request of `pdu` and passes it to ``execute``, which a client defines: that of blocking clients
+returns the response, that of asyncio clients an awaitable of it. The unit is ``device_id``, ``slave`` or ``unit``, 1 if
+none is named.
 """
 
 import enum
@@ -41,7 +42,7 @@ BITS_OF_REGISTER = 16
 
 
 class RegisterDataType(enum.Enum):
-    """The types of `ModbusClientMixin.convert_from_registers`: a struct code, and registers of one value (0: all)."""
+    """Types of values in registers: each with its struct code, and the number of registers of one value (0: all)."""
 
     INT16 = ("h", 1)
     UINT16 = ("H", 1)
@@ -56,15 +57,19 @@ class RegisterDataType(enum.Enum):
 
 
 class ModbusClientMixin:
-    """The calls of all clients. What they return is what ``execute`` returns: a response, or an awaitable of one."""
+    """The calls of all clients. Each returns what ``execute`` returns: a response, or an awaitable of one.
+
+    Arguments of all calls: ``device_id`` (or ``slave``, ``unit``) is the unit, 0…255; ``no_response_expected`` says
+    that silence is no error. Addresses are 0-based. A refusal of the device is a response whose ``isError()`` is True.
+    """
 
     DATATYPE: type[RegisterDataType] = RegisterDataType
 
     def execute(self, no_response_expected: bool, request: ModbusPDU) -> Any:
-        """Send a request; clients define it.
+        """Send a request, and return the response or an awaitable of it; clients define it.
 
         Args:
-            no_response_expected: whether silence is no error; the call returns None then.
+            no_response_expected: whether silence is no error; None is returned then, in place of the response.
             request: a request of `pdu`, or one of a class of the program itself.
         """
         raise NotImplementedError
@@ -76,19 +81,19 @@ class ModbusClientMixin:
     # --- data ---------------------------------------------------------------------------------------------------------
 
     def read_coils(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
-        """Read coils, function 01; ``.bits`` of the response is filled up to whole bytes."""
+        """Read coils, function 01; the response has them in ``.bits``, filled up to whole bytes."""
         return self._ask(ReadCoilsRequest, names, address, count, device_id)
 
     def read_discrete_inputs(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
-        """Read discrete inputs, function 02; ``.bits`` of the response is filled up to whole bytes."""
+        """Read discrete inputs, function 02; the response has them in ``.bits``, filled up to whole bytes."""
         return self._ask(ReadDiscreteInputsRequest, names, address, count, device_id)
 
     def read_holding_registers(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
-        """Read holding registers, function 03, as ``.registers`` of the response."""
+        """Read holding registers, function 03; the response has them in ``.registers``."""
         return self._ask(ReadHoldingRegistersRequest, names, address, count, device_id)
 
     def read_input_registers(self, address: int, count: int = 1, device_id: int = 1, **names: Any) -> Any:
-        """Read input registers, function 04, as ``.registers`` of the response."""
+        """Read input registers, function 04; the response has them in ``.registers``."""
         return self._ask(ReadInputRegistersRequest, names, address, count, device_id)
 
     def write_coil(self, address: int, value: bool, device_id: int = 1, **names: Any) -> Any:
@@ -100,19 +105,22 @@ class ModbusClientMixin:
         return self._ask(WriteSingleRegisterRequest, names, address, value, device_id)
 
     def write_coils(self, address: int, values: Iterable[bool] | bool, device_id: int = 1, **names: Any) -> Any:
-        """Write coils, function 15."""
+        """Write coils from ``address`` on, function 15."""
         return self._ask(WriteMultipleCoilsRequest, names, address, values, device_id)
 
     def write_registers(
         self, address: int, values: Iterable[int | bytes] | int, device_id: int = 1, **names: Any
     ) -> Any:
-        """Write holding registers, function 16."""
+        """Write holding registers from ``address`` on, function 16."""
         return self._ask(WriteMultipleRegistersRequest, names, address, values, device_id)
 
     def mask_write_register(
         self, address: int = 0, and_mask: int = 0xFFFF, or_mask: int = 0, device_id: int = 1, **names: Any
     ) -> Any:
-        """Change bits of a register, function 22."""
+        """Change bits of a holding register, function 22.
+
+        Its new value is (old AND ``and_mask``) OR (``or_mask`` AND NOT ``and_mask``).
+        """
         return self._ask(MaskWriteRegisterRequest, names, address, and_mask, or_mask, device_id)
 
     def readwrite_registers(
@@ -125,7 +133,10 @@ class ModbusClientMixin:
         device_id: int = 1,
         **names: Any,
     ) -> Any:
-        """Write holding registers, then read some, function 23."""
+        """Write holding registers, then read some, function 23; the response has those read in ``.registers``.
+
+        ``address``, if given, is both the address read from and the address written to.
+        """
         if address:
             read_address = write_address = address
         values = names.pop("write_registers", values)
@@ -134,11 +145,11 @@ class ModbusClientMixin:
         )
 
     def read_fifo_queue(self, address: int = 0, device_id: int = 1, **names: Any) -> Any:
-        """Read a FIFO queue, function 24, as ``.values`` of the response."""
+        """Read a FIFO queue, function 24; the response has its registers in ``.values``."""
         return self._ask(ReadFifoQueueRequest, names, address, device_id)
 
     def read_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
-        """Read parts of files, function 20, as ``.records`` of the response."""
+        """Read parts of files, function 20; the response has them in ``.records``."""
         return self._ask(ReadFileRecordRequest, names, records, device_id)
 
     def write_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
@@ -150,29 +161,35 @@ class ModbusClientMixin:
     def read_device_information(
         self, read_code: int | None = None, object_id: int = 0, device_id: int = 1, **names: Any
     ) -> Any:
-        """Read identification objects, function 43/14, as ``.information`` of the response: one request, one answer."""
+        """Read identification objects, function 43/14; the response has them in ``.information``.
+
+        One request is sent. If the response has ``more_follows``, another call with its ``next_object_id`` continues.
+        """
         return self._ask(ReadDeviceInformationRequest, names, read_code, object_id, device_id)
 
     def read_exception_status(self, device_id: int = 1, **names: Any) -> Any:
-        """Read eight status bits, function 07, as ``.status`` of the response."""
+        """Read eight status bits of the device, function 07; the response has them in ``.status``."""
         return self._ask(ReadExceptionStatusRequest, names, device_id)
 
     def diag_get_comm_event_counter(self, device_id: int = 1, **names: Any) -> Any:
-        """Read the counter of messages, function 11."""
+        """Read the counter of events, function 11; the response has it in ``.count``."""
         return self._ask(GetCommEventCounterRequest, names, device_id)
 
     def diag_get_comm_event_log(self, device_id: int = 1, **names: Any) -> Any:
-        """Read the log of communication events, function 12."""
+        """Read the log of communication events, function 12; the response has it in ``.events``."""
         return self._ask(GetCommEventLogRequest, names, device_id)
 
     def report_device_id(self, device_id: int = 1, **names: Any) -> Any:
-        """Read what the device says of itself, function 17, as ``.identifier`` of the response."""
+        """Read the server ID of the device, function 17; the response has it in ``.identifier``."""
         return self._ask(ReportDeviceIdRequest, names, device_id)
 
     report_slave_id = report_device_id
 
     def __getattr__(self, name: str) -> Any:
-        """The calls ``diag_…`` of function 08: with data, if they take some, and the unit."""
+        """Return the call ``diag_…`` of a sub-function of function 08, such as ``diag_query_data``.
+
+        The call takes the data, if the sub-function has any, and the unit. Other names raise ``AttributeError``.
+        """
         wanted = name.removeprefix("diag_").replace("_slave_", "_device_")  # as before 3.10
         code = SUB_FUNCTIONS.get(wanted) if name.startswith("diag_") else None
         if code is None:
@@ -196,13 +213,13 @@ class ModbusClientMixin:
         word_order: str = "big",
         string_encoding: str = "utf-8",
     ) -> Any:
-        """Convert registers to a number, to a list of numbers if there are several, to a text or to bits.
+        """Return the value of registers: a number, a list of numbers if there are several, a text, or bits.
 
         Args:
-            registers: as a response has them.
+            registers: the registers, as a response has them.
             data_type: a member of ``DATATYPE``.
-            word_order: ``big`` or ``little``: which register of a value comes first.
-            string_encoding: of a text, whose zero bytes at the end are left out.
+            word_order: ``big`` or ``little``: whether the highest or the lowest register of a value comes first.
+            string_encoding: encoding of a text, whose zero bytes at the end are left out.
 
         Raises:
             TypeError: ``data_type`` is no member of ``DATATYPE``.
@@ -223,7 +240,7 @@ class ModbusClientMixin:
     def convert_to_registers(
         cls, value: Any, data_type: RegisterDataType, word_order: str = "big", string_encoding: str = "utf-8"
     ) -> list[int]:
-        """Convert a number, a list of numbers, a text or bits to registers. The opposite of `convert_from_registers`.
+        """Return the registers of a number, a list of numbers, a text or bits; opposite of `convert_from_registers`.
 
         Raises:
             TypeError: ``data_type`` is no member of ``DATATYPE``, or does not fit the value.
@@ -246,14 +263,21 @@ class ModbusClientMixin:
 
 
 def checked(data_type: RegisterDataType) -> tuple[str, int]:
-    """The struct code of a data type, and how many registers one value takes. Raises ``TypeError`` for other types."""
+    """Return the struct code of a data type, and how many registers one value takes (0: all).
+
+    Raises:
+        TypeError: it is no member of `RegisterDataType`.
+    """
     if not isinstance(data_type, RegisterDataType):
         raise TypeError("Illegal data_type, please use <client>.DATATYPE!")
     return data_type.value
 
 
 def in_word_order(registers: Sequence[int], width: int, word_order: str) -> list[int]:
-    """Registers with those of each value reversed if the order is little; all of them where a value takes all."""
+    """Return registers in the order ``big`` or ``little``: for ``little``, those of each value are reversed.
+
+    ``width`` is the number of registers of a value; 0: all are one value.
+    """
     if word_order != "little":
         return list(registers)
     step = width or len(registers) or 1

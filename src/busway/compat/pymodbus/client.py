@@ -1,12 +1,12 @@
 """The eight clients of pymodbus, each a link of busway: of `busway.connect` or, those of asyncio, of `busway.open`.
 
-Knows where a client connects and how pymodbus tells of the outcome; knows no bytes.
+Knows where a client connects and how pymodbus reports the outcome; knows no bytes.
 
-1. A client has a connection of its own, made by ``connect`` or at the first request.
-2. ``retries`` are of reads. A write that may have been executed is repeated only with ``write_retries=``, which
+1. A client has a connection of its own, made by ``connect``; that of blocking clients also by the first request.
+2. ``retries`` repeat reads alone. A write that may have been executed is repeated only with ``write_retries=``, which
    pymodbus does not have.
-3. An exception of the device is a response whose ``isError()`` is True. No answer is `ModbusIOException`, no connection
-   `ConnectionException`; both are raised.
+3. An exception of the device is a response whose ``isError()`` is True. Without a valid reply `ModbusIOException` is
+   raised, without a connection `ConnectionException`.
 """
 
 import asyncio
@@ -42,7 +42,7 @@ IGNORED = frozenset(
         "trace_packet",
     }
 )
-"""Arguments of some release of pymodbus that change nothing here."""
+"""Arguments of some release of pymodbus that have no effect here."""
 MOST_CONNECTIONS = 10_000
 SHORTEST_PAUSE = 0.001
 PREFIX = {FramerType.RTU: "rtu+", FramerType.ASCII: "ascii+"}
@@ -51,7 +51,16 @@ SERIAL_SCHEMES = {FramerType.RTU: "rtu", FramerType.ASCII: "ascii"}
 
 @dataclass
 class CommParams:
-    """Where a client connects and how long it waits; programs read it as ``client.comm_params``."""
+    """Where a client connects and how long it waits; programs read it as ``client.comm_params``.
+
+    Attributes:
+        host, port: host and port; the name of a serial port in ``host``.
+        timeout_connect: seconds for connecting, and for each reply.
+        reconnect_delay: seconds before the first attempt to connect again.
+        reconnect_delay_max: has no effect.
+        source_address: local address of the connection, with a port that has no effect; None for any.
+        baudrate, parity, bytesize, stopbits: settings of a serial port; None for other clients.
+    """
 
     host: str
     port: int | None
@@ -66,12 +75,12 @@ class CommParams:
 
     @property
     def timeout(self) -> float:
-        """Seconds, by the name of older releases."""
+        """Seconds for connecting, and for each reply, by the name of older releases."""
         return self.timeout_connect
 
 
 class _Client(ModbusClientMixin):
-    """What both kinds of clients share: the endpoint, the options, and how outcomes are told."""
+    """Base of blocking and asyncio clients: the endpoint, the options of the link, and what an outcome becomes."""
 
     carrier: ClassVar[str]
     default_port: ClassVar[int | None] = 502
@@ -126,7 +135,7 @@ class _Client(ModbusClientMixin):
                 raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
 
     def _carrier_options(self, older: dict[str, Any]) -> dict[str, Any]:
-        """Take the settings of the carrier out of the arguments, as options of a link."""
+        """Remove the settings of a serial port or of TLS from the arguments, and return them as options of a link."""
         return {}
 
     def _endpoint_of(self, host: str, port: int | None, framing: FramerType) -> Endpoint:
@@ -136,13 +145,17 @@ class _Client(ModbusClientMixin):
         return f"{type(self).__name__} {self.comm_params.host}:{self.comm_params.port}"
 
     def register(self, custom_response_class: type[ModbusPDU]) -> None:
-        """Let responses with the function code of a class of the program itself be objects of it."""
+        """Register a class of the program itself: responses with its function code become objects of that class.
+
+        Raises:
+            MessageRegisterException: it is no subclass of `ModbusPDU`.
+        """
         if not (isinstance(custom_response_class, type) and issubclass(custom_response_class, ModbusPDU)):
             raise MessageRegisterException(f"{custom_response_class!r} is no subclass of ModbusPDU")
         self._own_responses[custom_response_class.function_code] = custom_response_class
 
     def set_max_no_responses(self, max_count: int) -> None:
-        """Do nothing: the option ``recycle_after_timeouts`` of a link says when a silent connection is dropped."""
+        """Do nothing: a link's option ``recycle_after_timeouts`` decides when a silent connection is closed."""
 
     def _traced(self, sending: bool, pdu: ModbusPDU) -> ModbusPDU:
         return pdu if self._trace_pdu is None else self._trace_pdu(sending, pdu)
@@ -157,7 +170,10 @@ class _Client(ModbusClientMixin):
         return self._traced(False, response)
 
     def _failed(self, request: ModbusPDU, error: ModbusError, silent: bool) -> ModbusPDU | None:
-        """The response that an error is, or None for silence that was expected; raises what else it is."""
+        """Return the response that stands for an error: an exception response, or None for a silence that was expected.
+
+        Raises the exception of pymodbus for any other error; `InvalidRequest` and `ConfigError` are raised as they are.
+        """
         if isinstance(error.__cause__, ExceptionReply):  # 0B of a gateway to a write
             error = error.__cause__
         if isinstance(error, ExceptionReply):
@@ -170,33 +186,33 @@ class _Client(ModbusClientMixin):
 
 
 def _request_of(no_response_expected: Any, request: ModbusPDU | None) -> tuple[bool, ModbusPDU]:
-    """The arguments of ``execute``; in releases before 3.8 the request was the only one."""
+    """Return the two arguments of ``execute``; in releases before 3.8 the request was the only one."""
     if request is None:
         return False, no_response_expected
     return bool(no_response_expected), request
 
 
 class ModbusBaseSyncClient(_Client):
-    """Base of the blocking clients."""
+    """Base of the blocking clients; a context manager that connects and closes."""
 
     _link: BlockingLink | None = None
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection."""
+        """Whether the client is connected now."""
         return self._link is not None and self._link.is_connected
 
     @property
     def socket(self) -> object | None:
-        """Something that is true while there is a connection; the socket itself belongs to busway."""
+        """An object that is true while the client is connected, else None; the socket itself belongs to busway."""
         return self._link if self.connected else None
 
     def is_socket_open(self) -> bool:
-        """Whether there is a connection."""
+        """Whether the client is connected now."""
         return self.connected
 
     def connect(self) -> bool:
-        """Connect if there is no connection; whether there is one now."""
+        """Connect unless the client is connected, and return whether it is now; a failure is logged."""
         if self._link is None:
             self._link = connect(self._endpoint, shared=False, **self._options)
         if self._link.is_connected:
@@ -209,7 +225,7 @@ class ModbusBaseSyncClient(_Client):
         return self._told(True)
 
     def close(self) -> None:
-        """Close the connection; ``connect`` or the next request makes another."""
+        """Close the connection; ``connect`` or the next request makes another one."""
         link, self._link = self._link, None
         if link is not None:
             was_connected = link.is_connected
@@ -218,12 +234,16 @@ class ModbusBaseSyncClient(_Client):
                 self._told(False)
 
     def execute(self, no_response_expected: Any, request: ModbusPDU | None = None) -> Any:
-        """Send a request, connecting first if need be, and return the response.
+        """Send a request, connecting first if necessary, and return the response.
+
+        Args:
+            no_response_expected: whether silence is no error; None is returned then, in place of the response.
+            request: the request. Older releases had no first argument, so a request may come first, alone.
 
         Raises:
-            InvalidRequest: a value of it is out of range (a ``ValueError``). Nothing was sent.
-            ConnectionException: no connection, or it ended; bytes may have gone out.
-            ModbusIOException: no valid answer, after all attempts.
+            InvalidRequest: a value of the request is out of range (a ``ValueError``); nothing was sent.
+            ConnectionException: there is no connection, or it ended; bytes may have gone out.
+            ModbusIOException: no valid reply, after all attempts.
         """
         silent, request = _request_of(no_response_expected, request)
         request = self._traced(True, request)
@@ -246,18 +266,18 @@ class ModbusBaseSyncClient(_Client):
 
 
 class ModbusBaseClient(_Client):
-    """Base of the asyncio clients."""
+    """Base of the asyncio clients; an asynchronous context manager that connects and closes."""
 
     _link: AsyncLink | None = None
     _closing: "asyncio.Task[None] | None" = None
 
     @property
     def connected(self) -> bool:
-        """Whether there is a connection."""
+        """Whether the client is connected now."""
         return self._link is not None and self._link.is_connected
 
     async def connect(self) -> bool:
-        """Connect if there is no connection; whether there is one now."""
+        """Connect unless the client is connected, and return whether it is now; a failure is logged."""
         if self._link is None:
             self._link = open_link(self._endpoint, shared=False, **self._options)
         if self._link.is_connected:
@@ -270,7 +290,10 @@ class ModbusBaseClient(_Client):
         return self._told(True)
 
     def close(self, reconnect: bool = False) -> None:
-        """Close the connection; ``connect`` makes another. What is left to do is done in the next turns of the loop."""
+        """Close the connection; ``connect`` makes another one. Closing ends in the next turns of the event loop.
+
+        ``reconnect`` has no effect.
+        """
         link, self._link = self._link, None
         if link is None:
             return
@@ -284,7 +307,10 @@ class ModbusBaseClient(_Client):
             self._told(False)
 
     async def execute(self, no_response_expected: Any, request: ModbusPDU | None = None) -> Any:
-        """Send a request and return the response; what it raises is what the blocking client raises."""
+        """Send a request and return the response; arguments and errors are those of `ModbusBaseSyncClient.execute`.
+
+        `ConnectionException` is raised too if ``connect`` was not called before.
+        """
         silent, request = _request_of(no_response_expected, request)
         request = self._traced(True, request)
         message = request.to_request()
@@ -307,9 +333,9 @@ class ModbusBaseClient(_Client):
 
 
 def begun(work: Coroutine[Any, Any, None]) -> "asyncio.Task[None] | None":
-    """Run a coroutine up to its first pause now, and what is left of it in a task; None if nothing is left.
+    """Run a coroutine up to its first pause now, and the rest in a task, which is returned; None if nothing is left.
 
-    A program that closes its client and leaves the loop at once has closed the connection then.
+    So a program that closes its client and leaves the event loop at once has closed the connection.
     """
     try:
         awaited = work.send(None)
@@ -336,7 +362,7 @@ def _resumed(work: Coroutine[Any, Any, None], awaited: Any) -> Generator[Any, An
 
 
 class _Serial(_Client):
-    """A serial port, or ``socket://host:port`` for a serial server."""
+    """Part of the clients on a serial port, or on a serial server as ``socket://host:port``."""
 
     carrier: ClassVar[str] = "serial"
     default_port: ClassVar[int | None] = None
@@ -373,7 +399,11 @@ class _Serial(_Client):
 
 
 class TlsFiles:
-    """The files of a certificate, as ``generate_ssl`` of the TLS clients returns them for their ``sslctx``."""
+    """The files of a certificate, as ``generate_ssl`` of the TLS clients returns them for their ``sslctx``.
+
+    Args:
+        certfile, keyfile: paths of certificate and private key; None for none.
+    """
 
     def __init__(self, certfile: str | None, keyfile: str | None) -> None:
         self.certfile: str | None = certfile
@@ -381,7 +411,10 @@ class TlsFiles:
 
 
 class _Tls(_Client):
-    """TLS. Like pymodbus, it does not verify the server, unless ``authority`` names the file to verify it with."""
+    """Part of the clients over TLS: the server is verified only if ``authority`` names the file to verify it with.
+
+    pymodbus does not verify it either.
+    """
 
     carrier: ClassVar[str] = "tls"
     default_port: ClassVar[int | None] = 802
@@ -391,7 +424,11 @@ class _Tls(_Client):
     def generate_ssl(
         cls, certfile: str | None = None, keyfile: str | None = None, password: str | None = None
     ) -> TlsFiles:
-        """The files for ``sslctx``. A password is refused: the option ``password_file`` of busway's links reads one."""
+        """Return the files of a certificate, for the argument ``sslctx`` of a client or server.
+
+        Raises:
+            ParameterException: a password is given; busway reads it from a file only (``password_file`` of a link).
+        """
         if password is not None:
             raise ParameterException("a password is read from a file only: busway.connect(…, password_file=…)")
         return TlsFiles(certfile, keyfile)
@@ -411,43 +448,43 @@ class _Tls(_Client):
 
 
 class ModbusTcpClient(ModbusBaseSyncClient):
-    """Blocking client over TCP."""
+    """Blocking client over TCP, with MBAP, RTU or ASCII framing."""
 
     carrier: ClassVar[str] = "tcp"
 
 
 class ModbusUdpClient(ModbusBaseSyncClient):
-    """Blocking client over UDP."""
+    """Blocking client over UDP, with MBAP, RTU or ASCII framing."""
 
     carrier: ClassVar[str] = "udp"
 
 
 class ModbusSerialClient(_Serial, ModbusBaseSyncClient):
-    """Blocking client on a serial port."""
+    """Blocking client on a serial port, with RTU or ASCII framing."""
 
 
 class ModbusTlsClient(_Tls, ModbusBaseSyncClient):
-    """Blocking client over TLS."""
+    """Blocking client over TLS (Modbus/TCP Security)."""
 
 
 class AsyncModbusTcpClient(ModbusBaseClient):
-    """Asyncio client over TCP."""
+    """Asyncio client over TCP, with MBAP, RTU or ASCII framing."""
 
     carrier: ClassVar[str] = "tcp"
 
 
 class AsyncModbusUdpClient(ModbusBaseClient):
-    """Asyncio client over UDP."""
+    """Asyncio client over UDP, with MBAP, RTU or ASCII framing."""
 
     carrier: ClassVar[str] = "udp"
 
 
 class AsyncModbusSerialClient(_Serial, ModbusBaseClient):
-    """Asyncio client on a serial port."""
+    """Asyncio client on a serial port, with RTU or ASCII framing."""
 
 
 class AsyncModbusTlsClient(_Tls, ModbusBaseClient):
-    """Asyncio client over TLS."""
+    """Asyncio client over TLS (Modbus/TCP Security)."""
 
 
 __path__: list[str] = []

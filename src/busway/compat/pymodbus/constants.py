@@ -4,7 +4,7 @@ import enum
 
 
 class Endian(str, enum.Enum):
-    """Order of bytes or registers of the payload builder and decoder."""
+    """Order of bytes and of registers for the payload builder and decoder."""
 
     AUTO = "@"
     BIG = ">"
@@ -30,7 +30,7 @@ class ExcCodes(enum.IntEnum):
 
 
 class ModbusStatus(enum.IntEnum):
-    """Status words of functions 05, 11 and 12."""
+    """Words of requests and replies: the status of functions 11 and 12, the coil states of function 05."""
 
     WAITING = 0xFFFF
     READY = 0x0000
@@ -39,7 +39,7 @@ class ModbusStatus(enum.IntEnum):
 
 
 class DeviceInformation(enum.IntEnum):
-    """Levels of function 43/14 (MODBUS Application Protocol V1.1b3 §6.21)."""
+    """Levels of identification that function 43/14 reads (MODBUS Application Protocol V1.1b3 §6.21)."""
 
     BASIC = 0x01
     REGULAR = 0x02
@@ -48,14 +48,14 @@ class DeviceInformation(enum.IntEnum):
 
 
 class MoreData(enum.IntEnum):
-    """Whether the answer of function 43/14 has a continuation."""
+    """Whether a response of function 43/14 is continued by another one."""
 
     NOTHING = 0x00
     KEEP_READING = 0xFF
 
 
 class Defaults:
-    """Default settings that older programs read."""
+    """Default settings of older releases of pymodbus, which programs read."""
 
     TcpPort = 502
     TlsPort = 802

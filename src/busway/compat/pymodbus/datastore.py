@@ -15,15 +15,16 @@ from .exceptions import NoSuchIdException, ParameterException
 ITEMS = 65_536
 LAST_UNIT = 255
 TABLE_OF = {**dict.fromkeys((1, 5, 15), "c"), 2: "d", 4: "i", **dict.fromkeys((3, 6, 16, 22, 23), "h")}
-"""The table that each function code reads or writes."""
+"""The table that each function code reads or writes: coils, discrete inputs, input or holding registers."""
 
 
 class BaseModbusDataBlock:
-    """Base of the data blocks.
+    """Base of the data blocks: values of one table, by address.
 
     Attributes:
         values: a list, or a dict by address.
         address: address of the first value of a list.
+        default_value: what ``reset`` fills the block with.
     """
 
     values: Any  # a list in one kind of block, a dict in the other; subclasses of programs bring others
@@ -31,23 +32,23 @@ class BaseModbusDataBlock:
     default_value: Any = 0
 
     def validate(self, address: int, count: int = 1) -> bool:
-        """Whether the block has all of these addresses."""
+        """Whether the block has all of ``count`` addresses from ``address`` on."""
         raise NotImplementedError
 
     def getValues(self, address: int, count: int = 1) -> Any:
-        """The values from an address on, or an exception code."""
+        """Return ``count`` values from ``address`` on, or an exception code."""
         raise NotImplementedError
 
     def setValues(self, address: int, values: Any) -> Any:
-        """Replace values from an address on; returns None or an exception code."""
+        """Replace the values from ``address`` on. Returns None, or an exception code."""
         raise NotImplementedError
 
     async def async_getValues(self, address: int, count: int = 1) -> Any:
-        """The same as `getValues`."""
+        """Return the result of `getValues`."""
         return self.getValues(address, count)
 
     async def async_setValues(self, address: int, values: Any) -> Any:
-        """The same as `setValues`."""
+        """Call `setValues` and return its result."""
         return self.setValues(address, values)
 
     def __str__(self) -> str:
@@ -58,7 +59,12 @@ class BaseModbusDataBlock:
 
 
 class ModbusSequentialDataBlock(BaseModbusDataBlock):
-    """Values without gaps, the first at ``address``."""
+    """Data block without gaps.
+
+    Args:
+        address: address of the first value.
+        values: the values; one value stands for itself.
+    """
 
     def __init__(self, address: int, values: Any) -> None:
         self.address: int = address
@@ -67,11 +73,11 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
 
     @classmethod
     def create(cls) -> "ModbusSequentialDataBlock":
-        """A block of all addresses, filled with 0."""
+        """Return a block with all 65 536 addresses, filled with 0."""
         return cls(0, [0] * ITEMS)
 
     def default(self, count: int, value: Any = False) -> None:
-        """Fill the block with a value."""
+        """Replace the content of the block by ``count`` times one value, from address 0 on; it is the default then."""
         self.default_value, self.values, self.address = value, [value] * count, 0
 
     def reset(self) -> None:
@@ -79,23 +85,28 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
         self.values = [self.default_value] * len(self.values)
 
     def validate(self, address: int, count: int = 1) -> bool:
-        """Whether the block has all of these addresses."""
+        """Whether the block has all of ``count`` addresses from ``address`` on."""
         return self.address <= address and address + count <= self.address + len(self.values)
 
     def getValues(self, address: int, count: int = 1) -> Any:
-        """The values from an address on, or an exception code."""
+        """Return ``count`` values from ``address`` on, as a list."""
         start = address - self.address
         return self.values[start : start + count]
 
     def setValues(self, address: int, values: Any) -> Any:
-        """Replace values from an address on."""
+        """Replace the values from ``address`` on: one value, or a list."""
         new = list(values) if isinstance(values, list | tuple) else [values]
         start = address - self.address
         self.values[start : start + len(new)] = new
 
 
 class ModbusSparseDataBlock(BaseModbusDataBlock):
-    """Values with gaps: a dict by address, whose lists begin there; or a list from 0 on."""
+    """Data block whose addresses may have gaps.
+
+    Args:
+        values: a dict by address, in which a list goes on from its address; or a list from address 0 on.
+        mutable: whether `setValues` may add addresses.
+    """
 
     def __init__(self, values: Any = None, mutable: bool = True) -> None:
         self.values: Any = {}
@@ -105,7 +116,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
 
     @classmethod
     def create(cls, values: Any = None) -> "ModbusSparseDataBlock":
-        """A block of these values."""
+        """Return a block with these values."""
         return cls(values)
 
     def _process_values(self, values: Any) -> None:
@@ -118,19 +129,25 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
             self.values.update(enumerate(several, address))
 
     def reset(self) -> None:
-        """Give the block its first values again."""
+        """Restore the first values of the block, or those last set with ``use_as_default``."""
         self.values = dict(self.default_value)
 
     def validate(self, address: int, count: int = 1) -> bool:
-        """Whether the block has all of these addresses."""
+        """Whether the block has all of ``count`` addresses from ``address`` on; False for no addresses."""
         return count > 0 and all(one in self.values for one in range(address, address + count))
 
     def getValues(self, address: int, count: int = 1) -> Any:
-        """The values from an address on, or an exception code."""
+        """Return ``count`` values from ``address`` on, as a list. Raises ``KeyError`` for an address in a gap."""
         return [self.values[one] for one in range(address, address + count)]
 
     def setValues(self, address: int, values: Any, use_as_default: bool = False) -> Any:
-        """Replace values from an address on, or those of a dict; new addresses only where the block is mutable."""
+        """Replace the values from ``address`` on, or those of a dict by address.
+
+        ``use_as_default``: whether `reset` restores the values of now from this call on.
+
+        Raises:
+            ParameterException: an address is new, and the block is not mutable.
+        """
         if not isinstance(values, Mapping):
             several = values if isinstance(values, list | tuple) else [values]
             values = dict(enumerate(several, address))
@@ -143,32 +160,35 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
 
 
 class ModbusBaseDeviceContext:
-    """Base of the contexts: values of one unit, by function code and address."""
+    """Base of the contexts: the values of one unit, by function code and address.
+
+    The function code (``fc_as_hex``) says which table is meant.
+    """
 
     _fx_mapper: Mapping[int, str] = TABLE_OF
 
     def decode(self, fx: int) -> str:
-        """The table of a function code: ``c``, ``d``, ``i`` or ``h``."""
+        """Return the table of a function code: ``c``, ``d``, ``i`` or ``h``. Raises ``KeyError`` for other codes."""
         return self._fx_mapper[fx]
 
     def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
-        """Whether all of these addresses exist."""
+        """Whether all of ``count`` addresses exist; True, unless a subclass overrides this method."""
         return True
 
     def getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
-        """The values that a request reads, or an exception code."""
+        """Return the values that a request reads, or an exception code."""
         raise NotImplementedError
 
     def setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
-        """Replace the values that a request writes; returns None or an exception code."""
+        """Replace the values that a request writes. Returns None, or an exception code."""
         raise NotImplementedError
 
     async def async_getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
-        """The same as `getValues`."""
+        """Return the result of `getValues`."""
         return self.getValues(fc_as_hex, address, count)
 
     async def async_setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
-        """The same as `setValues`."""
+        """Call `setValues` and return its result."""
         return self.setValues(fc_as_hex, address, values)
 
 
@@ -176,8 +196,11 @@ class ModbusDeviceContext(ModbusBaseDeviceContext):
     """The four tables of one unit as blocks; a table that is left out has all addresses, filled with 0.
 
     Args:
-        di, co, ir, hr: discrete inputs, coils, input registers and holding registers.
+        di, co, ir, hr: blocks of the discrete inputs, coils, input registers and holding registers.
         zero_mode: whether address 0 of a request is address 0 of a block; otherwise it is address 1.
+
+    Attributes:
+        store: the blocks, by the letter that `decode` returns.
     """
 
     def __init__(
@@ -202,27 +225,30 @@ class ModbusDeviceContext(ModbusBaseDeviceContext):
         return self.store[self.decode(fc_as_hex)], address + (not self.zero_mode)
 
     def reset(self) -> None:
-        """Give all blocks their default values."""
+        """Fill all blocks with their default values."""
         for block in self.store.values():
             block.reset()
 
     def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
-        """Whether the block of the function has all of these addresses."""
+        """Whether the block of the function code has all of ``count`` addresses from ``address`` on."""
         block, at = self._placed(fc_as_hex, address)
         return bool(block.validate(at, count))
 
     def getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
-        """The values of the function's block, or an exception code."""
+        """Return ``count`` values of the function code's block, or an exception code."""
         block, at = self._placed(fc_as_hex, address)
         return block.getValues(at, count)
 
     def setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
-        """Replace values of the function's block; returns None or an exception code."""
+        """Replace values of the function code's block. Returns None, or an exception code."""
         block, at = self._placed(fc_as_hex, address)
         return block.setValues(at, values)
 
     def register(self, function_code: int, fc_as_hex: str, datablock: BaseModbusDataBlock | None = None) -> None:
-        """Let a function code use a block of its own."""
+        """Let a function code use a block of its own, under the key ``fc_as_hex`` of ``store``.
+
+        Without ``datablock`` the block has all addresses, filled with 0.
+        """
         self.store[fc_as_hex] = datablock or ModbusSequentialDataBlock.create()
         self._fx_mapper = {**self._fx_mapper, function_code: fc_as_hex}
 
@@ -233,9 +259,13 @@ ModbusSlaveContext = ModbusDeviceContext
 
 
 class ModbusServerContext:
-    """The units of a server: one context for all of them (``single``), or a dict of contexts by unit.
+    """The contexts of a server by unit; ``context[unit]`` raises `NoSuchIdException` for a unit without one.
 
-    A dict makes it several, whatever ``single`` is; unit 0 in it answers for all that are not listed.
+    Args:
+        devices: one context for all units, or a dict of contexts by unit; unit 0 in a dict answers for all units that
+            are not listed.
+        single: whether ``devices`` is one context; a dict is several in any case.
+        slaves: the name of ``devices`` in older releases.
     """
 
     def __init__(self, devices: Any = None, single: bool = True, *, slaves: Any = None) -> None:
@@ -266,7 +296,7 @@ class ModbusServerContext:
         del self._units[unit]
 
     def device_ids(self) -> list[int]:
-        """The units that are listed."""
+        """Return the units that are listed; ``[0]`` if one context answers for all."""
         return list(self._units)
 
     slaves = device_ids

@@ -26,11 +26,13 @@ def _named(number: int) -> Any:
 
 
 class ModbusDeviceIdentification:
-    """Identification objects: texts or bytes by number, those of `NAMES` as attributes too.
+    """Identification objects of a server: texts or bytes by number, those of `NAMES` as attributes too.
+
+    An object that is not set reads as an empty text. Iterating yields number and value.
 
     Args:
-        info: by number.
-        info_name: by name.
+        info: objects by number.
+        info_name: objects by name.
     """
 
     VendorName: Any = _named(0)
@@ -56,14 +58,14 @@ class ModbusDeviceIdentification:
         self._objects[number] = value
 
     def update(self, other: Any) -> None:
-        """Take the objects of another identification or mapping."""
+        """Add the objects of another identification or mapping, replacing those with the same numbers."""
         self._objects.update(dict(other))
 
     def summary(self) -> dict[str, Any]:
-        """The objects that have names."""
+        """Return the objects 0…6 by name; empty texts for those that are not set."""
         return {name: self[number] for number, name in enumerate(NAMES)}
 
     def encoded(self) -> dict[int, bytes]:
-        """The objects that are not empty, as bytes."""
+        """Return the objects that are not empty as bytes, by number; texts in UTF-8."""
         texts = {number: value for number, value in self._objects.items() if value}
         return {number: value if isinstance(value, bytes) else str(value).encode() for number, value in texts.items()}

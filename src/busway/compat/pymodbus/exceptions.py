@@ -7,7 +7,7 @@ class ModbusException(Exception):
     """Base of the exceptions of pymodbus.
 
     Attributes:
-        string: the message, without the words that `str` puts before it.
+        string: the message, without the words "Modbus Error" that `str` puts before it.
     """
 
     def __init__(self, string: str = "") -> None:
@@ -18,16 +18,18 @@ class ModbusException(Exception):
         return f"Modbus Error: {self.string}"
 
     def isError(self) -> bool:
-        """True: programs ask responses and exceptions alike."""
+        """Return True: responses have the same method, so programs can ask either."""
         return True
 
 
 class ModbusIOException(ModbusException):
-    """No valid answer came.
+    """No valid reply came.
 
     Attributes:
-        fcode: function code of the request, if it is known.
-        dev_id: unit that was asked; 0 if it is not known.
+        fcode: function code of the request; None if it is not known.
+        transaction_id: transaction identifier, if the program gave one.
+        dev_id: unit of the request; 0 if it is not known.
+        message: the message as text.
     """
 
     def __init__(
@@ -41,14 +43,14 @@ class ModbusIOException(ModbusException):
 
 
 class ParameterException(ModbusException):
-    """A parameter is invalid."""
+    """An argument is invalid."""
 
     def __init__(self, string: str = "") -> None:
         super().__init__(f"[Invalid Parameter] {string}")
 
 
 class NoSuchIdException(ModbusException):
-    """A server has no such unit."""
+    """A server has no context for a unit."""
 
     def __init__(self, string: str = "") -> None:
         super().__init__(f"[No Such id] {string}")
@@ -58,28 +60,28 @@ NoSuchSlaveException = NoSuchIdException
 
 
 class NotImplementedException(ModbusException):
-    """The function is not offered."""
+    """A function is not offered; programs may raise it."""
 
     def __init__(self, string: str = "") -> None:
         super().__init__(f"[Not Implemented] {string}")
 
 
 class ConnectionException(ModbusException):
-    """There is no connection, or it ended before the answer."""
+    """There is no connection, or it ended before the reply."""
 
     def __init__(self, string: str = "") -> None:
         super().__init__(f"[Connection] {string}")
 
 
 class MessageRegisterException(ModbusException):
-    """A class is no message that can be registered."""
+    """A class cannot be registered for responses: it is no `ModbusPDU`."""
 
     def __init__(self, string: str = "") -> None:
         super().__init__(f"[Error registering message] {string}")
 
 
 def exception_for(error: ModbusError) -> ModbusException:
-    """The exception of pymodbus that tells of an error of busway; the caller raises it from that error."""
+    """Return the exception of pymodbus that stands for an error of busway; the caller raises it from that error."""
     if isinstance(error, LinkDown) or isinstance(error.__cause__, LinkDown):
         return ConnectionException(str(error))
     return ModbusIOException(str(error), error.function, dev_id=error.unit or 0)

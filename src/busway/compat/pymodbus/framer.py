@@ -7,7 +7,7 @@ from .exceptions import ParameterException
 
 
 class FramerType(str, enum.Enum):
-    """Framings by pymodbus' names."""
+    """Framings by pymodbus' names: ``SOCKET`` is MBAP over TCP or UDP, ``TLS`` is MBAP over TLS."""
 
     ASCII = "ascii"
     RTU = "rtu"
@@ -16,7 +16,7 @@ class FramerType(str, enum.Enum):
 
 
 class FramerBase:
-    """Base of the framer classes; programs pass them to clients, and nothing else is done with them."""
+    """Base of the framer classes: a program passes one to a client or server to name a framing."""
 
     framer_type: ClassVar[FramerType]
 
@@ -25,25 +25,25 @@ class FramerBase:
 
 
 class FramerAscii(FramerBase):
-    """Names the framing ASCII."""
+    """Name of the framing ASCII, as a class."""
 
     framer_type: ClassVar[FramerType] = FramerType.ASCII
 
 
 class FramerRTU(FramerBase):
-    """Names the framing RTU."""
+    """Name of the framing RTU, as a class."""
 
     framer_type: ClassVar[FramerType] = FramerType.RTU
 
 
 class FramerSocket(FramerBase):
-    """Names the framing MBAP over TCP or UDP."""
+    """Name of the framing MBAP over TCP or UDP, as a class."""
 
     framer_type: ClassVar[FramerType] = FramerType.SOCKET
 
 
 class FramerTLS(FramerBase):
-    """Names the framing MBAP over TLS."""
+    """Name of the framing MBAP over TLS, as a class."""
 
     framer_type: ClassVar[FramerType] = FramerType.TLS
 
@@ -57,7 +57,11 @@ Framer = FramerType
 
 
 def framer_type_of(framer: object) -> FramerType:
-    """The framing that a program named: a `FramerType`, its text, a framer class or one of its instances."""
+    """Return the framing that a program named: by a `FramerType`, its text, a framer class or an instance of one.
+
+    Raises:
+        ParameterException: the object names no framing.
+    """
     kind = getattr(framer, "framer_type", framer)
     try:
         return FramerType(kind)

@@ -16,7 +16,7 @@ BITS_OF_BYTE = 8
 
 
 def ordered(data: bytes, byteorder: str, wordorder: str) -> bytes:
-    """Bring the big-endian bytes of one value into the order of a payload, or back."""
+    """Return the big-endian bytes of one value in the order of a payload, or those of a payload as big-endian."""
     words = [data[at : at + 2] for at in range(0, len(data), 2)]
     if byteorder == Endian.LITTLE:
         words = [word[::-1] for word in words]
@@ -26,7 +26,14 @@ def ordered(data: bytes, byteorder: str, wordorder: str) -> bytes:
 
 
 class BinaryPayloadBuilder:
-    """Collects values and gives them as registers, coils or bytes."""
+    """Collects values, and returns them as registers, coils or bytes.
+
+    Args:
+        payload: bytes to begin with.
+        byteorder: order of the bytes of each register.
+        wordorder: order of the registers of each value.
+        repack: whether `to_registers` applies ``byteorder`` to the registers again.
+    """
 
     def __init__(
         self,
@@ -41,33 +48,33 @@ class BinaryPayloadBuilder:
         self._repack = repack
 
     def encode(self) -> bytes:
-        """All bytes so far."""
+        """Return all bytes collected so far."""
         return b"".join(self._payload)
 
     def __str__(self) -> str:
         return self.encode().decode("utf-8")
 
     def reset(self) -> None:
-        """Begin again with nothing."""
+        """Remove all collected values."""
         self._payload = []
 
     def build(self) -> list[bytes]:
-        """The bytes in pairs, a zero after an odd number."""
+        """Return the collected bytes in pairs, for ``write_registers``; a zero byte follows an odd number."""
         data = self.encode()
         data += bytes(len(data) % 2)
         return [data[at : at + 2] for at in range(0, len(data), 2)]
 
     def to_registers(self) -> list[int]:
-        """The bytes as registers, for ``write_registers``."""
+        """Return the collected bytes as registers, 0…65535, for ``write_registers``."""
         order: str = self._byteorder if self._repack else ">"
         return [_unpacked(f"{_sign(order)}H", pair) for pair in self.build()]
 
     def to_coils(self) -> list[bool]:
-        """The bits of the registers, the highest first."""
+        """Return the bits of the registers, the highest bit of each register first, for ``write_coils``."""
         return [bool(register >> bit & 1) for register in self.to_registers() for bit in reversed(range(16))]
 
     def add_bits(self, values: Sequence[bool]) -> None:
-        """Add bits, the first in the lowest bit of the first byte."""
+        """Add bits, the first as the lowest bit of the first byte."""
         self._payload.append(pack_bits([bool(value) for value in values]))
 
     def _add_small(self, kind: str, value: int) -> None:
@@ -85,27 +92,27 @@ class BinaryPayloadBuilder:
         self._add_small("b", value)
 
     def add_16bit_uint(self, value: int) -> None:
-        """Add a number of 16 bits without sign."""
+        """Add a number of 16 bits, 0…65535."""
         self._add_small("H", value)
 
     def add_16bit_int(self, value: int) -> None:
-        """Add a number of 16 bits with sign."""
+        """Add a number of 16 bits, -32768…32767."""
         self._add_small("h", value)
 
     def add_32bit_uint(self, value: int) -> None:
-        """Add a number of 32 bits without sign."""
+        """Add a number of 32 bits, not negative."""
         self._add_wide("I", value)
 
     def add_32bit_int(self, value: int) -> None:
-        """Add a number of 32 bits with sign."""
+        """Add a number of 32 bits, which may be negative."""
         self._add_wide("i", value)
 
     def add_64bit_uint(self, value: int) -> None:
-        """Add a number of 64 bits without sign."""
+        """Add a number of 64 bits, not negative."""
         self._add_wide("Q", value)
 
     def add_64bit_int(self, value: int) -> None:
-        """Add a number of 64 bits with sign."""
+        """Add a number of 64 bits, which may be negative."""
         self._add_wide("q", value)
 
     def add_16bit_float(self, value: float) -> None:
@@ -121,12 +128,18 @@ class BinaryPayloadBuilder:
         self._add_wide("d", value)
 
     def add_string(self, value: str) -> None:
-        """Add a text as UTF-8, as long as it is in characters."""
+        """Add a text in UTF-8, cut off after as many bytes as it has characters."""
         self._payload.append(struct.pack(f"{len(value)}s", value.encode()))
 
 
 class BinaryPayloadDecoder:
-    """Gives values from registers or coils, one after the other."""
+    """Returns the values in registers or coils, one after the other: each call decodes the next bytes.
+
+    Args:
+        payload: the bytes of the values.
+        byteorder: order of the bytes of each register.
+        wordorder: order of the registers of each value.
+    """
 
     def __init__(self, payload: bytes, byteorder: str = Endian.LITTLE, wordorder: str = Endian.BIG) -> None:
         self._payload = payload
@@ -138,19 +151,27 @@ class BinaryPayloadDecoder:
     def fromRegisters(
         cls, registers: Sequence[int], byteorder: str = Endian.LITTLE, wordorder: str = Endian.BIG
     ) -> Self:
-        """Decode a list of registers."""
+        """Return a decoder of a list of registers.
+
+        Raises:
+            ParameterException: ``registers`` is no list.
+        """
         if not isinstance(registers, list):
             raise ParameterException("Invalid collection of registers supplied")
         return cls(struct.pack(f">{len(registers)}H", *registers), byteorder, wordorder)
 
     @classmethod
     def bit_chunks(cls, coils: Sequence[bool], size: int = BITS_OF_BYTE) -> list[Sequence[bool]]:
-        """Split bits into groups."""
+        """Return bits in groups of ``size``, in order; the last group may be shorter."""
         return [coils[at : at + size] for at in range(0, len(coils), size)]
 
     @classmethod
     def fromCoils(cls, coils: Sequence[bool], byteorder: str = Endian.LITTLE, _wordorder: str = Endian.BIG) -> Self:
-        """Decode a list of bits, the first in the highest bit of the first byte."""
+        """Return a decoder of a list of bits, the first as the highest bit of the first byte.
+
+        Raises:
+            ParameterException: ``coils`` is no list.
+        """
         if not isinstance(coils, list):
             raise ParameterException("Invalid collection of coils supplied")
         # pymodbus puts as many zeros before them as are left over, and not as many as are missing.
@@ -158,11 +179,11 @@ class BinaryPayloadDecoder:
         return cls(b"".join(pack_bits(list(chunk)[::-1]) for chunk in cls.bit_chunks(padded)), byteorder)
 
     def reset(self) -> None:
-        """Begin at the first byte again."""
+        """Go back to the first byte."""
         self._pointer = 0
 
     def skip_bytes(self, nbytes: int) -> None:
-        """Leave bytes out."""
+        """Skip the next ``nbytes`` bytes."""
         self._pointer += nbytes
 
     def _next(self, size: int) -> bytes:
@@ -176,57 +197,57 @@ class BinaryPayloadDecoder:
         return _unpacked(f">{kind}", ordered(self._next(size), self._byteorder, self._wordorder))
 
     def decode_bits(self, package_len: int = 1) -> list[bool]:
-        """The bits of one byte, the lowest first: the last of ``package_len`` bytes."""
+        """Return eight bits, the lowest first: those of the last of the next ``package_len`` bytes."""
         self._pointer += package_len
         byte = self._payload[self._pointer - 1 : self._pointer]
         return unpack_bits(byte, BITS_OF_BYTE * len(byte))
 
     def decode_8bit_uint(self) -> int:
-        """One byte, 0…255."""
+        """Return the next byte as a number, 0…255."""
         return int(self._small("B", 1))
 
     def decode_8bit_int(self) -> int:
-        """One byte, -128…127."""
+        """Return the next byte as a number, -128…127."""
         return int(self._small("b", 1))
 
     def decode_16bit_uint(self) -> int:
-        """A number of 16 bits without sign."""
+        """Return the next 16 bits as a number, 0…65535."""
         return int(self._small("H", 2))
 
     def decode_16bit_int(self) -> int:
-        """A number of 16 bits with sign."""
+        """Return the next 16 bits as a number, -32768…32767."""
         return int(self._small("h", 2))
 
     def decode_32bit_uint(self) -> int:
-        """A number of 32 bits without sign."""
+        """Return the next 32 bits as a number that is not negative."""
         return int(self._wide("I", 4))
 
     def decode_32bit_int(self) -> int:
-        """A number of 32 bits with sign."""
+        """Return the next 32 bits as a number that may be negative."""
         return int(self._wide("i", 4))
 
     def decode_64bit_uint(self) -> int:
-        """A number of 64 bits without sign."""
+        """Return the next 64 bits as a number that is not negative."""
         return int(self._wide("Q", 8))
 
     def decode_64bit_int(self) -> int:
-        """A number of 64 bits with sign."""
+        """Return the next 64 bits as a number that may be negative."""
         return int(self._wide("q", 8))
 
     def decode_16bit_float(self) -> float:
-        """A float of 16 bits."""
+        """Return the next 16 bits as a float."""
         return float(self._wide("e", 2))
 
     def decode_32bit_float(self) -> float:
-        """A float of 32 bits."""
+        """Return the next 32 bits as a float."""
         return float(self._wide("f", 4))
 
     def decode_64bit_float(self) -> float:
-        """A float of 64 bits."""
+        """Return the next 64 bits as a float."""
         return float(self._wide("d", 8))
 
     def decode_string(self, size: int = 1) -> bytes:
-        """The next bytes as they are."""
+        """Return the next ``size`` bytes as they are."""
         return self._next(size)
 
 

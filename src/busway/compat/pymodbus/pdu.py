@@ -1,9 +1,9 @@
 """The request and response objects of pymodbus: each request knows the message of busway that it means.
 
-Knows both kinds of objects; knows no connection. `ModbusPDU.to_request` gives the message to send,
+Knows both kinds of objects; knows no connection. `ModbusPDU.to_request` returns the message to send,
 `ModbusPDU.response` the response object for its reply.
 
-1. Values are checked where busway's message is made, so what is wrong is `InvalidRequest` (a ``ValueError``) before any
+1. Values are checked where busway's message is built: a wrong one raises `InvalidRequest` (a ``ValueError``) before any
    byte is sent.
 2. A class of the program itself, with ``function_code``, ``encode`` and ``decode``, is sent as the bytes it encodes.
 """
@@ -39,7 +39,7 @@ from .constants import DeviceInformation, ModbusStatus
 from .exceptions import ModbusException, ModbusIOException
 
 UNIT_NAMES = ("device_id", "slave", "unit", "dev_id", "slave_id", "unit_id")
-"""What releases of pymodbus have called the unit."""
+"""The names that releases of pymodbus have for the unit."""
 EXCEPTION_BIT = 0x80
 RUNS = 0xFF
 COIL_ON = 0xFF00
@@ -47,7 +47,11 @@ LAST_UNIT = 255
 
 
 def unit_of(names: dict[str, Any], given: int | None = None) -> int:
-    """The unit that a call names under any of its names, 1 if it names none. Raises ``TypeError`` for other names."""
+    """Return the unit among the named arguments of a call, under any of its names; ``given``, or 1, if there is none.
+
+    Raises:
+        TypeError: an argument has another name.
+    """
     for name, value in names.items():
         if name not in UNIT_NAMES:
             raise TypeError(f"unexpected keyword argument {name!r}")
@@ -60,9 +64,16 @@ class ModbusPDU:
     """Base of all requests and responses.
 
     Attributes:
-        dev_id: the unit; ``slave_id`` and ``unit_id`` are the same.
-        registers, bits: the values, empty lists where there are none.
-        exception_code: of an exception response; 0 otherwise.
+        function_code, sub_function_code: codes of the function; -1 for no sub-function.
+        dev_id: the unit, 0…255; ``slave_id`` and ``unit_id`` are the same.
+        transaction_id: kept for the program; it is not sent.
+        address, count: the first item and the number of items; 0 if there are none.
+        registers, bits: the values; empty lists if there are none.
+        status: status of a response, for functions that have one.
+        exception_code: exception code of an exception response; 0 otherwise.
+
+    Raises:
+        ModbusIOException: the unit is outside 0…255.
     """
 
     function_code: int = 0
@@ -93,12 +104,12 @@ class ModbusPDU:
 
     @property
     def slave_id(self) -> int:
-        """The unit, by its name of releases before 3.9."""
+        """The unit, by its name in releases before 3.9."""
         return self.dev_id
 
     @property
     def unit_id(self) -> int:
-        """The unit, by its name of releases before 3.0."""
+        """The unit, by its name in releases before 3.0."""
         return self.dev_id
 
     def fill(self, **values: Any) -> None:
@@ -118,18 +129,30 @@ class ModbusPDU:
         )
 
     def encode(self) -> bytes:
-        """The bytes after the function code; classes of the program itself override it."""
+        """Return the bytes after the function code; classes of the program itself override this method."""
         return b""
 
     def decode(self, data: bytes) -> None:
-        """Take the values from the bytes after the function code; classes of the program itself override it."""
+        """Set the values from the bytes after the function code; classes of the program itself override this method."""
 
     def to_request(self) -> Request:
-        """The message of busway that this request means. Raises `InvalidRequest`; nothing was sent."""
+        """Return the message of busway that this request means.
+
+        Raises:
+            InvalidRequest: a value is out of range; nothing was sent.
+        """
         return OpaqueRequest(self.function_code, self.encode())
 
     def response(self, reply: Any, own: "dict[int, type[ModbusPDU]]") -> "ModbusPDU":
-        """The response object for a reply message; ``own``: classes that the program registered, by code."""
+        """Return the response object for a reply message of busway.
+
+        Args:
+            reply: the reply.
+            own: classes that the program registered, by function code.
+
+        Raises:
+            ModbusIOException: no class is registered for the function.
+        """
         kind = own.get(self.function_code)
         if kind is None:
             raise ModbusIOException(f"no class is registered for function {self.function_code}", self.function_code)
@@ -144,7 +167,13 @@ ModbusResponse = ModbusPDU
 
 
 class ExceptionResult(ModbusPDU):
-    """An exception response of any function; pymodbus' name is ``ExceptionResponse``."""
+    """An exception response of any function; pymodbus' name is ``ExceptionResponse``.
+
+    Attributes:
+        original_code: function code of the request.
+        function_code: the same with 0x80 added.
+        exception_code: the reason of the device.
+    """
 
     def __init__(
         self, function_code: int, exception_code: int = 0, device_id: int = 1, transaction: int = 0, **names: Any
@@ -165,28 +194,29 @@ ExceptionResponse = ExceptionResult
 
 
 class KnownRequest(ModbusPDU):
-    """Base of the requests of standard functions: they name the class of their response."""
+    """Base of the requests of standard functions. ``responds`` is the class of their responses."""
 
     responds: ClassVar[type["KnownResponse"]]
 
     def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:
+        """Return the response object for a reply message of busway; ``own`` has no effect for standard functions."""
         response = self.responds(dev_id=self.dev_id)
         response.take(reply)
         return response
 
 
 class KnownResponse(ModbusPDU):
-    """Base of the responses of standard functions: they take their values from busway's reply."""
+    """Base of the responses of standard functions, which are filled from busway's replies."""
 
     def take(self, reply: Any) -> None:
-        """Take the values of a reply, which is of the class that the request's message names."""
+        """Set the values from a reply, which is of the class that belongs to the request's message."""
 
 
 # --- bits -------------------------------------------------------------------------------------------------------------
 
 
 class ReadCoilsResponse(KnownResponse):
-    """01: ``bits``, as many as whole bytes hold."""
+    """Response of function 01, read coils: their states in ``bits``, filled up to whole bytes."""
 
     function_code: int = 1
 
@@ -194,18 +224,18 @@ class ReadCoilsResponse(KnownResponse):
         self.fill(bits=unpack_bits(reply.data, 8 * len(reply.data)))
 
     def getBit(self, address: int) -> bool:
-        """One of the bits, by its position."""
+        """Return the bit at the position ``address`` in the response, from 0 on."""
         return self.bits[address]
 
 
 class ReadDiscreteInputsResponse(ReadCoilsResponse):
-    """02: ``bits``, as many as whole bytes hold."""
+    """Response of function 02, read discrete inputs: their states in ``bits``, filled up to whole bytes."""
 
     function_code: int = 2
 
 
 class ReadCoilsRequest(KnownRequest):
-    """01: ``count`` coils from ``address`` on."""
+    """Request of function 01: read ``count`` coils from ``address`` on."""
 
     function_code: int = 1
     responds: ClassVar[type[KnownResponse]] = ReadCoilsResponse
@@ -220,7 +250,7 @@ class ReadCoilsRequest(KnownRequest):
 
 
 class ReadDiscreteInputsRequest(ReadCoilsRequest):
-    """02: ``count`` discrete inputs from ``address`` on."""
+    """Request of function 02: read ``count`` discrete inputs from ``address`` on."""
 
     function_code: int = 2
     responds: ClassVar[type[KnownResponse]] = ReadDiscreteInputsResponse
@@ -230,7 +260,7 @@ class ReadDiscreteInputsRequest(ReadCoilsRequest):
 
 
 class WriteSingleCoilResponse(KnownResponse):
-    """05: repeats ``address`` and the state in ``bits``; ``value`` is that state."""
+    """Response of function 05, write single coil: repeats ``address`` and the state, in ``bits`` and ``value``."""
 
     function_code: int = 5
 
@@ -244,7 +274,7 @@ class WriteSingleCoilResponse(KnownResponse):
 
 
 class WriteSingleCoilRequest(KnownRequest):
-    """05: one coil."""
+    """Request of function 05: write one coil. Its state is ``bits``, or the older argument ``value``."""
 
     function_code: int = 5
     responds: ClassVar[type[KnownResponse]] = WriteSingleCoilResponse
@@ -266,7 +296,7 @@ class WriteSingleCoilRequest(KnownRequest):
 
 
 class WriteMultipleCoilsResponse(KnownResponse):
-    """15: the range that was written."""
+    """Response of function 15, write multiple coils: ``address`` and ``count`` of the coils that were written."""
 
     function_code: int = 15
 
@@ -275,7 +305,7 @@ class WriteMultipleCoilsResponse(KnownResponse):
 
 
 class WriteMultipleCoilsRequest(KnownRequest):
-    """15: coils from ``address`` on."""
+    """Request of function 15: write coils from ``address`` on. States: ``bits``, or the older argument ``values``."""
 
     function_code: int = 15
     responds: ClassVar[type[KnownResponse]] = WriteMultipleCoilsResponse
@@ -297,7 +327,11 @@ class WriteMultipleCoilsRequest(KnownRequest):
 
 
 def state(value: object) -> bool:
-    """A coil's state from what pymodbus takes for one: numbers are true unless 0; a text is refused."""
+    """Return a coil's state from a value that pymodbus accepts: numbers are True unless 0.
+
+    Raises:
+        InvalidRequest: the value is no state, such as a text.
+    """
     return bool(value) if isinstance(value, int) else as_state("value", value)
 
 
@@ -305,7 +339,7 @@ def state(value: object) -> bool:
 
 
 class ReadHoldingRegistersResponse(KnownResponse):
-    """03: ``registers``."""
+    """Response of function 03, read holding registers: their values in ``registers``."""
 
     function_code: int = 3
 
@@ -313,24 +347,24 @@ class ReadHoldingRegistersResponse(KnownResponse):
         self.fill(registers=reply.registers)
 
     def getRegister(self, index: int) -> int:
-        """One of the registers, by its position."""
+        """Return the register at the position ``index`` in the response, from 0 on."""
         return self.registers[index]
 
 
 class ReadInputRegistersResponse(ReadHoldingRegistersResponse):
-    """04: ``registers``."""
+    """Response of function 04, read input registers: their values in ``registers``."""
 
     function_code: int = 4
 
 
 class ReadWriteMultipleRegistersResponse(ReadHoldingRegistersResponse):
-    """23: ``registers`` that were read."""
+    """Response of function 23, read/write multiple registers: the values that were read in ``registers``."""
 
     function_code: int = 23
 
 
 class ReadHoldingRegistersRequest(KnownRequest):
-    """03: ``count`` holding registers from ``address`` on."""
+    """Request of function 03: read ``count`` holding registers from ``address`` on."""
 
     function_code: int = 3
     responds: ClassVar[type[KnownResponse]] = ReadHoldingRegistersResponse
@@ -345,7 +379,7 @@ class ReadHoldingRegistersRequest(KnownRequest):
 
 
 class ReadInputRegistersRequest(ReadHoldingRegistersRequest):
-    """04: ``count`` input registers from ``address`` on."""
+    """Request of function 04: read ``count`` input registers from ``address`` on."""
 
     function_code: int = 4
     responds: ClassVar[type[KnownResponse]] = ReadInputRegistersResponse
@@ -355,7 +389,7 @@ class ReadInputRegistersRequest(ReadHoldingRegistersRequest):
 
 
 class WriteSingleRegisterResponse(KnownResponse):
-    """06: repeats ``address`` and the value in ``registers``; ``value`` is that value."""
+    """Response of function 06, write single register: repeats ``address`` and ``value`` (also in ``registers``)."""
 
     function_code: int = 6
 
@@ -369,7 +403,10 @@ class WriteSingleRegisterResponse(KnownResponse):
 
 
 class WriteSingleRegisterRequest(KnownRequest):
-    """06: one holding register. Its value may be two bytes, as a payload builder gives them."""
+    """Request of function 06: write one holding register.
+
+    Its value is ``registers``, or the older argument ``value``: a number, or two bytes of a payload builder.
+    """
 
     function_code: int = 6
     responds: ClassVar[type[KnownResponse]] = WriteSingleRegisterResponse
@@ -390,7 +427,7 @@ class WriteSingleRegisterRequest(KnownRequest):
 
 
 class WriteMultipleRegistersResponse(KnownResponse):
-    """16: the range that was written."""
+    """Response of function 16, write multiple registers: ``address`` and ``count`` of the written registers."""
 
     function_code: int = 16
 
@@ -399,7 +436,10 @@ class WriteMultipleRegistersResponse(KnownResponse):
 
 
 class WriteMultipleRegistersRequest(KnownRequest):
-    """16: holding registers from ``address`` on. Values may be pairs of bytes, as a payload builder gives them."""
+    """Request of function 16: write holding registers from ``address`` on.
+
+    Their values are ``registers``, or the older argument ``values``: numbers, or pairs of bytes of a payload builder.
+    """
 
     function_code: int = 16
     responds: ClassVar[type[KnownResponse]] = WriteMultipleRegistersResponse
@@ -420,13 +460,13 @@ class WriteMultipleRegistersRequest(KnownRequest):
 
 
 def numbers(values: Any) -> list[int]:  # what programs pass: a number, two bytes, or a sequence of either
-    """Registers as numbers, from one number, two bytes, or a sequence of either."""
+    """Return registers as a list of numbers, from one number, two bytes, or a sequence of either."""
     found = [values] if isinstance(values, int | bytes) else list(values)
     return [int.from_bytes(one, "big") if isinstance(one, bytes) else one for one in found]
 
 
 class MaskWriteRegisterResponse(KnownResponse):
-    """22: repeats ``address``, ``and_mask`` and ``or_mask``."""
+    """Response of function 22, mask write register: repeats ``address``, ``and_mask`` and ``or_mask``."""
 
     function_code: int = 22
     and_mask: int = 0xFFFF
@@ -437,7 +477,7 @@ class MaskWriteRegisterResponse(KnownResponse):
 
 
 class MaskWriteRegisterRequest(KnownRequest):
-    """22: (register AND ``and_mask``) OR (``or_mask`` AND NOT ``and_mask``)."""
+    """Request of function 22: set a register to (old AND ``and_mask``) OR (``or_mask`` AND NOT ``and_mask``)."""
 
     function_code: int = 22
     responds: ClassVar[type[KnownResponse]] = MaskWriteRegisterResponse
@@ -460,7 +500,10 @@ class MaskWriteRegisterRequest(KnownRequest):
 
 
 class ReadWriteMultipleRegistersRequest(KnownRequest):
-    """23: writes registers, then reads some."""
+    """Request of function 23: write holding registers, then read ``read_count`` of them from ``read_address`` on.
+
+    ``write_registers`` are the values to write from ``write_address`` on.
+    """
 
     function_code: int = 23
     responds: ClassVar[type[KnownResponse]] = ReadWriteMultipleRegistersResponse
@@ -488,7 +531,7 @@ class ReadWriteMultipleRegistersRequest(KnownRequest):
 
 
 class ReadFifoQueueResponse(KnownResponse):
-    """24: the queue in ``values``, the oldest first."""
+    """Response of function 24, read FIFO queue: its registers in ``values`` and ``registers``, the oldest first."""
 
     function_code: int = 24
 
@@ -499,7 +542,7 @@ class ReadFifoQueueResponse(KnownResponse):
 
 
 class ReadFifoQueueRequest(KnownRequest):
-    """24: the queue at ``address``."""
+    """Request of function 24: read the FIFO queue at ``address``."""
 
     function_code: int = 24
     responds: ClassVar[type[KnownResponse]] = ReadFifoQueueResponse
@@ -518,7 +561,14 @@ class ReadFifoQueueRequest(KnownRequest):
 class FileRecord:
     """A part of a file: its place, and its data or its length.
 
-    ``record_length`` is given in bytes and kept in registers, as pymodbus does it.
+    Attributes:
+        file_number: number of the file.
+        record_number: first register of the part in the file.
+        record_data: the data; empty for a part to be read.
+        record_length: length of the part; given in bytes and kept in registers, as pymodbus does it.
+
+    Raises:
+        ModbusException: data and length are both given, or are no whole number of registers.
     """
 
     file_number: int = 0
@@ -536,7 +586,7 @@ class FileRecord:
 
 
 class ReadFileRecordResponse(KnownResponse):
-    """20: ``records`` with their data, in the order of the request."""
+    """Response of function 20, read file record: ``records`` with their data, in the order of the request."""
 
     function_code: int = 20
 
@@ -547,7 +597,7 @@ class ReadFileRecordResponse(KnownResponse):
 
 
 class ReadFileRecordRequest(KnownRequest):
-    """20: parts of files."""
+    """Request of function 20: read parts of files."""
 
     function_code: int = 20
     responds: ClassVar[type[KnownResponse]] = ReadFileRecordResponse
@@ -565,7 +615,7 @@ class ReadFileRecordRequest(KnownRequest):
 
 
 class WriteFileRecordResponse(KnownResponse):
-    """21: repeats the ``records``."""
+    """Response of function 21, write file record: repeats the ``records``."""
 
     function_code: int = 21
 
@@ -576,7 +626,7 @@ class WriteFileRecordResponse(KnownResponse):
 
 
 class WriteFileRecordRequest(KnownRequest):
-    """21: data of parts of files."""
+    """Request of function 21: write parts of files."""
 
     function_code: int = 21
     responds: ClassVar[type[KnownResponse]] = WriteFileRecordResponse
@@ -597,7 +647,10 @@ class WriteFileRecordRequest(KnownRequest):
 
 
 class ReadDeviceInformationResponse(KnownResponse):
-    """43/14: ``information`` by object number, and where to continue if ``more_follows``."""
+    """Response of function 43/14, read device identification: the objects in ``information``, by number.
+
+    Several values of one object are a list. If ``more_follows``, a request from ``next_object_id`` on continues.
+    """
 
     function_code: int = 43
     sub_function_code: int = 14
@@ -626,7 +679,7 @@ class ReadDeviceInformationResponse(KnownResponse):
 
 
 class ReadDeviceInformationRequest(KnownRequest):
-    """43/14: identification objects of a level, from ``object_id`` on."""
+    """Request of function 43/14: read the identification objects of a level (``read_code``), from ``object_id`` on."""
 
     function_code: int = 43
     sub_function_code: int = 14
@@ -644,7 +697,7 @@ class ReadDeviceInformationRequest(KnownRequest):
 
 
 class ReadExceptionStatusResponse(KnownResponse):
-    """07: ``status``, eight bits that the device defines."""
+    """Response of function 07, read exception status: eight bits that the device defines, in ``status``."""
 
     function_code: int = 7
 
@@ -653,7 +706,7 @@ class ReadExceptionStatusResponse(KnownResponse):
 
 
 class GetCommEventCounterResponse(KnownResponse):
-    """11: ``status``, whether the device is ready, and ``count``."""
+    """Response of function 11, get comm event counter: ``status``, whether the device is ready, and ``count``."""
 
     function_code: int = 11
 
@@ -662,7 +715,10 @@ class GetCommEventCounterResponse(KnownResponse):
 
 
 class GetCommEventLogResponse(KnownResponse):
-    """12: ``status``, ``event_count``, ``message_count``, and ``events``, the newest first."""
+    """Response of function 12, get comm event log: the log in ``events``, the newest first, and its counters.
+
+    ``status`` is whether the device is ready; ``event_count`` and ``message_count`` are its counters.
+    """
 
     function_code: int = 12
 
@@ -680,7 +736,7 @@ class GetCommEventLogResponse(KnownResponse):
 
 
 class ReportDeviceIdResponse(KnownResponse):
-    """17: ``identifier``, what the device says of itself, and ``status``, whether it runs."""
+    """Response of function 17, report server ID: ``identifier``, and ``status``, whether the device runs."""
 
     function_code: int = 17
 
@@ -693,7 +749,7 @@ class ReportDeviceIdResponse(KnownResponse):
 
 
 class PlainRequest(KnownRequest):
-    """Base of the requests that have no fields."""
+    """Base of the requests without fields. ``message`` is the class of busway's message."""
 
     message: ClassVar[type[Request]]
 
@@ -705,7 +761,7 @@ class PlainRequest(KnownRequest):
 
 
 class ReadExceptionStatusRequest(PlainRequest):
-    """07."""
+    """Request of function 07: read eight status bits of the device."""
 
     function_code: int = 7
     responds: ClassVar[type[KnownResponse]] = ReadExceptionStatusResponse
@@ -713,7 +769,7 @@ class ReadExceptionStatusRequest(PlainRequest):
 
 
 class GetCommEventCounterRequest(PlainRequest):
-    """11."""
+    """Request of function 11: read the counter of communication events."""
 
     function_code: int = 11
     responds: ClassVar[type[KnownResponse]] = GetCommEventCounterResponse
@@ -721,7 +777,7 @@ class GetCommEventCounterRequest(PlainRequest):
 
 
 class GetCommEventLogRequest(PlainRequest):
-    """12."""
+    """Request of function 12: read the log of communication events."""
 
     function_code: int = 12
     responds: ClassVar[type[KnownResponse]] = GetCommEventLogResponse
@@ -729,7 +785,7 @@ class GetCommEventLogRequest(PlainRequest):
 
 
 class ReportDeviceIdRequest(PlainRequest):
-    """17."""
+    """Request of function 17: read the server ID of the device."""
 
     function_code: int = 17
     responds: ClassVar[type[KnownResponse]] = ReportDeviceIdResponse
@@ -737,7 +793,7 @@ class ReportDeviceIdRequest(PlainRequest):
 
 
 class DiagnosticResponse(KnownResponse):
-    """08: ``message``, the data as a number, or as bytes for sub-function 00."""
+    """Response of function 08, diagnostics: the data in ``message``, as a number, or as bytes for sub-function 00."""
 
     function_code: int = 8
     message: Any = 0  # a number, or bytes
@@ -749,7 +805,10 @@ class DiagnosticResponse(KnownResponse):
 
 
 class DiagnosticBase(KnownRequest):
-    """08 with a sub-function and its data: a number, bytes, or a sequence of numbers."""
+    """Request of function 08: diagnostics with a sub-function and its data, ``message``.
+
+    The data are a number, bytes, or a sequence of numbers.
+    """
 
     function_code: int = 8
     responds: ClassVar[type[KnownResponse]] = DiagnosticResponse
@@ -773,6 +832,7 @@ class DiagnosticBase(KnownRequest):
         return diagnostic_request(self.sub_function_code, message)
 
     def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:
+        """Return the response object for a reply message of busway; ``own`` has no effect for standard functions."""
         response = DiagnosticResponse(dev_id=self.dev_id)
         response.sub_function_code = self.sub_function_code
         response.take(reply)
@@ -797,7 +857,7 @@ SUB_FUNCTIONS: dict[str, int] = {
     "read_iop_overrun_count": 0x13,  # the specification keeps it reserved
     "clear_overrun_counter": DiagnosticCode.CLEAR_OVERRUN,
 }
-"""The sub-functions of 08 by the names that pymodbus' clients have for them, after ``diag_``."""
+"""The sub-function codes of function 08, by the name after ``diag_`` of pymodbus' calls."""
 
 __path__: list[str] = []
 """Names of modules below this one are served by `aliases`."""

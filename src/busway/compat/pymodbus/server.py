@@ -3,9 +3,10 @@
 Knows contexts and how requests read and write them; knows no bytes and no socket.
 
 1. A request reads and writes through ``getValues`` and ``setValues`` of the unit's context when it comes, in the event
-   loop of the server, so what a program changes meanwhile is seen, and what it overrides is called.
-2. What a context does not have is exception 02, what it raises 04, a code that it returns that code.
-3. Requests that no context answers (files, queues) are exception 01; 43/14 and 17 are answered from the identification.
+   loop of the server: it sees every change of the program, and calls the methods that the program overrides.
+2. Addresses that a context does not have are answered 02, an error that it raises 04, and a code that it returns is
+   the exception code of the answer.
+3. Requests that no context can answer (files, queues) are answered 01; 43/14 and 17 from the identification.
 """
 
 import asyncio
@@ -55,11 +56,17 @@ IGNORED = frozenset(
         "trace_pdu",
     }
 )
-"""Arguments of some release of pymodbus that change nothing here."""
+"""Arguments of some release of pymodbus that have no effect here."""
 
 
 class ContextModel:
-    """One unit's context as what a request reads and writes (`busway.pdu.model`)."""
+    """The context of one unit, as the data model that requests read and write (`busway.pdu.model`).
+
+    Args:
+        store: the context.
+        function: function code of the request.
+        identity: identification objects by number.
+    """
 
     def __init__(self, store: Any, function: int, identity: Mapping[int, bytes]) -> None:
         self._store = store
@@ -67,7 +74,7 @@ class ContextModel:
         self._identity = identity
 
     def _code(self, table: Table) -> int:
-        """The function code that names the table to the context: the request's own where it means this table."""
+        """Return the function code that names the table to the context: the request's own, if it means this table."""
         decode = getattr(self._store, "decode", None)
         reading = READING_CODE[table]
         if decode is None:
@@ -78,13 +85,13 @@ class ContextModel:
         return reading
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Refuse a range that the context does not have."""
+        """Raise `Refusal` with code 02 for a range that the context does not have."""
         validate = getattr(self._store, "validate", None)
         if address + count > 0x10000 or (validate is not None and not validate(self._code(table), address, count)):
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """The values of a range in wire order."""
+        """Return the values of a range in wire order. Raises `Refusal` for a code that the context returns."""
         self.check(table, address, count, False)
         values = self._store.getValues(self._code(table), address, count)
         if isinstance(values, int):
@@ -97,7 +104,7 @@ class ContextModel:
         return b"".join((int(value) & 0xFFFF).to_bytes(2, "big") for value in found)
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        """Give the values of a write to the context."""
+        """Pass the values of a write to the context. Raises `Refusal` for a code that the context returns."""
         values: list[int] | list[bool] = (
             unpack_bits(data, count)
             if table in BIT_TABLES
@@ -108,36 +115,42 @@ class ContextModel:
             raise Refusal(code)
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """Refuse: contexts have no files."""
+        """Raise `Refusal` with code 01: contexts have no files."""
         raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """Refuse: contexts have no files."""
+        """Raise `Refusal` with code 01: contexts have no files."""
         raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """Refuse: contexts have no queues."""
+        """Raise `Refusal` with code 01: contexts have no queues."""
         raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
 
     def exception_status(self) -> int:
-        """Status bits of function 07: none is set."""
+        """Return the status bits of function 07: 0, as contexts have none."""
         return 0
 
     def server_id(self) -> bytes:
-        """The texts of the identification, joined, and the run indicator."""
+        """Return the data of function 17: the identification objects joined by ``-``, and the run indicator FF."""
         return (b"-".join(self._identity.values()) or b"busway")[:250] + RUNS
 
     def identification(self) -> Mapping[int, bytes]:
-        """The identification objects."""
+        """Return the identification objects by number."""
         return self._identity
 
     def canopen(self, data: bytes) -> bytes:
-        """Refuse: there is no CANopen behind contexts."""
+        """Raise `Refusal` with code 01: contexts have no CANopen."""
         raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
 
 
 class ContextResponder:
-    """Responder that executes requests on the contexts of a program."""
+    """Responder that executes requests on the contexts of a program.
+
+    Args:
+        context: the contexts by unit.
+        identity: identification of the server; None for an empty one.
+        silent: whether requests to units without a context get no reply; otherwise they are answered 0B.
+    """
 
     def __init__(self, context: ModbusServerContext, identity: ModbusDeviceIdentification | None, silent: bool) -> None:
         self.functions: FunctionTable = STANDARD
@@ -147,11 +160,14 @@ class ContextResponder:
         self._silent = silent
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """The unit, if a context answers for it."""
+        """Return the unit if a context answers for it; otherwise None."""
         return ServedUnit(unit) if unit in self._context else None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Execute a request on the context of its unit."""
+        """Execute a request on the context of its unit, and return the reply.
+
+        `SILENCE` if none is to be sent. Raises `Refusal` with the exception code to answer.
+        """
         try:
             store = self._context[context.unit]
         except (NoSuchIdException, KeyError):
@@ -177,7 +193,21 @@ class ContextResponder:
 
 
 class ModbusBaseServer:
-    """Base of the servers: made from a context, started by ``serve_forever``, ended by ``shutdown``."""
+    """Base of the servers: created in an event loop, started by ``serve_forever``, ended by ``shutdown``.
+
+    Args:
+        context: the contexts by unit.
+        framer: the framing, as `framer_type_of` understands it; None for that of the class.
+        identity: identification of the server.
+        address: host and port to listen on; None for all addresses and the port of the class.
+        ignore_missing_devices, ignore_missing_slaves: whether requests to units without a context get no reply.
+        broadcast_enable: has no effect.
+        custom_pdu: must be empty; busway serves functions of the program by ``busway.serve(functions=…)``.
+
+    Raises:
+        TypeError: an argument of no release of pymodbus.
+        ParameterException: ``custom_pdu`` or ``framer`` cannot be used.
+    """
 
     carrier: ClassVar[str]
     default_framer: ClassVar[FramerType] = FramerType.SOCKET
@@ -221,11 +251,15 @@ class ModbusBaseServer:
 
     @property
     def endpoints(self) -> list[str]:
-        """The URLs that the server listens on, with the port that is really bound."""
+        """The URLs that the server listens on, with the ports that are bound."""
         return self._server.endpoints
 
     async def serve_forever(self, *, background: bool = False) -> None:
-        """Serve until ``shutdown``; with ``background`` return as soon as the server listens."""
+        """Serve until ``shutdown`` is called; with ``background``, return as soon as the server listens.
+
+        Raises:
+            RuntimeError: the server is running already.
+        """
         if self._server.is_running:
             raise RuntimeError("Can't call serve_forever on an already running server object")
         await self._server.start()
@@ -237,7 +271,7 @@ class ModbusBaseServer:
             await self._server.stop()
 
     async def shutdown(self) -> None:
-        """Stop serving; ``serve_forever`` returns."""
+        """Stop the server; ``serve_forever`` returns then."""
         try:
             await self._server.stop()
         finally:
@@ -245,20 +279,21 @@ class ModbusBaseServer:
 
 
 class ModbusTcpServer(ModbusBaseServer):
-    """Server over TCP."""
+    """Server over TCP, with MBAP, RTU or ASCII framing."""
 
     carrier: ClassVar[str] = "tcp"
 
 
 class ModbusUdpServer(ModbusBaseServer):
-    """Server over UDP."""
+    """Server over UDP, with MBAP, RTU or ASCII framing."""
 
     carrier: ClassVar[str] = "udp"
 
 
 class ModbusTlsServer(ModbusBaseServer):
-    """Server over TLS; ``sslctx`` is what ``generate_ssl`` of a TLS client made, or ``certfile`` and ``keyfile``.
+    """Server over TLS (Modbus/TCP Security).
 
+    ``sslctx`` is what ``generate_ssl`` of a TLS client returned; or ``certfile`` and ``keyfile`` name the files.
     ``authority`` names the file with the authorities of clients' certificates, which are always verified.
     """
 
@@ -274,7 +309,7 @@ class ModbusTlsServer(ModbusBaseServer):
 
 
 class ModbusSerialServer(ModbusBaseServer):
-    """Server on a serial port."""
+    """Server on a serial port, with RTU or ASCII framing; its ``port`` is the name of the port."""
 
     default_framer: ClassVar[FramerType] = FramerType.RTU
 
@@ -335,7 +370,11 @@ def StartSerialServer(context: ModbusServerContext | None = None, **names: Any) 
 
 
 async def ServerAsyncStop() -> None:
-    """Stop the server that was made last. Raises ``RuntimeError`` if there is none."""
+    """Stop the server that was created last; call it in the event loop of that server.
+
+    Raises:
+        RuntimeError: there is no server.
+    """
     server, ModbusBaseServer.active_server = ModbusBaseServer.active_server, None
     if server is None:
         raise RuntimeError("Modbus server not running.")
@@ -343,7 +382,11 @@ async def ServerAsyncStop() -> None:
 
 
 def ServerStop() -> None:
-    """Stop the server that was made last, from another thread, and wait until it has stopped."""
+    """Stop the server that was created last, and wait until it has stopped; call it in another thread.
+
+    Raises:
+        RuntimeError: there is no server.
+    """
     server = ModbusBaseServer.active_server
     if server is None:
         raise RuntimeError("Modbus server not running.")
