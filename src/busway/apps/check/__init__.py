@@ -1,15 +1,15 @@
-"""`busway check`: asks a device what the specification asks for, and says what it does not do.
+"""`busway check`: tests whether a device does what the specifications ask for, and reports what it does not do.
 
 ============  ==========================================================================================
-`check`       What a check is, and what comes of it: plain data
+`check`       What a check is, and its result: plain data
 `catalogue`   The checks: made for a target, in the order in which they run
 `clauses`     The clauses that checks belong to, in a few words each
 `frames`      Frames of checks: requests as bytes, also damaged ones, and replies found in what was received
 `judgement`   Judges what came back for a request: which facets of the exchange are wrong
 `wire`        Connections over which checks send bytes as they are: TCP, TLS and serial ports
 `tls_wire`    Connections whose TLS handshake a secure device must refuse: old versions, weak suites, no certificate
-`run`         Runs checks against a device, one after the other, and says what came of each
-`summary`     What came of a run: counts, comparison with an earlier run, and whether the device passed
+`run`         Runs checks against a device, one after the other, and gives the result of each
+`summary`     The results of a run: counts, comparison with an earlier run, and whether the device passed
 `reports`     Reports of a run: Markdown, JSON, JUnit XML and HTML
 ============  ==========================================================================================
 

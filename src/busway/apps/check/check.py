@@ -1,9 +1,9 @@
-"""What a check is, and what comes of it: plain data.
+"""What a check of a device is, and its result: plain data.
 
 Knows PDUs as bytes and the words of reports; knows no connection, no framing and no time.
 
 1. A check belongs to one clause and is of one level. It is a must only if the clause is one.
-2. Its steps say what is sent and what may come back. Whatever else comes is a failure, or a warning for a should.
+2. Its steps say what is sent and what may come back. Anything else is a failure, or a warning for a should.
 3. A basic check is about one facet of every reply, such as its transaction identifier. The others assume what the basic
    checks have shown, so one defect fails one check and not all.
 """
@@ -24,20 +24,30 @@ class Level(IntEnum):
     DIAG = 1
     """Diagnostics, unknown functions, damaged frames and broken streams too."""
     WRITE = 2
-    """Writes to the scratch items too."""
+    """Writes to the scratch items too: registers and coils that the user has named for writing."""
     DISRUPTIVE = 3
-    """Also what may stop a device, reset its counters, or write beyond the scratch items if it is careless."""
+    """Also requests that may stop a device, reset its counters, or write beyond the scratch items if a device executes
+    what it must refuse."""
 
 
 class Strength(Enum):
-    """How strongly the documents ask for something."""
+    """How strongly the specifications ask for what a check tests; a failed should is only a warning."""
 
     MUST = "must"
     SHOULD = "should"
 
 
 class Outcome(Enum):
-    """What came of a check."""
+    """The outcome of a check; the value is the word that reports show.
+
+    Attributes:
+        PASSED: the device does what is asked for.
+        FAILED: it does not, and the check is a must.
+        WARNED: it does not, and the check is a should.
+        NOT_OFFERED: the device does not have the function that the check is about.
+        UNDECIDED: nothing can be said, such as after an earlier failure.
+        ABORTED: the device no longer answers, or no longer did when the check was to run.
+    """
 
     PASSED = "pass"
     FAILED = "fail"
@@ -48,7 +58,17 @@ class Outcome(Enum):
 
 
 class Facet(Enum):
-    """Parts of an exchange that can be wrong by themselves, in the order in which they are looked at."""
+    """Parts of an exchange that can be wrong by themselves, in the order in which they are judged.
+
+    Attributes:
+        ANSWERED: a reply came in time, or silence where that is accepted.
+        CLEAN: nothing else came: no other bytes, no second reply.
+        TRANSACTION: the reply has the transaction identifier of the request.
+        PROTOCOL: the protocol identifier of the reply is 0.
+        UNIT: the reply is of the unit that was asked.
+        FORM: function code and length of the reply fit the request.
+        CONTENT: the reply is one that the check accepts.
+    """
 
     ANSWERED = "answered"
     CLEAN = "clean"
@@ -60,7 +80,7 @@ class Facet(Enum):
 
 
 class FrameDamage(Enum):
-    """How the frame of a request is damaged on purpose."""
+    """How the frame of a request is damaged on purpose; the value describes the damage for reports."""
 
     PROTOCOL_1 = "protocol identifier 1"
     PROTOCOL_FFFF = "protocol identifier FFFF"
@@ -87,7 +107,7 @@ class FrameDamage(Enum):
 
 
 class TlsChange(Enum):
-    """How a connection differs from the one that a device has to accept, on purpose."""
+    """How a connection differs, on purpose, from one that a secure device must accept; the value is for reports."""
 
     PLAIN = "without TLS"
     TLS_1_0 = "by TLS 1.0"
@@ -104,15 +124,15 @@ class TlsChange(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Accepts:
-    """What may come back for one request.
+    """What a device may do after one request; anything else is a fault. As text: the possibilities in words.
 
     Attributes:
-        reply: whether a normal reply may come. Its form is checked against the request where the request is valid.
+        reply: whether a normal reply may come. Its form is checked against the request if the request is valid.
         exact: the only PDU that a normal reply may have; None for any.
         exceptions: the exception codes that may come.
-        silence: whether nothing may come.
-        closed: whether the device may close the connection instead.
-        wrong_with: says what is wrong with the PDU of a normal reply; an empty text for nothing.
+        silence: whether the device may not answer.
+        closed: whether the device may close the connection instead of answering.
+        wrong_with: returns what is wrong with the PDU of a normal reply, empty if nothing is; None for no such test.
     """
 
     reply: bool = False
@@ -136,15 +156,15 @@ class Accepts:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Send one request and judge what comes back.
+    """Step of a check: send one request and judge what comes back.
 
     Attributes:
-        pdu: the request.
+        pdu: the PDU of the request; it need not be valid.
         accepts: what may come back.
-        unit: instead of the unit that is checked.
-        transaction: identifier, instead of the next one.
-        damage: what is done to its frame.
-        pieces: offsets at which the frame is cut; the pieces are sent one after the other.
+        unit: unit identifier of the request; None for the unit that is checked.
+        transaction: transaction identifier of the request; None for the next one.
+        damage: how the frame is damaged; None for a correct frame.
+        pieces: offsets at which the frame is cut; the pieces are sent one after the other. Empty for no cut.
     """
 
     pdu: bytes
@@ -157,24 +177,29 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """Send several requests in one write; each must be answered, in any order, 06 being an answer too."""
+    """Step of a check: send several requests at once; each must be answered, in any order, if only by exception 06."""
 
     pdus: tuple[bytes, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Idle:
-    """Send nothing for the idle time of the run."""
+    """Step of a check: send nothing for the idle time of the run (`Pace.idle`)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Reopen:
-    """Close the connection and make a new one."""
+    """Step of a check: close the connection and open a new one."""
 
 
 @dataclass(frozen=True, slots=True)
 class BesideIt:
-    """Ask over a second connection while the first stays open; ``change`` is what differs in its handshake."""
+    """Step of a check: send a request over a second connection while the first stays open.
+
+    Attributes:
+        ask: the request.
+        change: how the handshake of the second connection breaks the rules of TLS; None for a correct one.
+    """
 
     ask: Ask
     change: TlsChange | None = None
@@ -182,7 +207,7 @@ class BesideIt:
 
 @dataclass(frozen=True, slots=True)
 class CutOff:
-    """Send the first bytes of a request and close the connection."""
+    """Step of a check: send the first ``size`` bytes of the frame of a request and close the connection."""
 
     pdu: bytes
     size: int
@@ -193,18 +218,18 @@ Step = Ask | Together | Idle | Reopen | BesideIt | CutOff
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that a device has to do.
+    """One check: something that a device has to do, and the steps that show whether it does.
 
     Attributes:
-        id: its name, unique.
-        clause: the clause that asks for it.
-        says: what the device does if it passes.
-        word: must or should.
+        id: unique name of the check.
+        clause: the clause of the specifications that asks for it, a key of `CLAUSES`.
+        says: what the device does if it passes, without a subject.
+        word: whether it is a must or a should.
         level: what it may do to the device.
         steps: what is sent, and what may come back.
-        facet: for a basic check, the facet of the reply that it is about.
-        function: the function that it is about; where the device answers 01, it is not offered.
-        opens: whether it shows that the device has the function at all; the function's other checks need it.
+        facet: for a basic check, the only facet of the replies that it judges; None for other checks.
+        function: the function code that it is about, which the device need not have; None for none.
+        opens: whether it shows that the device has the function at all; the function's other checks need its success.
     """
 
     id: str
@@ -219,7 +244,7 @@ class Check:
 
     @property
     def requests(self) -> Iterator[bytes]:
-        """The PDUs that it sends."""
+        """The PDUs that the steps `Ask` and `Together` of the check send, in order."""
         for step in self.steps:
             if isinstance(step, Ask):
                 yield step.pdu
@@ -228,7 +253,7 @@ class Check:
 
     @property
     def writes(self) -> bool:
-        """Whether it writes to the scratch items."""
+        """Whether the check sends a request that writes, so that the scratch items must be saved before."""
         return any(pdu[0] in _WRITING for pdu in self.requests)
 
 
@@ -237,7 +262,7 @@ _WRITING: Final = frozenset({5, 6, 15, 16, 22, 23})
 
 @dataclass(frozen=True, slots=True)
 class Items:
-    """Consecutive items of one table: the first address, 0-based, and how many."""
+    """Consecutive registers or bits of one table: the first address, 0-based, and how many."""
 
     table: Table
     address: int
@@ -246,14 +271,15 @@ class Items:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What the checks are made for.
+    """The device to be checked, as far as the choice and the contents of the checks depend on it.
 
     Attributes:
         framing: ``mbap``, ``rtu`` or ``ascii``.
-        has_connections: whether it can be connected to more than once.
-        unit: the unit that is checked.
-        probe: one item that can be read at any time.
-        registers, coils: items that may be written; None for none.
+        has_connections: whether it is reached by connections, which can be made again; False for a serial port.
+        unit: identifier of the unit that is checked.
+        probe: one register or bit that can be read at any time; reading it shows that the device lives.
+        registers: scratch registers, which checks may write; None for none.
+        coils: scratch coils, which checks may write; None for none.
         is_secure: whether it is reached over TLS.
     """
 
@@ -268,12 +294,12 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Bytes that were sent or received, and what they mean.
+    """Bytes that were sent or received in a check, or an event such as the end of the connection, for reports.
 
     Attributes:
         sent: True for bytes to the device, False for bytes from it.
-        data: the bytes; none where an event is told instead.
-        words: the dissector's words, or the event.
+        data: the bytes; empty for an event.
+        words: what the bytes mean, by the dissector; or the event.
     """
 
     sent: bool
@@ -283,13 +309,13 @@ class Evidence:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """What came of one check.
+    """The result of one check.
 
     Attributes:
         check: the check.
-        outcome: what came of it.
-        reason: why it did not pass, in one sentence.
-        evidence: what was sent and received.
+        outcome: its outcome.
+        reason: why it did not pass, in one sentence; empty if it passed.
+        evidence: what was sent and received, in order.
     """
 
     check: Check

@@ -2,9 +2,9 @@
 
 Knows the three framings; knows no function and no connection.
 
-1. A damage is one function from a whole frame to bytes, in one table per framing. What a framing has not is not asked.
-2. A receiver takes bytes of any quality and says what is in them: frames, bytes that are in no frame, and whether more
-   is needed. It judges nothing.
+1. A damage is one function from a whole frame to bytes, in one table per framing. Damages that make no sense for a
+   framing are not in its table.
+2. A search takes any bytes and finds what is in them: frames, and bytes that are in no frame. It judges nothing.
 """
 
 import re
@@ -25,7 +25,7 @@ from .check import FrameDamage
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One received frame: its addressing, its PDU, and the bytes that it was."""
+    """One received frame: unit identifier, PDU, the raw bytes, and on MBAP transaction and protocol identifier."""
 
     unit: int
     pdu: bytes
@@ -39,27 +39,27 @@ _AROUND_PDU: Final = 3
 
 
 class FrameSearch(Protocol):
-    """Finds frames in received bytes; one object for each connection."""
+    """Interface of a search for frames in the bytes received on one connection."""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Return the frames that ``data`` completes; ``function`` was asked last."""
+        """Take received bytes, and return the frames that they complete; ``function`` is the code asked for last."""
 
     def finish(self, function: int) -> list[Frame]:
-        """Return the frames that are complete because nothing more comes."""
+        """Return the frames that count as complete because nothing more comes; ``function`` as of `receive`."""
 
     def take_rest(self) -> bytes:
-        """Return and forget the bytes that are in no frame, or in an unfinished one."""
+        """Return the received bytes that are in no frame, or in an unfinished one, and forget them."""
 
 
 class MbapSearch:
-    """Finds frames in a stream of Modbus on TCP/IP."""
+    """Finds frames in a stream of Modbus on TCP/IP; arguments as of `FrameSearch`."""
 
     def __init__(self) -> None:
         self._receiver = MbapReceiver()
         self._broken = b""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Return the frames that ``data`` completes."""
+        """Take received bytes, and return the frames that they complete."""
         found = []
         for one in self._receiver.receive(data):
             if one.kind is FrameKind.BROKEN:
@@ -74,24 +74,30 @@ class MbapSearch:
         return []
 
     def take_rest(self) -> bytes:
-        """Return the bytes that break the stream, or the size of an unfinished frame as zeros."""
+        """Return the bytes that broke the stream, or else as many zero bytes as an unfinished frame has.
+
+        Nothing is forgotten: no frame can follow on a broken stream, and an unfinished frame may be completed.
+        """
         return self._broken or bytes(self._receiver.pending)
 
 
 class RtuSearch:
-    """Finds frames in the bytes of an RTU line: those whose CRC fits."""
+    """Finds frames in the bytes of an RTU line: those whose CRC fits. Arguments as of `FrameSearch`."""
 
     def __init__(self) -> None:
         self._kept = b""
         self._junk = b""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Return the frames that ``data`` completes. Behind junk, only frames of the function asked are looked for."""
+        """Take received bytes, and return the frames that they complete.
+
+        After bytes that begin no frame, only frames of the function asked for are searched.
+        """
         self._kept += data
         return self._found(function, is_over=False)
 
     def finish(self, function: int) -> list[Frame]:
-        """Return frames that are shorter than they announce, because nothing more comes."""
+        """Return frames whose CRC fits though they are shorter than they announce, because nothing more comes."""
         return self._found(function, is_over=True)
 
     def _found(self, function: int, *, is_over: bool) -> list[Frame]:
@@ -105,15 +111,15 @@ class RtuSearch:
         return found
 
     def take_rest(self) -> bytes:
-        """Return and forget the bytes that are in no frame."""
+        """Return the bytes that are in no frame, and forget them."""
         rest, self._kept, self._junk = self._junk + self._kept, b"", b""
         return rest
 
     def _next(self, function: int, *, is_over: bool) -> tuple[int, int] | None:
-        """Return where the next frame is.
+        """Return start and end of the next frame in the bytes kept; None if there is none yet.
 
-        The length that a reply announces comes first: where the second byte of a CRC is 0, which is so in one frame of
-        256, the CRC fits without it too.
+        The length that a reply announces is tried first: in one frame of 256 the second byte of the CRC is 0, and then
+        the CRC fits without this byte too. ``is_over``: nothing more comes.
         """
         data = self._kept
         for start in range(len(data) - 3):
@@ -136,14 +142,17 @@ class RtuSearch:
 
 
 class AsciiSearch:
-    """Finds frames in the characters of an ASCII line: those from colon to CR LF whose LRC fits."""
+    """Finds frames in the characters of an ASCII line: from colon to CR LF, with an LRC that fits.
+
+    Arguments as of `FrameSearch`.
+    """
 
     def __init__(self) -> None:
         self._kept = b""
         self._junk = b""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Return the frames that ``data`` completes."""
+        """Take received characters, and return the frames that they complete."""
         self._kept += data
         found = []
         while match := _ASCII_FRAME.search(self._kept):
@@ -161,7 +170,7 @@ class AsciiSearch:
         return []
 
     def take_rest(self) -> bytes:
-        """Return and forget the characters that are in no frame."""
+        """Return the characters that are in no frame, and forget them."""
         rest, self._kept, self._junk = self._junk + self._kept, b"", b""
         return rest
 
@@ -180,7 +189,7 @@ def _with_crc(body: bytes) -> bytes:
 
 
 def _ascii_damaged(change: _Damager) -> _Damager:
-    """FrameDamage the content of an ASCII frame, LRC included, and keep colon and end."""
+    """Return a function that changes the digits of an ASCII frame, LRC included, and keeps its colon and end."""
     return lambda frame: b":" + change(frame[1:-2]) + frame[-2:]
 
 
@@ -222,12 +231,20 @@ _ASCII: Final[Mapping[FrameDamage, _Damager]] = {
 
 
 def damages_of(framing: str) -> Mapping[FrameDamage, _Damager]:
-    """Return what can be damaged in a frame of this framing."""
+    """Return the damages that a framing has: for each the function that makes damaged bytes from a whole frame."""
     return {"mbap": _MBAP, "rtu": _RTU, "ascii": _ASCII}[framing]
 
 
 def encode_frame(framing: str, unit: int, pdu: bytes, transaction: int, damage: FrameDamage | None = None) -> bytes:
-    """Return the frame of a PDU, damaged if that is asked for."""
+    """Return the frame of a PDU, damaged if ``damage`` is given.
+
+    Args:
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+        unit: unit identifier.
+        pdu: the PDU; it need not be valid.
+        transaction: transaction identifier; not used by RTU and ASCII.
+        damage: one of `damages_of` this framing; None for a correct frame.
+    """
     if framing == "mbap":
         frame = encode_mbap(transaction, unit, pdu)
     else:
@@ -236,6 +253,6 @@ def encode_frame(framing: str, unit: int, pdu: bytes, transaction: int, damage: 
 
 
 def new_search(framing: str) -> FrameSearch:
-    """Return a new search for the frames of one connection."""
+    """Return a new search for frames of one connection; ``framing`` is ``mbap``, ``rtu`` or ``ascii``."""
     kinds: Mapping[str, Callable[[], FrameSearch]] = {"mbap": MbapSearch, "rtu": RtuSearch, "ascii": AsciiSearch}
     return kinds[framing]()

@@ -2,8 +2,8 @@
 
 Knows requests, frames and what a check accepts; knows no connection and no time.
 
-1. Every fault belongs to one facet. The facets are looked at in their order, and a later one only where the earlier
-   ones leave something to look at.
+1. Every finding belongs to one facet. Facets are judged in their order, and a later one only if the earlier ones leave
+   something to judge.
 2. The limits and lengths of replies are those of the project's own functions, so no rule is written twice.
 """
 
@@ -18,21 +18,22 @@ from .check import Accepts, Ask, Facet
 from .frames import Frame
 
 _NO_MATTER = (0, 255)
-"""Units of Modbus on TCP/IP to which any unit may answer (Messaging on TCP/IP V1.0b §4.4.2.1)."""
+"""Unit identifiers on Modbus TCP/IP to which the reply may have any other (Messaging on TCP/IP V1.0b §4.4.2.1)."""
 
 
 @dataclass(frozen=True, slots=True)
 class CheckedExchange:
-    """What was sent for one request, and what came back before the time was over.
+    """One request of a check as it was sent, and what came back in time.
 
     Attributes:
-        ask: the request.
-        unit, transaction: as it was sent.
-        sent: its frame.
-        frames: the frames that came.
-        rest: bytes that came and are in no whole frame.
+        ask: the step of the check: the request, and what may come back.
+        unit: unit identifier that was sent.
+        transaction: transaction identifier that was sent; without meaning on serial lines.
+        sent: the frame that was sent.
+        frames: the frames that came back.
+        rest: received bytes that are in no whole frame.
         closed: whether the device closed the connection.
-        is_deaf: whether a read behind the request was not answered, though it had to be.
+        is_deaf: whether the device did not answer a correct read sent after the request, though it had to.
     """
 
     ask: Ask
@@ -47,14 +48,19 @@ class CheckedExchange:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One facet of an exchange that is wrong, and how."""
+    """One fault of an exchange: the facet that is wrong, and what is wrong in words."""
 
     facet: Facet
     words: str
 
 
 def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
-    """Return what is wrong with an exchange; an empty list if all of it is accepted."""
+    """Return what is wrong with an exchange, by the order of facets; an empty list if the check accepts all of it.
+
+    Args:
+        exchange: the request and what came back.
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+    """
     accepts = exchange.ask.accepts
     if exchange.is_deaf:
         return [Finding(Facet.ANSWERED, "the read behind the request was not answered")]
@@ -71,13 +77,13 @@ def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
 
 
 def is_refused_function(exchange: CheckedExchange) -> bool:
-    """Whether the device answered that it has not this function, exception 01."""
+    """Whether the device answered exception 01: it does not have the function of the request."""
     own = [one for one in exchange.frames if one.transaction in (0, exchange.transaction)]
     return bool(own) and own[0].pdu == bytes((exchange.ask.pdu[0] | 0x80, 1))
 
 
 def _without_strangers(exchange: CheckedExchange, framing: str) -> tuple[Sequence[Frame], list[Finding]]:
-    """Return the frames that can be the reply, and faults for what else came."""
+    """Return the frames that can be the reply, and findings for everything else that came."""
     faults = []
     frames = list(exchange.frames)
     if framing == "mbap":
@@ -131,7 +137,7 @@ def _of_exception(pdu: bytes, accepts: Accepts) -> list[Finding]:
 
 
 def _wrong_form(asked: bytes, pdu: bytes) -> str:
-    """Return why a normal reply cannot answer a request by its lengths and limits; empty if it can."""
+    """Return why lengths or limits of a normal reply do not fit the request; empty if they do, or it is not valid."""
     request = STANDARD.decode_request(asked) if asked[0] < 0x80 else None
     if not isinstance(request, Request):
         return ""

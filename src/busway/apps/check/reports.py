@@ -1,6 +1,6 @@
 """Reports of a run: Markdown, JSON, JUnit XML and HTML, each as one text.
 
-Knows summaries; opens no file. What a device sent is shown as hexadecimal digits and in the dissector's words.
+Knows summaries; opens no file. Bytes of a device are shown as hexadecimal digits and in the dissector's words.
 """
 
 import html
@@ -14,30 +14,30 @@ from .clauses import CLAUSES
 from .summary import SCHEMA, Summary, by_clause
 
 _TOLD: Final = (Outcome.FAILED, Outcome.WARNED, Outcome.ABORTED)
-"""Outcomes whose evidence a report for people shows."""
+"""Outcomes of checks whose evidence Markdown and HTML reports show."""
 _LONGEST_HEX: Final = 40
 
 
 def hex_of(data: bytes) -> str:
-    """Return bytes as spaced hexadecimal digits, a long text cut."""
+    """Return bytes as spaced hexadecimal digits; of more than 40 bytes only the first 40, and how many there are."""
     shown = data[:_LONGEST_HEX].hex(" ")
     return shown if len(data) <= _LONGEST_HEX else f"{shown} … ({len(data)} bytes)"
 
 
 def line_of(evidence: Evidence) -> str:
-    """Return one piece of evidence as a line: direction, bytes, words."""
+    """Return one piece of evidence as a line: an arrow for the direction, the bytes, and what they mean."""
     if not evidence.data:
         return f"-- {evidence.words}"
     return f"{'->' if evidence.sent else '<-'} {hex_of(evidence.data)}   {evidence.words}"
 
 
 def counts_line(summary: Summary) -> str:
-    """Return how many checks had each outcome, as one line."""
+    """Return how many checks had each outcome, as one line such as ``80 pass, 2 fail``."""
     return ", ".join(f"{count} {outcome.value}" for outcome, count in summary.counts.items() if count)
 
 
 def markdown(summary: Summary) -> str:
-    """Return the report as Markdown."""
+    """Return the report as Markdown: a table of all checks, evidence of failures, and changes since the baseline."""
     lines = [
         f"# Check of {summary.endpoint}, unit {summary.unit}",
         "",
@@ -67,7 +67,7 @@ def markdown(summary: Summary) -> str:
 
 
 def as_json(summary: Summary) -> str:
-    """Return the report as JSON, which a later run can be compared with."""
+    """Return the report as JSON, with all evidence; `baseline_of` reads it for comparison with a later run."""
     report = {
         "schema": SCHEMA,
         "endpoint": summary.endpoint,
@@ -94,7 +94,11 @@ def _json_of(result: Result) -> dict[str, object]:
 
 
 def junit(summary: Summary) -> str:
-    """Return the report as JUnit XML: warnings are output, what was not decided is skipped."""
+    """Return the report as JUnit XML.
+
+    Failed checks are failures, aborted ones errors; warnings are only output; checks that are undecided or not offered
+    are skipped tests.
+    """
     counts = summary.counts
     skipped = counts[Outcome.NOT_OFFERED] + counts[Outcome.UNDECIDED]
     name = quoteattr(f"busway check {summary.endpoint} unit {summary.unit}")
@@ -130,7 +134,7 @@ _STYLE: Final = (
 
 
 def as_html(summary: Summary) -> str:
-    """Return the report as one HTML page, without scripts and without anything loaded from elsewhere."""
+    """Return the report as one HTML page that has no scripts and loads nothing."""
     title = html.escape(f"Check of {summary.endpoint}, unit {summary.unit}")
     parts = [
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>',
@@ -167,4 +171,4 @@ REPORTS: Final[Mapping[str, Callable[[Summary], str]]] = {
     "json": as_json,
     "md": markdown,
 }
-"""The forms of a report by the name that ``--report`` gives them."""
+"""The functions that make a report, by the name that ``--report`` has for the form."""

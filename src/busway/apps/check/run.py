@@ -1,14 +1,14 @@
-"""Runs checks against a device, one after the other, and says what came of each.
+"""Runs checks against a device, one after the other, and gives the result of each.
 
 Knows wires, frames, judgements and the clock; knows no single check.
 
-1. Basic checks come first. What one of them has shown to be wrong is not held against any other check: a wrong unit is
+1. Basic checks come first. A facet that one of them has shown to be wrong fails no other check: a wrong unit is
    overlooked, and after any other failure the rest is undecided.
 2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
-3. Silence is not waited for as long as a reply. Behind a request that may stay unanswered a read of the probe is sent,
-   after ``quiet`` seconds or as soon as something came; what comes before its reply was the answer. Two frames on a
-   line need that gap, and a device that drops one of two requests in a segment fails the checks about that alone. On a
-   serial line what may be answered is waited for, since no other frame may come between.
+3. To find out that a request is not answered takes less than the timeout: a read of the probe is sent after it, when
+   ``quiet`` seconds are over or something came; what comes before the reply of the probe is the answer. Two frames on a
+   line need that gap, and a device that drops one of two requests in a segment fails only the checks about that. On a
+   serial line the timeout is waited for if the request may be answered, since no other frame may come between.
 4. The scratch items are read before the first check that writes, written back after the last one, and read again.
 """
 
@@ -48,21 +48,21 @@ from .tls_wire import CannotOffer
 from .wire import Dialer, Wire
 
 _OVERLOOKED: Final = frozenset({Facet.UNIT, Facet.PROTOCOL})
-"""Facets that other checks can do without, once they are known to be wrong."""
+"""Facets that do not matter to other checks: after a basic check has failed in one of them, the others go on."""
 _LINES_TOO: Final = frozenset({Facet.CLEAN})
-"""The same on serial lines, where the search for frames overcomes junk."""
+"""Further such facets on serial lines, where the search for frames skips junk."""
 _REVIVALS: Final = 3
 _READS: Final = {Table.COILS: 1, Table.DISCRETE_INPUTS: 2, Table.HOLDING_REGISTERS: 3, Table.INPUT_REGISTERS: 4}
 
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """Times of a run, in seconds.
+    """The waiting times of a run, in seconds.
 
     Attributes:
         timeout: the longest wait for a reply.
-        quiet: silence between two frames, where the first is not answered.
-        idle: how long a connection is left alone by the checks about that.
+        quiet: the time from a request that may stay unanswered to the next frame.
+        idle: how long checks of idle connections send nothing.
     """
 
     timeout: float = 1.0
@@ -71,11 +71,17 @@ class Pace:
 
 
 class _DiedError(Exception):
-    """The device does not answer the probe any more."""
+    """Error: the device no longer answers the probe, not even on new connections."""
 
 
 class _Conversation:
-    """One connection to the device, and what was said on it since evidence was last taken."""
+    """Sends the requests of checks over one connection to the device, and collects evidence of what goes over it.
+
+    Args:
+        dialer: opens the connection.
+        target: the device.
+        pace: the waiting times.
+    """
 
     def __init__(self, dialer: Dialer, target: Target, pace: Pace) -> None:
         self._dialer = dialer
@@ -90,7 +96,7 @@ class _Conversation:
     # Connection.
 
     def open(self) -> None:
-        """Open the connection if there is none. Raises `LinkDown`."""
+        """Open the connection if there is none. Raises `LinkDown` if that fails."""
         if self._wire is None:
             self._wire = self._dialer.open()
             self._search = new_search(self._target.framing)
@@ -102,7 +108,7 @@ class _Conversation:
             self._wire = None
 
     def reopen(self) -> None:
-        """Close the connection and make a new one; a serial port stays open. Raises `LinkDown`."""
+        """Close the connection and open a new one; a serial port stays open. Raises `LinkDown` if that fails."""
         if self._dialer.has_connections:
             self._tell("the connection is closed and made again")
             self.close()
@@ -114,13 +120,16 @@ class _Conversation:
         return self._wire is not None
 
     def idle(self) -> None:
-        """Send nothing for the idle time."""
+        """Keep the connection open, and send nothing for the idle time of the run."""
         self._tell(f"nothing is sent for {self._pace.idle:g} s")
         self.open()
         self._dialer.sleep(self._pace.idle)
 
     def second(self, change: TlsChange | None = None) -> "_Conversation":
-        """Return another conversation with the same device, not yet open."""
+        """Return a conversation over a second connection to the same device, not open yet.
+
+        ``change``: how its TLS handshake breaks the rules; None for a correct one.
+        """
         if change is None:
             return _Conversation(self._dialer, self._target, self._pace)
         self._tell(f"a connection {change.value} is made")
@@ -129,12 +138,12 @@ class _Conversation:
     # Evidence.
 
     def take_evidence(self) -> tuple[Evidence, ...]:
-        """Return and forget what was said."""
+        """Return the evidence collected since the last call, in order."""
         taken, self._evidence = tuple(self._evidence), []
         return taken
 
     def add_evidence(self, more: Sequence[Evidence]) -> None:
-        """Add what was said elsewhere, such as over a second connection."""
+        """Append evidence collected elsewhere, such as over a second connection."""
         self._evidence += more
 
     def _tell(self, words: str) -> None:
@@ -150,7 +159,13 @@ class _Conversation:
     # Asking.
 
     def ask(self, ask: Ask) -> CheckedExchange:
-        """Send one request and return what came back. Raises `LinkDown` if no connection can be made."""
+        """Send one request and return the exchange: what came back within the timeout, or until the end.
+
+        Opens the connection if there is none. If the device closes it, the exchange says so.
+
+        Raises:
+            LinkDown: no connection can be made.
+        """
         self.open()
         unit = self._target.unit if ask.unit is None else ask.unit
         transaction = self._next_transaction() if ask.transaction is None else ask.transaction
@@ -165,7 +180,11 @@ class _Conversation:
         return CheckedExchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
 
     def ask_together(self, pdus: Sequence[bytes]) -> list[CheckedExchange]:
-        """Send several requests in one write, and return the exchange of each."""
+        """Send several requests in one write, and return the exchange of each, in order; for MBAP only.
+
+        Raises:
+            LinkDown: no connection can be made.
+        """
         self.open()
         numbered = [(self._next_transaction(), pdu) for pdu in pdus]
         frames = [encode_frame(self._target.framing, self._target.unit, pdu, number) for number, pdu in numbered]
@@ -188,7 +207,7 @@ class _Conversation:
         return exchanges
 
     def cut_off(self, pdu: bytes, size: int) -> None:
-        """Send the first bytes of a request and close the connection."""
+        """Send the first ``size`` bytes of the frame of a request and close the connection."""
         self.open()
         frame = encode_frame(self._target.framing, self._target.unit, pdu, self._next_transaction())
         self._sent(frame[:size], ())
@@ -200,7 +219,7 @@ class _Conversation:
         return self._transaction
 
     def _sent(self, frame: bytes, pieces: tuple[int, ...]) -> bool:
-        """Send a frame, in pieces if asked for; return whether the connection took it."""
+        """Discard what came late, and send a frame, cut at the offsets in ``pieces``; return False if that failed."""
         assert self._wire is not None
         while self._wire.receive(0):  # what came late for an earlier request
             pass
@@ -229,7 +248,11 @@ class _Conversation:
         return lambda found: any(not sent.endswith(one.raw) for one in found) or len(found) > 1 or _is_echo_alike(found)
 
     def _received(self, function: int, ends: Callable[[Sequence[Frame]], bool]) -> tuple[list[Frame], bytes, bool]:
-        """Return the frames that come until ``ends`` says it is enough, the rest, and whether the device closed."""
+        """Receive until ``ends`` is true of the frames that came, the timeout is over or the connection ends.
+
+        Returns:
+            The frames, the bytes that are in none, and whether the device closed the connection.
+        """
         assert self._wire is not None
         until = self._dialer.now() + self._pace.timeout
         frames: list[Frame] = []
@@ -251,7 +274,10 @@ class _Conversation:
         return frames, rest, False
 
     def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> CheckedExchange:
-        """Send a read of the probe behind a request that may stay unanswered, and return what came before its reply."""
+        """Send a read of the probe after a request that may stay unanswered; what comes before its reply is the answer.
+
+        The request was sent just before. Returns its exchange (rule 3).
+        """
         if self._target.framing != "mbap":
             if ask.accepts.reply or ask.accepts.exceptions:  # the device may answer: it must not be interrupted
                 frames, rest, closed = self._received(ask.pdu[0], self._ends(transaction, frame))
@@ -293,7 +319,7 @@ class _Conversation:
         return CheckedExchange(ask, unit, transaction, frame, before, b"", closed, is_deaf)
 
     def _must_hear_on(self, ask: Ask) -> bool:
-        """Whether the read behind a request must be answered: its frame and its end are clear."""
+        """Whether the device must answer a read sent after this request, because the end of the request is clear."""
         if self._target.framing == "mbap":
             return ask.damage in (None, FrameDamage.PROTOCOL_1, FrameDamage.PROTOCOL_FFFF)
         return ask.damage is None and ask.pdu[0] in STANDARD
@@ -303,12 +329,12 @@ _BETWEEN_PIECES: Final = 0.01
 
 
 def _is_echo_alike(found: Sequence[Frame]) -> bool:
-    """Whether a frame that equals the request can be its reply: some replies repeat the request."""
+    """Whether the first frame is of a function whose replies repeat the request, so that it need not be an echo."""
     return bool(found) and found[0].pdu[0] in (5, 6, 8, 22)
 
 
 def probe_of(target: Target, count: int = 1) -> bytes:
-    """Return the PDU of a read of the probe."""
+    """Return the PDU of a read of the target's probe; of ``count`` items, from the probe on."""
     probe = target.probe
     return bytes((_READS[probe.table],)) + probe.address.to_bytes(2, "big") + count.to_bytes(2, "big")
 
@@ -318,8 +344,11 @@ class CheckRun:
 
     Args:
         dialer: opens connections to the device.
-        target: what the checks were made for.
-        pace: times.
+        target: the device for which the checks were made.
+        pace: the waiting times.
+
+    Attributes:
+        is_dead: whether the device has stopped to answer during the run.
     """
 
     def __init__(self, dialer: Dialer, target: Target, pace: Pace) -> None:
@@ -331,7 +360,10 @@ class CheckRun:
         self.is_dead: bool = False
 
     def results(self, checks: Sequence[Check]) -> Iterator[Result]:
-        """Run the checks in their order, and yield what came of each.
+        """Run the checks in their order, and yield the result of each as soon as it is known.
+
+        If scratch items were written, they are restored at the end, and one more result (`RESTORED`) tells whether that
+        succeeded; the iterator has to be used up or closed.
 
         Raises:
             LinkDown: no connection to the device can be made at the beginning. Nothing was sent.
@@ -403,7 +435,7 @@ class CheckRun:
         return Result(check, outcome, reason, evidence)
 
     def _learn(self, check: Check, outcome: Outcome) -> None:
-        """Keep what a check has shown for those behind it."""
+        """Note what the outcome of a check means for later ones: facets that are wrong, functions that are missing."""
         failed = outcome in (Outcome.FAILED, Outcome.WARNED)
         if check.facet is not None and failed:
             overlooked = _OVERLOOKED | (_LINES_TOO if self._target.framing != "mbap" else frozenset())
@@ -417,7 +449,12 @@ class CheckRun:
                 self._closed_functions[check.function] = (Outcome.UNDECIDED, f"{check.id} failed before")
 
     def _judged(self, check: Check) -> tuple[Outcome, str]:
-        """Take the steps of a check; return its outcome and the reason for it."""
+        """Take the steps of a check up to the first fault, and return its outcome and the reason for it.
+
+        Raises:
+            LinkDown: no connection can be made.
+            CannotOffer: this machine cannot make a changed TLS handshake.
+        """
         for step in check.steps:
             for exchange in self._taken(step):
                 is_about_one = check.function is not None and 1 not in exchange.ask.accepts.exceptions
@@ -430,7 +467,7 @@ class CheckRun:
         return Outcome.PASSED, ""
 
     def _outcome(self, check: Check, faults: Sequence[Finding]) -> tuple[Outcome, str] | None:
-        """Return what faults mean for a check; None if it goes on."""
+        """Return the outcome and reason that findings in one exchange give a check; None if it goes on."""
         failure = Outcome.FAILED if check.word is Strength.MUST else Outcome.WARNED
         if check.facet is not None:
             for fault in faults:
@@ -443,7 +480,7 @@ class CheckRun:
         return None
 
     def _taken(self, step: Step) -> Iterator[CheckedExchange]:
-        """Take one step, and yield the exchanges to be judged."""
+        """Take one step of a check, and yield its exchanges, which are to be judged; many steps have none."""
         talk = self._talk
         match step:
             case Ask():
@@ -460,7 +497,14 @@ class CheckRun:
                 yield self._asked_beside(ask, change)
 
     def _asked_beside(self, ask: Ask, change: TlsChange | None) -> CheckedExchange:
-        """Ask over a second connection, while the first stays open. Raises `CannotOffer`."""
+        """Send a request over a second connection, while the first stays open, and return the exchange.
+
+        A device that refuses the connection has closed it.
+
+        Raises:
+            LinkDown: the first connection cannot be made.
+            CannotOffer: this machine cannot make the changed TLS handshake.
+        """
         self._talk.open()
         second = self._talk.second(change)
         try:
@@ -474,7 +518,15 @@ class CheckRun:
     # Life.
 
     def _alive(self, check: Check, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
-        """Read the probe; return the outcome of the check, which is a failure if the device had to be revived."""
+        """Read the probe after a check, on new connections if needed, and return the check's outcome and reason.
+
+        A check that passed becomes a failure if the device answered only later, and the check did not expect that the
+        connection closes.
+
+        Raises:
+            _DiedError: the device does not answer.
+            LinkDown: no connection can be made.
+        """
         expects_close = any(isinstance(step, Ask) and step.accepts.closed for step in check.steps)
         kept_open = self._talk.is_open
         if not kept_open or (outcome is not Outcome.PASSED and outcome is not Outcome.NOT_OFFERED):
@@ -494,7 +546,11 @@ class CheckRun:
 
 
 class _Scratch:
-    """The items that checks may write: saved before, restored and verified afterwards."""
+    """Saves the scratch items, which checks may write, and restores and verifies them after the last check.
+
+    Attributes:
+        is_saved: whether their values are known, so that they can be restored.
+    """
 
     def __init__(self, talk: _Conversation, target: Target) -> None:
         self._talk = talk
@@ -503,7 +559,11 @@ class _Scratch:
         self.is_saved: bool = False
 
     def save(self) -> bool:
-        """Read the items once, before the first write; return whether what they hold is known."""
+        """Read the scratch items, at the first call only, and return whether their values are known.
+
+        Raises:
+            LinkDown: no connection can be made.
+        """
         if self.is_saved:
             return True
         found = [(items, self._read(items)) for items in self._items]
@@ -513,7 +573,7 @@ class _Scratch:
         return self.is_saved
 
     def restore(self) -> str:
-        """Write back what was read and read it again; return what is wrong, empty for nothing."""
+        """Write back the saved values and read them again; return what is wrong as a sentence, empty for nothing."""
         try:
             for items, data in self._saved if self.is_saved else ():
                 self._write(items, data)
@@ -557,4 +617,4 @@ RESTORED: Final = Check(
     Level.WRITE,
     (),
 )
-"""The result that tells whether the scratch items were restored."""
+"""The check, added at the end of a run that writes, whose result tells whether the scratch items were restored."""

@@ -1,4 +1,4 @@
-"""What came of a run: counts, comparison with an earlier run, and whether the device passed.
+"""The results of a run: counts, comparison with an earlier run, and whether the device passed.
 
 Knows results; knows no device and prints nothing.
 """
@@ -16,14 +16,14 @@ SCHEMA: Final = 1
 
 @dataclass(frozen=True, slots=True)
 class Summary:
-    """All results of one run.
+    """All results of one run of checks against a device, and the outcomes of an earlier run to compare them with.
 
     Attributes:
-        endpoint: the URL that was checked, and the unit.
-        unit: the unit that was checked.
-        level: the name of the level.
-        results: what came of each check, in the order in which they ran.
-        baseline: outcomes of an earlier run by the names of checks; empty for none.
+        endpoint: URL of the device.
+        unit: identifier of the unit that was checked.
+        level: name of the highest level of the checks.
+        results: the result of each check, in the order in which they ran.
+        baseline: outcomes of an earlier run, by the names of checks; empty for no comparison.
     """
 
     endpoint: str
@@ -34,13 +34,13 @@ class Summary:
 
     @property
     def counts(self) -> dict[Outcome, int]:
-        """How many checks had each outcome."""
+        """The number of checks with each outcome, 0 included."""
         counted = Counter(one.outcome for one in self.results)
         return {outcome: counted[outcome] for outcome in Outcome}
 
     @property
     def failures(self) -> tuple[Result, ...]:
-        """What failed and is a must, without what failed in the earlier run too."""
+        """The results that make the run a failure: failed checks, without those that failed in the earlier run too."""
         return tuple(
             one
             for one in self.results
@@ -49,12 +49,12 @@ class Summary:
 
     @property
     def is_aborted(self) -> bool:
-        """Whether the device died during the run."""
+        """Whether the device died during the run, so that checks could not be made."""
         return any(one.outcome is Outcome.ABORTED for one in self.results)
 
     @property
     def changes(self) -> tuple[tuple[str, str, str], ...]:
-        """What differs from the earlier run: the check, its outcome then, and its outcome now."""
+        """The checks whose outcome differs from the earlier run, each with its outcome then and now."""
         return tuple(
             (one.check.id, self.baseline[one.check.id], one.outcome.value)
             for one in self.results
@@ -63,7 +63,15 @@ class Summary:
 
 
 def baseline_of(report: Any, name: str) -> dict[str, str]:
-    """Return the outcomes in a JSON report of an earlier run. Raises `ConfigError` if it is none."""
+    """Return the outcomes of an earlier run, by the names of checks, from its JSON report.
+
+    Args:
+        report: the decoded JSON.
+        name: name of its file, for errors.
+
+    Raises:
+        ConfigError: the JSON is no report of `busway check`, or of another version.
+    """
     checks = report.get("checks") if isinstance(report, dict) else None
     if not isinstance(checks, list) or report.get("schema") != SCHEMA:
         raise ConfigError(f"{name} is no report that `busway check --report json=FILE` wrote", key="--baseline")

@@ -1,7 +1,7 @@
 """Connections that a secure device must refuse: old versions, weak suites, no certificate, or one without the rights.
 
-Knows sockets and TLS contexts; knows no request. What this machine's TLS library cannot offer is said, not guessed, and
-so is a certificate that the user has not given.
+Knows sockets and TLS contexts; knows no request. If this machine's TLS library cannot offer a connection, or the user
+has not given the certificate for it, `CannotOffer` says so, and the check stays undecided.
 """
 
 import socket
@@ -34,7 +34,7 @@ CERTIFICATES: Final = {
     "denied": TlsChange.DENIED_ROLE,
     "no-role": TlsChange.NO_ROLE,
 }
-"""The certificates that a user may give, by the word for each."""
+"""The certificates that a user may give, by the word that ``--certificates`` has for each."""
 _ASKED_FOR: Final = {
     "expired": "a client certificate of the device's authority whose time is over",
     "revoked": "a client certificate that the device's revocation list names",
@@ -52,22 +52,25 @@ class ClientCertificate:
 
 
 class CannotOffer(Exception):
-    """Error: this machine cannot make such a handshake, so nothing can be said about the device."""
+    """Error: this machine cannot make such a handshake, or lacks the certificate for it; the check is undecided."""
 
 
 def changed_channel(
     settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange, ClientCertificate]
 ) -> "socket.socket | ChangedChannel":
-    """Connect to a device over TCP and make a TLS handshake that breaks one rule; returns a non-blocking channel.
+    """Connect to a device over TCP and make a TLS handshake that breaks one rule.
 
     Args:
-        settings: of the link to the device.
+        settings: the settings of the link to the device.
         change: which rule of the handshake is broken.
-        given: the client certificates that the user gave.
+        given: the client certificates that the user has given.
+
+    Returns:
+        The connection, whose socket does not block: a plain one for `TlsChange.PLAIN`, else one over TLS.
 
     Raises:
         LinkDown: the device cannot be reached, or refuses the handshake.
-        CannotOffer: this machine cannot make such a handshake, or the user's certificate for it is missing.
+        CannotOffer: this machine cannot make such a handshake, or the user's certificate for it is missing or another.
     """
     endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
     context = None if change is TlsChange.PLAIN else _context(settings, change, given)
@@ -117,7 +120,11 @@ def _context(settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange
 
 
 def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> ClientCertificate:
-    """Return the user's certificate for a change; raises `CannotOffer` if there is none, or one of another kind."""
+    """Return the user's certificate for a changed handshake.
+
+    Raises:
+        CannotOffer: the user has given none, or one that is not of this kind, or its facts cannot be read.
+    """
     word = next(word for word, one in CERTIFICATES.items() if one is change)
     if change not in given:
         raise CannotOffer(f"it needs {_ASKED_FOR[word]}: --certificates {word}=CERTIFICATE:KEY")
@@ -139,7 +146,11 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
 
 
 def _load_foreign(context: ssl.SSLContext) -> None:
-    """Load a certificate of an authority that was made for this alone."""
+    """Load into a context a new client certificate of a new authority, which the device cannot know.
+
+    Raises:
+        CannotOffer: the package for certificates is not installed.
+    """
     try:
         from ...transport.tls.certificates.authority import Authority
 
@@ -153,24 +164,32 @@ def _load_foreign(context: ssl.SSLContext) -> None:
 
 
 class ChangedChannel:
-    """A connection over TLS whose socket does not block."""
+    """A TLS connection whose socket does not block, with the methods of a plain socket that `NetworkWire` uses."""
 
     def __init__(self, channel: ssl.SSLSocket) -> None:
         self._channel = channel
 
     def fileno(self) -> int:
-        """Return the number of the socket."""
+        """Return the file descriptor of the socket, to wait for it."""
         return self._channel.fileno()
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Receive bytes; raises `BlockingIOError` while there are none."""
+        """Receive bytes into a buffer and return their number, 0 at the end of the connection.
+
+        Raises:
+            BlockingIOError: no bytes are there yet.
+        """
         try:
             return self._channel.recv_into(buffer)
         except (ssl.SSLWantReadError, ssl.SSLWantWriteError) as error:
             raise BlockingIOError from error
 
     def send(self, data: bytes, /) -> int:
-        """Send bytes; raises `BlockingIOError` while none are taken."""
+        """Send bytes and return how many were taken.
+
+        Raises:
+            BlockingIOError: the socket takes none at present.
+        """
         try:
             return self._channel.send(data)
         except (ssl.SSLWantReadError, ssl.SSLWantWriteError) as error:

@@ -23,35 +23,43 @@ _RECEIVE_SIZE = 65_536
 
 
 class Wire(Protocol):
-    """One open connection, or an open serial port."""
+    """Interface of one open connection, or of an open serial port."""
 
     def send(self, data: bytes) -> None:
-        """Send bytes. Raises `LinkDown` if the connection has ended."""
+        """Send bytes as they are. Raises `LinkDown` if the connection has ended."""
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return what comes within ``timeout`` seconds; no bytes if nothing does, None if the connection has ended."""
+        """Return the bytes that come first within ``timeout`` seconds; empty if none come, None after the end."""
 
     def close(self) -> None:
         """Close the connection or port."""
 
 
 class Dialer(Protocol):
-    """Opens connections to the device that is checked."""
+    """Interface of what opens connections to the checked device, and of the clock of a run.
+
+    Attributes:
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+        has_connections: whether there are connections, which can be made again; False for a serial port.
+    """
 
     framing: str
     has_connections: bool
 
     def open(self) -> Wire:
-        """Open a connection or the port. Raises `LinkDown`."""
+        """Open a connection or the port. Raises `LinkDown` if that fails."""
 
     def now(self) -> float:
         """Return the time in seconds, monotonic."""
 
     def sleep(self, seconds: float) -> None:
-        """Let time pass, in which the device may do something."""
+        """Wait so many seconds."""
 
     def changed(self, change: TlsChange) -> "Dialer":
-        """Return what opens connections with a changed handshake; raises `CannotOffer` when it opens one it cannot."""
+        """Return a dialer whose connections have a changed TLS handshake.
+
+        Its `open` raises `CannotOffer` if this machine cannot make such a handshake.
+        """
 
 
 def dialer_for(
@@ -60,15 +68,17 @@ def dialer_for(
     *,
     certificates: "Mapping[TlsChange, ClientCertificate] | None" = None,
 ) -> "NetworkDialer | SerialDialer":
-    """Create what opens connections to an endpoint, with the options of a link.
+    """Return a dialer for an endpoint, which opens connections or the port with the options of a link.
+
+    Nothing is opened yet.
 
     Args:
         url: the endpoint.
         options: options of the link, beside those in the URL.
-        certificates: client certificates for checks that the user alone can supply, over TLS.
+        certificates: client certificates given by the user for checks of TLS handshakes.
 
     Raises:
-        ConfigError: an invalid URL or option, or an endpoint that checks cannot use, such as UDP.
+        ConfigError: the URL or an option is invalid, or checks cannot use the endpoint, such as UDP.
     """
     settings = link_settings(url, options or {})
     endpoint = settings.endpoint
@@ -80,19 +90,19 @@ def dialer_for(
 
 
 class _RealTime:
-    """The time of the system."""
+    """The clock of the system, for dialers."""
 
     def now(self) -> float:
         """Return the time in seconds, monotonic."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Wait."""
+        """Wait so many seconds."""
         time.sleep(seconds)
 
 
 class NetworkDialer(_RealTime):
-    """Opens TCP and TLS connections; the framing may be that of a serial line."""
+    """Opens TCP and TLS connections to a device; the framing may be that of a serial line."""
 
     has_connections = True
 
@@ -111,16 +121,16 @@ class NetworkDialer(_RealTime):
         self._settings = settings
 
     def open(self) -> "NetworkWire":
-        """Open a connection. Raises `LinkDown`."""
+        """Open a connection. Raises `LinkDown` if that fails."""
         return NetworkWire(self._connector.dial(), self._url)
 
     def changed(self, change: TlsChange) -> "Dialer":
-        """Return what opens connections with a changed handshake."""
+        """Return a dialer whose connections have a changed TLS handshake."""
         return _ChangedDialer(self._settings, change, self._certificates)
 
 
 class _ChangedDialer(_RealTime):
-    """Opens connections with a changed TLS handshake."""
+    """Opens connections whose TLS handshake is changed, so that a secure device must refuse them."""
 
     has_connections = True
 
@@ -131,7 +141,12 @@ class _ChangedDialer(_RealTime):
         self._settings, self._change, self._certificates = settings, change, certificates
 
     def open(self) -> "NetworkWire":
-        """Open a connection. Raises `LinkDown`, and `CannotOffer` where this machine cannot make it."""
+        """Open a connection with the changed handshake.
+
+        Raises:
+            LinkDown: the device cannot be reached, or refuses the handshake.
+            CannotOffer: this machine cannot make such a handshake.
+        """
         from .tls_wire import changed_channel
 
         return NetworkWire(
@@ -139,7 +154,7 @@ class _ChangedDialer(_RealTime):
         )
 
     def changed(self, change: TlsChange) -> "Dialer":
-        """Return what opens connections with another changed handshake."""
+        """Return a dialer whose connections have this changed handshake instead."""
         return _ChangedDialer(self._settings, change, self._certificates)
 
 
@@ -152,7 +167,7 @@ class NetworkWire:
         self._buffer = bytearray(_RECEIVE_SIZE)
 
     def send(self, data: bytes) -> None:
-        """Send bytes in one write where the socket takes them at once. Raises `LinkDown`."""
+        """Send bytes, in one write if the socket takes them at once. Raises `LinkDown` if the connection has ended."""
         rest = data
         try:
             while rest:
@@ -164,7 +179,7 @@ class NetworkWire:
             raise link_down(error, endpoint=self._url) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return what comes within ``timeout`` seconds; None if the connection has ended."""
+        """Return the bytes that come first within ``timeout`` seconds; empty if none come, None after the end."""
         until = time.monotonic() + timeout
         while True:
             try:
@@ -185,6 +200,8 @@ class NetworkWire:
 
 
 class _Channel(Protocol):
+    """Interface of a non-blocking socket, plain or over TLS."""
+
     def fileno(self) -> int: ...
     def recv_into(self, buffer: bytearray, /) -> int: ...
     def send(self, data: bytes, /) -> int: ...
@@ -208,7 +225,12 @@ class SerialDialer(_RealTime):
         return self
 
     def open(self) -> "SerialWire":
-        """Open the port. Raises `LinkDown`; `ConfigError` if the port cannot be set so."""
+        """Open the port.
+
+        Raises:
+            LinkDown: the port cannot be opened.
+            ConfigError: the port does not have these settings.
+        """
         return SerialWire(self._path, self._port)
 
 
@@ -221,12 +243,12 @@ class SerialWire:
         self._port = BlockingSerialPort(path, settings)  # type: ignore[arg-type]
 
     def send(self, data: bytes) -> None:
-        """Send bytes; return when they have left the port. Raises `LinkDown`."""
+        """Send bytes and wait until they have left the port. Raises `LinkDown` if the port has gone."""
         self._port.write(data)
         self._port.drain(_LONGEST_DRAIN)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return what comes within ``timeout`` seconds; None if the port has gone."""
+        """Return the bytes that come within ``timeout`` seconds; empty if none come, None if the port has gone."""
         try:
             return self._port.read(timeout)[0]
         except LinkDown:

@@ -1,6 +1,6 @@
 """The basic checks: what every reply has to be, one facet each.
 
-Knows the target's probe; they are the first of every run, and the others rest on them.
+Knows the target's probe. Basic checks are the first of every run; the others assume what these have shown.
 """
 
 from ..check import Accepts, Ask, Check, Facet, Target
@@ -10,7 +10,12 @@ _ANY = Accepts(reply=True, exceptions=frozenset(range(256)))
 
 
 def basic_checks(target: Target, probe: bytes) -> list[Check]:
-    """Return the checks of one facet each."""
+    """Return the basic checks, each about one facet of every reply.
+
+    Args:
+        target: the device to be checked.
+        probe: the PDU of a read of its probe.
+    """
     once = Ask(probe, _ANY)
     checks = [
         check("answers", "A21", "answers a read of the probe in time", once, facet=Facet.ANSWERED),

@@ -25,7 +25,7 @@ _OLD: Final = (9, 10, 13, 14, 18, 19)
 
 
 def diagnostic_checks(target: Target) -> list[Check]:
-    """Return the checks of 08 and of unknown functions."""
+    """Return the checks of diagnostics (function 08) and of functions that do not exist."""
     return [*_of_08(target), *_of_unknown()]
 
 

@@ -1,7 +1,7 @@
-"""Checks of Modbus/TCP Security: connections that must not lead to an answer, or to exception 01 alone.
+"""Checks of Modbus/TCP Security: connections that must not lead to an answer, or only to exception 01.
 
-Knows what is changed in a handshake; the request behind it is a read of the probe. A certificate that only the owner of
-the device's authority can make is given by the user.
+Knows what is changed in a handshake; the request after it is a read of the probe. The user gives the certificates that
+only the owner of the device's authority can make.
 """
 
 from typing import Final
@@ -14,7 +14,7 @@ _ACCEPTED: Final = {
     TlsChange.DENIED_ROLE: Accepts(exceptions=frozenset({1})),
     TlsChange.NO_ROLE: Accepts(exceptions=frozenset({1}), closed=True),
 }
-"""What may come back where it is not nothing."""
+"""What may come back for the changes after which the device may answer."""
 _CHANGES: Final = {
     TlsChange.PLAIN: ("tls-plain", "M1", "answers no request that comes without TLS"),
     TlsChange.TLS_1_0: ("tls-1.0", "M2", "refuses TLS 1.0"),
@@ -32,7 +32,7 @@ _CHANGES: Final = {
 
 
 def handshake_checks(probe: bytes) -> list[Check]:
-    """Return the checks of TLS; ``probe`` is a read that is answered over a right connection."""
+    """Return the checks of TLS handshakes; ``probe`` is the PDU of a read that is answered on correct connections."""
     return [
         check(name, clause, says, BesideIt(Ask(probe, _ACCEPTED.get(change, _NO_ANSWER)), change), level=Level.DIAG)
         for change, (name, clause, says) in _CHANGES.items()

@@ -1,7 +1,7 @@
 """Checks of serial lines: damaged frames, other units, broadcasts.
 
-Knows frames of RTU and ASCII; the requests inside are reads of the probe, two items at a time where they must not be
-answered, so that their replies cannot be taken for that to the read behind them.
+Knows frames of RTU and ASCII; the requests inside are reads of the probe. Reads that must not be answered are of two
+items, so that their replies cannot be taken for the reply to the read of one item that follows.
 """
 
 from ....codes import BROADCAST_UNIT
@@ -35,7 +35,13 @@ _ANY_WAY = Accepts(reply=True, exceptions=frozenset({2}), silence=True)
 
 
 def line_checks(target: Target, probe: bytes, longer: bytes) -> list[Check]:
-    """Return the checks of frames on serial lines; ``longer`` is a read of the probe and the item behind it."""
+    """Return the checks of frames on serial lines.
+
+    Args:
+        target: the device to be checked.
+        probe: the PDU of a read of its probe.
+        longer: the PDU of a read of the probe and the item after it.
+    """
     ask = Ask(probe, REPLY)
     known = damages_of(target.framing)
     other = target.unit % 247 + 1

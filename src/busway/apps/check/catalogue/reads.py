@@ -1,6 +1,6 @@
 """Checks of the functions that read: 01 to 04, 07, 11, 12, 17, 20, 24 and 43.
 
-Knows PDUs; a device may hold anything, so a refusal of an address is an answer too.
+Knows PDUs; a device may have any items, so a refusal of an address is accepted too.
 """
 
 from dataclasses import dataclass
@@ -15,6 +15,8 @@ _BEYOND: Final = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class _Read:
+    """A function that reads one table: code, clause, table, the largest count, and what the items are called."""
+
     code: int
     clause: str
     table: Table
@@ -31,7 +33,7 @@ _READS: Final = (
 
 
 def read_checks(target: Target) -> list[Check]:
-    """Return the checks of the functions that read."""
+    """Return the checks of the functions that read: 01 to 04, 07, 11, 12, 17, 20, 24 and 43."""
     checks = [one for read in _READS for one in _of_table(read, target)]
     checks += _of_status()
     checks += _of_files()

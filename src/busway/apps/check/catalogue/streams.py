@@ -12,7 +12,12 @@ _CLOSED_OR_SILENT: Final = Accepts(silence=True, closed=True)
 
 
 def stream_checks(target: Target, probe: bytes) -> list[Check]:
-    """Return the checks of MBAP headers, streams and connections."""
+    """Return the checks of MBAP headers, streams and connections.
+
+    Args:
+        target: the device to be checked.
+        probe: the PDU of a read of its probe.
+    """
     ask = Ask(probe, REPLY)
     checks = [
         check(

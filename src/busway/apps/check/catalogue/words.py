@@ -14,7 +14,7 @@ SILENCE: Final = Accepts(silence=True)
 
 
 def word(number: int) -> bytes:
-    """Return two bytes, the high one first."""
+    """Return a number, 0…65535, as two bytes, the high one first."""
     return number.to_bytes(2, "big")
 
 
@@ -24,17 +24,17 @@ def pdu(code: int, *parts: int | bytes) -> bytes:
 
 
 def refused(*codes: int) -> Accepts:
-    """Return what accepts exceptions with these codes alone."""
+    """Return an `Accepts` for exceptions with these codes, and nothing else."""
     return Accepts(exceptions=frozenset(codes))
 
 
 def reply_or(*codes: int) -> Accepts:
-    """Return what accepts a reply, and exceptions with these codes."""
+    """Return an `Accepts` for a normal reply, or exceptions with these codes."""
     return Accepts(reply=True, exceptions=frozenset(codes))
 
 
 def refused_or_silent(*codes: int) -> Accepts:
-    """Return what accepts exceptions with these codes, and silence."""
+    """Return an `Accepts` for exceptions with these codes, or silence."""
     return Accepts(exceptions=frozenset(codes), silence=True)
 
 
@@ -49,5 +49,8 @@ def check(
     function: int | None = None,
     opens: bool = False,
 ) -> Check:
-    """Return a check; its sentence begins with what the device does."""
+    """Return a check; arguments as the attributes of `Check`, ``strength`` is its ``word``.
+
+    ``says`` is a sentence without its subject, the device: "answers a read of a queue".
+    """
     return Check(id, clause, says, strength, level, steps, facet, function, opens)

@@ -1,7 +1,7 @@
 """Checks of the functions that write: 05, 06, 15, 16, 22 and 23.
 
-Knows the scratch items. Nothing else is written, unless a device executes a request that it must refuse; those that
-could reach beyond the scratch items then are of the level disruptive.
+Knows the scratch items. Nothing else is written, unless a device executes a request that it must refuse; checks whose
+requests could then reach beyond the scratch items are of the level disruptive.
 """
 
 from typing import Final, Protocol
@@ -15,7 +15,7 @@ _READ: Final = {Table.COILS: 1, Table.HOLDING_REGISTERS: 3}
 
 
 def write_checks(target: Target) -> list[Check]:
-    """Return the checks that write, for the scratch items that there are."""
+    """Return the checks that write, for the scratch registers and coils that the target has; none without any."""
     checks: list[Check] = []
     if target.registers is not None:
         checks += [*_single_register(target.registers), *_registers(target.registers), *_mask(target.registers)]
@@ -28,17 +28,19 @@ def write_checks(target: Target) -> list[Check]:
 
 
 def _holds(items: Items, data: bytes, count: int) -> Ask:
-    """Ask for items of the scratch, which must hold this."""
+    """Return a step that reads the first ``count`` scratch items and accepts only this data."""
     code = _READ[items.table]
     return Ask(pdu(code, items.address, count), Accepts(reply=True, exact=bytes((code, len(data))) + data))
 
 
 def _write(request: bytes, size: int | None = None) -> Ask:
-    """Write, and accept the echo alone: the whole request, or its first ``size`` bytes."""
+    """Return a step that sends a write and accepts only its echo: the whole request, or its first ``size`` bytes."""
     return Ask(request, Accepts(reply=True, exact=request if size is None else request[:size]))
 
 
 class _Maker(Protocol):
+    """Interface of a function that makes a check of one function code from name, sentence and steps."""
+
     def __call__(
         self,
         what: str,
@@ -52,7 +54,7 @@ class _Maker(Protocol):
 
 
 def _one(function: int, of: str) -> _Maker:
-    """Return what makes the checks of one function."""
+    """Return a function that makes checks of one function code; ``of`` is their clause unless another is given."""
 
     def make(
         what: str,
