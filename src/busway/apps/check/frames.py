@@ -70,7 +70,7 @@ class MbapSearch:
         return found
 
     def finish(self, function: int) -> list[Frame]:
-        """Return nothing: an unfinished frame of this framing is none."""
+        """Return an empty list: an unfinished MBAP frame does not count as a frame."""
         return []
 
     def take_rest(self) -> bytes:
@@ -166,7 +166,7 @@ class AsciiSearch:
         return found
 
     def finish(self, function: int) -> list[Frame]:
-        """Return nothing: an unfinished frame of this framing is none."""
+        """Return an empty list: an unfinished ASCII frame does not count as a frame."""
         return []
 
     def take_rest(self) -> bytes:

@@ -29,7 +29,10 @@ class Wire(Protocol):
         """Send bytes as they are. Raises `LinkDown` if the connection has ended."""
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the bytes that come first within ``timeout`` seconds; empty if none come, None after the end."""
+        """Return the bytes that come within ``timeout`` seconds; empty if none do, None if the connection has ended.
+
+        Does not wait for more after the first bytes.
+        """
 
     def close(self) -> None:
         """Close the connection or port."""
@@ -50,10 +53,10 @@ class Dialer(Protocol):
         """Open a connection or the port. Raises `LinkDown` if that fails."""
 
     def now(self) -> float:
-        """Return the time in seconds, monotonic."""
+        """Return the time of a monotonic clock, in seconds."""
 
     def sleep(self, seconds: float) -> None:
-        """Wait so many seconds."""
+        """Wait for this many seconds."""
 
     def changed(self, change: TlsChange) -> "Dialer":
         """Return a dialer whose connections have a changed TLS handshake.
@@ -93,11 +96,11 @@ class _RealTime:
     """The clock of the system, for dialers."""
 
     def now(self) -> float:
-        """Return the time in seconds, monotonic."""
+        """Return the time of the monotonic clock, in seconds."""
         return time.monotonic()
 
     def sleep(self, seconds: float) -> None:
-        """Wait so many seconds."""
+        """Wait for this many seconds."""
         time.sleep(seconds)
 
 
@@ -179,7 +182,7 @@ class NetworkWire:
             raise link_down(error, endpoint=self._url) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the bytes that come first within ``timeout`` seconds; empty if none come, None after the end."""
+        """Return the bytes that come within ``timeout`` seconds; empty if none do, None if the connection has ended."""
         until = time.monotonic() + timeout
         while True:
             try:

@@ -49,7 +49,10 @@ class DerivedPoints:
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """Return the points that must not be read: members beyond the size of their group, or while it is not known."""
+        """Return the members of groups of variable size that the device does not have, so that they are not read.
+
+        While the size of a group is not known, all its members are among them.
+        """
         return [point for point in self._counted if not self._is_there(point)]
 
     def _is_there(self, point: Point) -> bool:

@@ -281,7 +281,7 @@ class MapLearner:
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Take the result of an ordinary (not a test) read; a refusal or repeated silence makes test reads necessary.
+        """Take the result of an ordinary read; after a refusal or repeated silence, `question` has test reads to send.
 
         Args:
             read: the read.

@@ -148,7 +148,7 @@ class PlanBook:
         return self._cheapest
 
     def succeeded(self, read: PlannedRead, seconds: float) -> None:
-        """Learn from a read that succeeded at its first attempt, ``seconds`` after it was sent, what reads cost."""
+        """Learn what reads cost from a read that succeeded at its first attempt, ``seconds`` after it was sent."""
         self._learner.observe(read.table, read.width, seconds)
         self._map.observe(read, ReadOutcome.SUCCESS)
         if self._cheapest is None or read.seconds < self._cheapest.seconds:

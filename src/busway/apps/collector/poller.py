@@ -57,7 +57,7 @@ class PollLink(Protocol):
     """Interface of the link over which a poller sends its reads; `busway.AsyncLink` has it."""
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """Send requests to a unit and return a reply or an error for each, in order; ``call_options`` as of a call."""
+        """Send requests to a unit with these `CallOptions`, and return a reply or an error for each, in order."""
 
 
 @dataclass(slots=True, eq=False)

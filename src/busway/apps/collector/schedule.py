@@ -243,7 +243,7 @@ class LinkSchedule:
         heapq.heapify(self._ready)
 
     def pause(self, name: str, *, paused: bool, now: float) -> None:
-        """Stop polling a device (``paused``), or poll it again; does nothing if it already is so."""
+        """Stop polling a device (``paused``), or poll it again; does nothing if that is already so."""
         device = self.devices[name]
         if device.is_paused is paused:
             return
@@ -355,7 +355,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Let a round with the poll classes that are due wait, or add the classes to one that waits (rules 2 and 3)."""
+        """Queue a round for the poll classes that are due, or add them to a round that waits (rules 2 and 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())

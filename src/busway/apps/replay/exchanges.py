@@ -240,7 +240,7 @@ class _Waiting:
         )
 
     def unanswered(self, why: str = "") -> CapturedExchange:
-        """Return the exchange of this request with the trouble that its reply did not come, or may not be captured."""
+        """Return the exchange of this request, with the trouble that its reply did not come or was not captured."""
         kind, text = TroubleKind.NO_REPLY, f"to {function_name(self.asked.pdu[0])}{_place(self.request)}{why}"
         if self.lacks_bytes:
             kind, text = TroubleKind.MISSING, f"perhaps the reply {text}"

@@ -69,7 +69,10 @@ class AccessInForce:
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
-        """Give a running server, whose listeners are bound, the policy of these rules; None: as rule 1 says."""
+        """Give a running server, whose listeners are bound, the policy of new access rules; other rules end.
+
+        ``rules`` None: there is no policy, and listeners that the network reaches become read-only (rule 1).
+        """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]
         self.read_only = () if rules is not None or self._overrides.allow_writes else tuple(exposed)

@@ -102,9 +102,9 @@ class Configuration:
         )
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Do nothing and return no sentences: of a server only policy and lists change at a reload, which others apply.
+        """Change nothing in a running server and return an empty list; see `DeclaredServer.apply_to`.
 
-        A gateway applies more here (`DeclaredServer.apply_to`).
+        Policy, address lists and certificates are replaced by `Reload`; other changes of a server need a restart.
         """
         return []
 
