@@ -2,7 +2,7 @@
 
 Knows the schema and the fault profiles; reads no file.
 
-1. What is wrong is said with the place in the section: a path that the reader of the file turns into a line.
+1. An error has the path of the key in its section, which the reader of the file turns into a line.
 """
 
 from collections.abc import Iterable, Iterator
@@ -20,11 +20,13 @@ from ...faults.switchboard import FaultSwitchboard
 def fault_problems(
     sections: Iterable[FaultSection], source: Source, fault_profiles: FaultProfileTable = FAULT_PROFILES
 ) -> list[ConfigError]:
-    """Return errors in the ``[[fault]]`` sections of a file that its schema cannot find: file, line and key of each.
+    """Return the errors in ``[[fault]]`` sections that the schema of the file cannot find, each with line and key.
+
+    These are unknown fault profiles, invalid parameters, and names that stand twice.
 
     Args:
-        sections: the sections as they are in the file, under ``fault``.
-        source: the file.
+        sections: all sections ``fault`` of the file, in order.
+        source: the file, for the lines.
         fault_profiles: the known fault profiles.
     """
     found = []
@@ -55,13 +57,16 @@ def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) 
 
 
 def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
-    """Add the faults that a file's ``[[fault]]`` sections declare to a running simulation.
+    """Add the faults that a file's ``[[fault]]`` sections declare to a simulation, and return their names.
 
-    Returns:
-        Their names.
+    A fault without a name gets that of its fault profile, with a number if the name is taken.
+
+    Args:
+        board: the faults of the simulation.
+        sections: the sections.
 
     Raises:
-        ConfigError: one of them cannot be; nothing that `fault_problems` would not have said.
+        ConfigError: a fault is invalid; `fault_problems` finds these errors before.
     """
     ordered = list(sections)
     named = [one.name for one in ordered if one.name]
@@ -95,13 +100,14 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
 
     Args:
         board: the faults of the simulation.
-        text: ``late``, ``slow meters``, or ``late:delay=2,units=1-3``.
+        text: the name of a fault, such as ``slow meters``; or a fault profile with parameters, such as ``late`` or
+            ``late:delay=2,units=1-3``.
 
     Returns:
-        The fault's name.
+        The name of the fault.
 
     Raises:
-        ConfigError: there is no such fault and no such fault profile, or a word cannot be.
+        ConfigError: there is no such fault and no such fault profile, or a parameter is invalid.
     """
     if any(one.label == text for one in board.faults):
         board.switch(text, on=True)

@@ -3,9 +3,10 @@
 Knows declarations, devices and behaviours; knows no time. It reads the recordings that behaviours name, and no other
 file.
 
-1. An expression names a point of its own unit, or ``UNIT/NAME`` of another. What is not there, is no number, or depends
-   on itself at the same moment is refused at the line of the expression.
-2. A counter and a lag see other points as they were at the moment before, so circles through them are no circles.
+1. An expression names a point of its own unit, or ``UNIT/NAME`` of another. A name without a point, a point that is no
+   number, and a point that depends on itself at the same moment are errors at the line of the expression.
+2. A counter and a lag use the values that other points had at the moment before, so a circle of dependencies through
+   them is no error.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -37,9 +38,9 @@ class BuiltUnits:
     """The devices, points and behaviours built from a simulation file.
 
     Attributes:
-        units: by number.
-        points: by ``UNIT/NAME``.
-        driven: the points that have a behaviour, each after those that it needs.
+        units: the units by number.
+        points: the points of all units by ``UNIT/NAME``.
+        driven: the points that have a behaviour, each after those that its formula needs.
     """
 
     units: Mapping[int, SimulatedUnit]
@@ -51,12 +52,12 @@ def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reade
     """Build the units that a simulation file declares, with the initial values of their points.
 
     Args:
-        declared: the units.
-        seed: of all that is drawn.
-        read: gives the text of a recording.
+        declared: the declarations of the units.
+        seed: seed of all random numbers.
+        read: returns the text of a recording by its path.
 
     Raises:
-        FileError: all that is wrong with behaviours, each with file, line and key.
+        FileError: a behaviour is invalid; the error has all problems, each with file, line and key.
     """
     plans = _plans(declared, read)
     units: dict[int, SimulatedUnit] = {}
@@ -90,10 +91,10 @@ class _Plan:
     """The parts of a point's behaviour that all units built from the same section of a file share.
 
     Attributes:
-        section: its section in the file.
-        problem: makes a problem at a path in it.
+        section: the behaviour's section in the file.
+        problem: returns an error about a key of that section, from the path of the key and a message.
         expressions: the parsed expressions of the section, by key.
-        recording: the recording of a replay.
+        recording: the recording of a replay; None for other behaviours.
     """
 
     section: BehaviourSection
@@ -103,7 +104,11 @@ class _Plan:
 
 
 def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
-    """Return the shared parts of behaviours, by the identity of the section that declares the point."""
+    """Return the shared parts of behaviours, by ``id()`` of the section that declares the point.
+
+    Raises:
+        FileError: expressions or recordings are invalid, with all problems.
+    """
     problems: list[ConfigError] = []
     plans: dict[int, _Plan] = {}
     recordings: dict[str, Recording] = {}
@@ -155,7 +160,11 @@ def _plan(
 def _needed(
     units: Mapping[int, SimulatedUnit], planned: Mapping[SimulatedPoint, _Plan]
 ) -> dict[SimulatedPoint, list[SimulatedPoint]]:
-    """Return the points that each formula needs at the same moment. Refuses names of points that do not exist."""
+    """Return by point with a formula the points whose values the formula needs at the same moment.
+
+    Raises:
+        FileError: an expression names a point that does not exist or is no number, with all problems.
+    """
     problems: list[ConfigError] = []
     found: dict[SimulatedPoint, list[SimulatedPoint]] = {}
     for point, plan in planned.items():
@@ -177,7 +186,13 @@ def _needed(
 
 
 def find_point(units: Mapping[int, SimulatedUnit], unit: int, name: str) -> SimulatedPoint | None:
-    """Find a point by its name in a formula of a unit: its own, or that of another unit by ``UNIT/NAME``."""
+    """Return the point that a formula of a unit means by a name; None if there is no such point.
+
+    Args:
+        units: all units by number.
+        unit: number of the unit with the formula.
+        name: name of a point of that unit, or ``UNIT/NAME``.
+    """
     own = units[unit].points.get(name)
     if own is not None:
         return own
@@ -202,7 +217,17 @@ def _is_number(section: SimulatedPointSection) -> bool:
 def _in_order(
     planned: Mapping[SimulatedPoint, _Plan], needed: Mapping[SimulatedPoint, Sequence[SimulatedPoint]]
 ) -> dict[SimulatedPoint, int]:
-    """Sort points so that each comes after those that its formula needs. Refuses circular formulas."""
+    """Return the points in an order in which each comes after those that its formula needs, with the rank of each.
+
+    The rank is how often values pass from one unit to another before the formula can be computed (`Driven.rank`).
+
+    Args:
+        planned: the points with behaviours.
+        needed: for each point with a formula, the points that the formula needs at the same moment.
+
+    Raises:
+        FileError: a formula depends on itself.
+    """
     ranks: dict[SimulatedPoint, int] = {point: 0 for point in planned if point not in needed}
     for first in planned:
         if first in ranks:
@@ -225,7 +250,7 @@ def _in_order(
 
 
 def _spans(points: Sequence[SimulatedPoint]) -> bool:
-    """Whether points are in different units, so that a formula over them needs several devices."""
+    """Whether points are in different units."""
     return len({point.unit for point in points}) > 1
 
 

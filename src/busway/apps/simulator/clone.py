@@ -11,8 +11,8 @@ to the device.
    the clone answers what the device did.
 4. Where a device is watched for a while, numbers that changed get a behaviour: what only grew in whole steps counts at
    the rate that was seen, everything else walks within the range that was seen. Bits and numbers with names stay.
-5. A point that the device refuses is left out, as it is on the device, and said. A device that does not answer ends
-   the cloning; the error names the point or range that was asked for.
+5. A point that the device refuses is left out, and a remark says so. A device that does not answer ends the cloning;
+   the error names the point or range that was asked for.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -46,7 +46,8 @@ _HOLES: Final = frozenset(
         ExceptionCode.SERVER_DEVICE_FAILURE,
     )
 )
-"""What devices answer to a range that they have not, or not as a whole; 03 and 04 against the specification (§7)."""
+"""Exception codes of devices for a range that they do not have, or not as a whole; 03 and 04 against the
+specification (Application Protocol V1.1b3 §7)."""
 _UNNAMED_UNITS: Final = (0, 255)
 """Units that address a device on TCP without naming one."""
 _LEVELS: Final = ("extended", "regular", "basic")
@@ -54,11 +55,11 @@ _LEVELS: Final = ("extended", "regular", "basic")
 
 @dataclass(slots=True)
 class Clone:
-    """What was recorded of a live device: its unit, points and remarks.
+    """A recording of a live device as a unit of a simulation file, with remarks on what differs.
 
     Attributes:
-        section: the unit, to be written into a device file.
-        remarks: what could not be recorded, and why, one sentence each.
+        section: the unit with its points or tables, to be written into a device file.
+        remarks: parts of the device that could not be recorded as they are, and why, one sentence each.
     """
 
     section: SimulatedUnitSection
@@ -71,9 +72,9 @@ def clone_points(
     """Clone a unit of a live device by the points of a register map, each read once.
 
     Args:
-        unit: whom to read.
+        unit: the unit of the live device.
         points: the points to read.
-        progress: takes a line for people, now and then.
+        progress: called with a line of text about the progress, now and then.
 
     Raises:
         ModbusError: the device did not answer, or refused every point; the error names the point.
@@ -112,10 +113,10 @@ def clone_tables(
     """Clone a unit of a live device by reading all items that its tables have in some ranges.
 
     Args:
-        unit: whom to read.
-        ranges: offsets, 0…65535.
-        thorough: whether blocks without any item at the places that are tried are divided too.
-        progress: takes a line for people, now and then.
+        unit: the unit of the live device.
+        ranges: ranges of offsets to read, 0…65535.
+        thorough: whether refused blocks are searched item by item even if none of the items tried in them exists.
+        progress: called with a line of text about the progress, now and then.
 
     Raises:
         ModbusError: the device did not answer, or has nothing in these ranges; the error names table and offsets.
@@ -147,13 +148,14 @@ def clone_tables(
 def watch_points(
     unit: BlockingUnit, clone: Clone, moments: Iterable[float], *, progress: Progress = lambda line: None
 ) -> Clone:
-    """Add behaviours to a clone, learnt by reading the live device's points again and again.
+    """Return a clone with behaviours added, learnt by reading the live device's points again and again.
 
     Args:
-        unit: whom to read.
-        clone: with points, as `clone_points` gave it just now.
-        moments: seconds since then, ascending; each is asked for when the one before it is done.
-        progress: takes a line for people, now and then.
+        unit: the unit of the live device.
+        clone: the clone, just made by `clone_points`.
+        moments: times of the reads in seconds since `clone_points`, ascending. The iterable must wait until each time:
+            the next is taken as soon as the reads for the one before have ended.
+        progress: called with a line of text about the progress, now and then.
 
     Raises:
         ModbusError: the device did not answer, or no longer has a point; the error names the point.
@@ -179,7 +181,7 @@ def _read_again(unit: BlockingUnit, point: SimulatedPointSection) -> float:
 
 
 class _Watched:
-    """The observed changes of one number of a live device.
+    """The changes of one number of a live device, as observed by reading it again and again.
 
     Args:
         point: the point that has the number.
@@ -199,7 +201,7 @@ class _Watched:
         return self._low < self._high
 
     def see(self, value: float, time: float) -> None:
-        """Record the watched number's value at a time."""
+        """Record the watched number's value at a time in seconds; NaN is ignored."""
         if value != value:  # not a number
             return
         self._step = max(self._step, abs(value - self._last))
@@ -209,7 +211,11 @@ class _Watched:
         self._moments += 1
 
     def learnt(self) -> SimulatedPointSection:
-        """Return the point with the behaviour that fits the observed changes."""
+        """Return the point with a behaviour that fits the observed changes; unchanged if there were none.
+
+        A whole number that never fell gets a counter; any other number a random walk. The range of the point is
+        extended to the values that were seen.
+        """
         if not self.has_changed or self._time <= 0:
             return self.point
         is_whole = self.point.form is not None and not self.point.form.name.startswith("float")
@@ -228,7 +234,7 @@ class _Watched:
 
 
 def _short(number: float) -> float:
-    """Return a number rounded to six digits, for a file that people read."""
+    """Return a number rounded to six significant digits, for a file that people read."""
     return float(f"{number:.6g}")
 
 
@@ -273,10 +279,16 @@ class _Recorder:
 
 
 def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> SimulatedPointSection:
-    """Return a point with the value of its registers, its range and names extended to include it.
+    """Return a point with the value of its registers, its range and enumeration extended to include that value.
+
+    Args:
+        point: the point.
+        form: its value type.
+        data: the content of its registers.
 
     Raises:
-        BadReply, InvalidRequest: they mean nothing in its type, or the value does not give the same registers again.
+        BadReply: the registers are invalid in the type.
+        InvalidRequest: the value is invalid for the point, or writing it would give other registers.
     """
     (raw,) = form.decode(data)
     value = point.physical(raw)
@@ -308,7 +320,13 @@ def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
 
 
 def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
-    """Return a point for one register of a point whose value is invalid in its type."""
+    """Return a point for one register of a point whose value cannot be kept in its type.
+
+    Args:
+        point: that point.
+        index: number of the register in it, from 0.
+        value: content of the register.
+    """
     place = Address(point.place.table, point.place.offset + index)
     keys = {"name": f"{point.name} register {index + 1}", "address": format_address(place), "value": value}
     if point.access is not None:
@@ -319,9 +337,14 @@ def _register_point(point: SimulatedPointSection, index: int, value: int) -> Sim
 class _Scanner:
     """Finds out which items a table of a live device has, and reads their values.
 
+    Args:
+        unit: the unit of the live device.
+        table: the table.
+        thorough: whether refused blocks are searched item by item even if none of the items tried in them exists.
+
     Attributes:
         offered: whether the device has the function that reads the table.
-        refusal: the last answer that was one.
+        refusal: the last exception reply of the device; None if there was none.
     """
 
     def __init__(self, unit: BlockingUnit, table: Table, *, thorough: bool) -> None:
@@ -349,7 +372,7 @@ class _Scanner:
             self._divide(first, count, found)
 
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
-        """Read the parts that exist of a range that the device has refused as a whole."""
+        """Read into ``found`` the items that exist in a range that the device has refused as a whole."""
         if count == 1:
             return
         half = count // 2
@@ -358,7 +381,11 @@ class _Scanner:
                 self._divide(start, size, found)
 
     def _take(self, first: int, count: int, found: dict[int, int]) -> bool:
-        """Read a range of the live device. Returns whether it has all items of it."""
+        """Read a range of the live device into ``found``, and return whether the device has all its items.
+
+        Raises:
+            ModbusError: the device did not answer, or refused the range for another reason; the error names the range.
+        """
         try:
             values = self._read(first, count=count)
         except ExceptionReply as error:
@@ -403,7 +430,11 @@ def _objects(unit: BlockingUnit) -> dict[int, bytes]:
 
 
 def _offered(ask: Callable[[], Answer]) -> Answer | None:
-    """Return the live device's reply to a request; None if it does not support the function."""
+    """Return the live device's reply to a request; None if the device refuses it or its reply is invalid.
+
+    Args:
+        ask: sends the request and returns the reply.
+    """
     try:
         return ask()
     except (ExceptionReply, BadReply):

@@ -2,8 +2,8 @@
 
 Knows how TOML is written and the keys of a unit; writes no file.
 
-1. What was left out of a unit is left out of its text: a file shows what was decided.
-2. A point is written on one line per key, as people do; points without a name of their own on one line each.
+1. Keys that were not set for a unit are left out of its text, so that the file shows the decisions.
+2. A point is written with one line per key, as people do; with ``compact``, each point is one line.
 """
 
 import json
@@ -21,12 +21,12 @@ _RUNNING: Final = b"\xff"
 def device_text(
     units: Iterable[BaseModel], *, listen: Sequence[str] = (), remarks: Iterable[str] = (), compact: bool = False
 ) -> str:
-    """Return the text of a device file for these units.
+    """Return the text of a device file, in TOML, for these units.
 
     Args:
-        units: its units (`UnitSection`).
-        listen: the URL where it is served; empty for the default.
-        remarks: comment lines at its top.
+        units: the units (`UnitSection`).
+        listen: URLs where the file is to be served; empty for the default.
+        remarks: comment lines at the top of the file.
         compact: whether each point takes one line only.
     """
     lines = [f"# {_on_one_line(line)}".rstrip() for line in remarks]
@@ -39,7 +39,7 @@ def device_text(
 
 
 def _on_one_line(text: str) -> str:
-    """Return a text that is safe in a comment, without line ends and characters that TOML forbids there."""
+    """Return a text for a comment: line ends and characters that TOML forbids become spaces."""
     return " ".join("".join(each if each.isprintable() else " " for each in text).split())
 
 
@@ -91,7 +91,13 @@ def _plain(key: str, value: Any) -> Any:
 
 
 def _bytes(data: bytes, *, running: bool) -> Any:
-    """Return bytes as text if possible, otherwise in hexadecimal, without the run indicator of a server id."""
+    """Return bytes as a file has them: a text if they are printable UTF-8, else a table with hexadecimal digits.
+
+    Args:
+        data: the bytes.
+        running: whether they are a server id: the run indicator ``FF`` at its end is left out of a text, which gets one
+            when the file is read.
+    """
     body = data.removesuffix(_RUNNING) if running else data
     if body != data or not running:
         try:
@@ -104,7 +110,7 @@ def _bytes(data: bytes, *, running: bool) -> Any:
 
 
 def written(value: Any) -> str:
-    """Return a Python value as text in TOML syntax."""
+    """Return a Python value as text in TOML syntax, on one line. Raises `TypeError` for types that TOML lacks."""
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):
@@ -123,7 +129,7 @@ def written(value: Any) -> str:
 
 
 def _visible(text: str) -> str:
-    """Return a TOML string with all invisible characters escaped, since devices' names can contain any."""
+    """Return a quoted TOML string with all invisible characters escaped: names of devices can contain any."""
     if text.isprintable():
         return text
     return "".join(each if each.isprintable() else f"\\U{ord(each):08X}" for each in text)

@@ -7,7 +7,7 @@ Knows points, behaviours and the memory of devices; knows no clock: times are se
    over time (`Observer`) sees them after that.
 3. The points of a unit that change at one moment become visible together.
 4. A point that was set by hand stays as it is until it is released.
-5. The work is cut into units, so that its driver can do something else between two of them.
+5. After each unit the engine asks its caller whether to stop for now, so that requests are answered meanwhile.
 """
 
 import heapq
@@ -23,7 +23,7 @@ from .behaviours.behaviour import Behaviour, Observer
 from .simulated import SIMULATION, SimulatedPoint
 
 _LAST: Final = 1 << 30
-"""The rank of what comes after everything else of a moment."""
+"""The rank of observers, which come after all points of a moment."""
 
 
 @dataclass(slots=True, eq=False)
@@ -32,10 +32,11 @@ class Driven:
 
     Attributes:
         point: the point.
-        behaviour: the behaviour that it follows.
+        behaviour: the behaviour that the point follows.
         every: seconds between two changes.
-        rank: by how many other units its value is handed on: 0 for what needs no other unit.
-        order: its place among all points, after those that it needs.
+        rank: how often values pass from one unit to another before the point's formula can be computed; 0 if it needs
+            no point of another unit. Lower ranks are computed first.
+        order: position among all points, after those that the point's formula needs.
     """
 
     point: SimulatedPoint
@@ -47,13 +48,13 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that change at the same moments, or behaviours that observe others after that.
+    """Points of one unit that change at the same moments, or whose behaviours observe other points at them.
 
     Attributes:
         device: the device that has the points.
         every: seconds between two moments.
         driven: the points in their order.
-        step: number of the next moment.
+        step: number of the next moment: it comes at ``step`` × ``every`` seconds.
     """
 
     device: Device
@@ -67,17 +68,22 @@ class _Group:
 
 @dataclass(slots=True, eq=False)
 class _Release:
-    """The time at which a point set by hand follows its behaviour again, unless it is set once more before."""
+    """An entry of the engine's schedule: a point that was set by hand follows its behaviour again.
+
+    Attributes:
+        point: the point.
+        held: number of the setting that ends; without effect if the point was set once more since.
+    """
 
     point: SimulatedPoint
     held: int
 
 
 class _Batch:
-    """Points of one unit that change at the same moment, with memory and encoders looked up, for speed.
+    """The points of one unit that change at the same moment, with memory and encoders looked up, for speed.
 
     Args:
-        groups: of one unit.
+        groups: the groups of points, all of one unit.
     """
 
     __slots__ = ("device", "entries", "memories")
@@ -99,7 +105,10 @@ class _Batch:
         ]
 
     def run(self, time: float) -> list[SimulatedPoint]:
-        """Compute the new values of these points at a time. Returns the points whose value has changed."""
+        """Give these points the values of their behaviours at a time, and return the points whose value has changed.
+
+        Points that were set by hand keep their values.
+        """
         changed: list[SimulatedPoint] = []
         changes = changed.append
         with self.device.lock:
@@ -120,7 +129,7 @@ class _Batch:
         return changed
 
     def _store(self) -> None:
-        """Write the new values of these points into the unit's memory, where readers see all of them at once."""
+        """Write the new values into the memory of the unit, so that clients see all of them at once or none."""
         shown: dict[RegisterRun | BitRun, bytearray] = {}
         for memory, points in self.memories.items():
             if points:
@@ -134,13 +143,16 @@ class _Batch:
 class Engine:
     """Gives all simulated points with behaviours new values, each at its own moments.
 
+    All times are seconds of the simulation since its beginning.
+
     Args:
         driven: the points with their behaviours.
-        changed: called with the points that have a new value, and the moment.
+        changed: called with the points of a unit that have a new value, and the time.
 
     Attributes:
-        changes: new values so far.
-        left_out: moments of units that were left out so far, because the program could not keep up.
+        changes: number of new values so far.
+        left_out: number of moments of groups of points that were left out so far, because the program could not keep
+            up.
     """
 
     def __init__(self, driven: Iterable[Driven], changed: Callable[[list[SimulatedPoint], float], None]) -> None:
@@ -158,7 +170,7 @@ class Engine:
             self._push(group.due(), rank, units.setdefault(id(group.device), len(units)), group)
 
     def deadline(self) -> float | None:
-        """Return when the next points change, in seconds of the simulation; None if there are none."""
+        """Return when the engine has to run next, in seconds of the simulation; None if no point has a behaviour."""
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
@@ -166,23 +178,30 @@ class Engine:
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
-        """Return the value that a point's behaviour would continue from, as of its last moment; None if none."""
+        """Return the value from which a point's behaviour would continue after a restart, as of its last moment.
+
+        None if the point has no behaviour, or one that depends only on time.
+
+        Args:
+            point: the point.
+            time: seconds of the simulation.
+        """
         driven = self._driven.get(point)
         if driven is None:
             return None
         return driven.behaviour.state(math.floor(time / driven.every + _ROUNDING) * driven.every)
 
     def run(self, until: float, *, skip: bool = False, pause: Callable[[], bool] = lambda: False) -> bool:
-        """Compute the points' new values at all moments until a time.
+        """Give the points their new values at all moments up to a time.
 
         Args:
             until: the time, in seconds of the simulation.
-            skip: whether moments that lie further back are left out where a later one of the same points is due too:
-                for a program that was stopped for a while, or cannot keep up.
-            pause: asked after each unit whether to leave the rest for later.
+            skip: whether points that have missed several moments get the value of the last one only: for a program that
+                was stopped for a while, or cannot keep up.
+            pause: called after each unit; returns whether to leave the rest for a later call.
 
         Returns:
-            Whether all of it is done.
+            Whether all moments up to ``until`` are done.
         """
         if skip:
             self._leave_out(until)
@@ -205,7 +224,7 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Skip moments that were missed; each point continues with the latest of them."""
+        """Leave out moments that were missed until a time, if there are any; each point continues with its last one."""
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
             return
@@ -219,7 +238,13 @@ class Engine:
             self._push(due, rank, unit, task)
 
     def _run(self, groups: list[_Group], rank: int, time: float) -> None:
-        """Compute new values of points of one unit at a moment."""
+        """Give points of one unit their new values at a moment, or let their behaviours observe other points.
+
+        Args:
+            groups: the groups of points, all of one unit and of this rank.
+            rank: the rank; `_LAST` for observers.
+            time: seconds of the simulation.
+        """
         if rank == _LAST:
             for group in groups:
                 for driven in group.driven:
@@ -236,7 +261,15 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Keep a point at the value that was set by hand, for as long as its behaviour says, or until `release`."""
+        """Keep a point at the value that was set by hand until `release`, or for ``resume_after`` seconds if set.
+
+        The behaviour continues from this value if it depends on its last one. Does nothing for a point without a
+        behaviour. From any thread.
+
+        Args:
+            point: the point, which has the new value already.
+            time: seconds of the simulation.
+        """
         driven = self._driven.get(point)
         if driven is None:
             return
@@ -250,18 +283,27 @@ class Engine:
             self._push(time + section.resume_after, -1, 0, _Release(point, point.held))
 
     def release(self, point: SimulatedPoint, time: float) -> None:
-        """Let a point that was set by hand follow its behaviour again, from its current value if that matters."""
+        """Let a point that was set by hand follow its behaviour again, from its next moment on. From any thread.
+
+        A behaviour that depends on its last value continues from the point's present one.
+
+        Args:
+            point: the point.
+            time: seconds of the simulation.
+        """
         driven = self._driven.get(point)
         if driven is not None and point.held:
             _go_on(driven.behaviour, point, time)
             point.held = 0
 
     def begin(self, time: float, kept: Mapping[str, float]) -> None:
-        """Start at a time other than 0: each point gets the value of its last moment before that time.
+        """Set the engine to a time other than 0, to continue a saved simulation; to be called before the first `run`.
+
+        The next `run` gives each point the value of its last moment up to that time.
 
         Args:
-            time: in seconds of the simulation.
-            kept: the saved states of behaviours, by the keys of their points.
+            time: seconds of the simulation.
+            kept: by key of the point, the saved state of its behaviour.
         """
         self._heap, old = [], self._heap
         for _, rank, unit, _, task in old:
@@ -282,7 +324,7 @@ class Engine:
 
 
 _ROUNDING: Final = 1e-9
-"""What a quotient of two times may be off."""
+"""Largest error of a quotient of two times."""
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
@@ -297,7 +339,10 @@ def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """Return simulated points grouped by unit, moments and order, and the behaviours that observe others."""
+    """Return the groups of points, each of one unit, period and rank, with its rank.
+
+    Points whose behaviours observe others are also in groups of the rank `_LAST`.
+    """
     found: dict[tuple[int, float, int], _Group] = {}
     for each in driven:
         device = each.point.device

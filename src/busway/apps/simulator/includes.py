@@ -3,13 +3,13 @@
 Knows files by their names, includes and parameters; what stands in a file is known by its schema
 (`busway.config.files.simulation`). It builds nothing (`busway.apps.simulator.builder` does).
 
-1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
-   text. Between the braces an expression may stand: ``${base + 10 * index}``.
-2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any; ``with`` of an include sets
-   them. ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
+1. A text that is ``${name}`` alone becomes the parameter's value, with its type; ``${name}`` inside a longer text
+   becomes the text of the value. The braces may hold an expression: ``${base + 10 * index}``.
+2. ``[parameters]`` of a file gives defaults, and ``required`` lists parameters without any; ``with`` of an include sets
+   parameters. ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
 3. With ``units`` an include makes units of the one ``[[unit]]`` of its file, each with a memory of its own; without,
    it takes the file's units as they are.
-4. A file cannot include itself, nor another that does.
+4. A file cannot include itself, nor another file that includes it.
 5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
    ones, and not reached by a link of another user (`busway.safe_files`).
 6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and in `busway.config.parameters` what is put into
@@ -41,12 +41,12 @@ from ..server.configuration import Configuration, put_together
 from .added_faults import fault_problems
 
 Reader = Callable[[str], str]
-"""The text of a file by its name."""
+"""Function that returns the text of a file by its name."""
 
 MOST_INCLUDES: Final = 1000
-"""Files that are taken in, each as often as it is: twenty files that each include the next twice are a million."""
+"""Most includes of one simulation, counted each time: twenty files that each include the next twice are a million."""
 MOST_LEVELS: Final = 32
-"""Files that include one another, one inside the other."""
+"""Most levels of files that include each other."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,9 +54,9 @@ class DeclaredUnit:
     """A ``[[unit]]`` section with includes and parameters resolved, and the file that it comes from.
 
     Attributes:
-        section: its contents; with several numbers, for a device each.
-        source: the file.
-        path: the section in it.
+        section: the contents of the section; if it has several unit numbers, each is a device of its own.
+        source: the file with the section.
+        path: path of the section in that file.
     """
 
     section: SimulatedUnitSection
@@ -64,19 +64,24 @@ class DeclaredUnit:
     path: Path
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """Return the error for a path in the unit's section, with file, line and key."""
+        """Return an error about a key of the unit's section, with file, line and key.
+
+        Args:
+            path: path of the key in the section.
+            sentence: the message.
+        """
         return self.source.problem((*self.path, *path), sentence)
 
 
 @dataclass(frozen=True, slots=True)
 class SimulationDeclaration:
-    """A simulation file with all that it includes.
+    """A simulation file with the units of all files that it includes, checked.
 
     Attributes:
         configuration: listeners, security, policy and the like; its ``file`` has all units.
-        file: the sections, with all units.
-        units: the units, each with where it stands.
-        state: path of the file in which values are kept; None if they are not.
+        file: the sections of the file, with the units of all includes.
+        units: the units, each with its place in its own file.
+        state: path of the file in which values are saved; None if they are not.
     """
 
     configuration: Configuration
@@ -91,12 +96,12 @@ def load_declaration(
     """Load a simulation file with all its includes.
 
     Args:
-        path: the file, in TOML. Every device file and every configuration file is one.
-        changes: options of listeners that go before those of the file.
+        path: path of the file, in TOML. Every device file and every configuration file is a simulation file too.
+        changes: options of listeners, by name, that override those of the file.
 
     Raises:
-        ConfigError: a file cannot be read, or something in it cannot be; then it has all ``problems``, each with
-            file, line and key.
+        ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
+            key.
     """
     name = os.fspath(path)
     return parse_declaration(read_profile(name), name, changes=changes)
@@ -108,13 +113,13 @@ def parse_declaration(
     """Parse the text of a simulation file, with all its includes.
 
     Args:
-        text: the content of the file.
-        name: its name, for sentences; paths in it are relative to its folder.
-        changes: as of `load_declaration`.
-        read: gives the text of an included file.
+        text: content of the file.
+        name: name of the file, for errors; paths in the text are relative to its folder.
+        changes: options of listeners, by name, that override those of the file.
+        read: returns the text of an included file by its path.
 
     Raises:
-        FileError: all that is wrong, each with file, line and key.
+        FileError: the file or an included one is invalid; the error has all problems, each with file, line and key.
     """
     source = read_source(text, name)
     source = replace(source, data=own_units(FilledSource(source, declared_parameters(source, {}, None))))
@@ -133,7 +138,11 @@ def parse_declaration(
 
 
 class _Count:
-    """Limit of how many more files a simulation file may include."""
+    """Counts the files that one simulation includes, and limits them.
+
+    Args:
+        most: most files that may be included.
+    """
 
     def __init__(self, most: int) -> None:
         self._most = most
@@ -147,12 +156,12 @@ class _Count:
 
 
 class _Including:
-    """Collects the units of all included files.
+    """Collects the units of the files that one file includes.
 
     Args:
-        read: gives the text of a file.
-        chain: the files that are being taken in, the outermost first.
-        count: of all files that are taken in.
+        read: returns the text of a file by its path.
+        chain: the real paths of the files that include each other down to this one, the outermost first.
+        count: counts the included files of the whole simulation.
     """
 
     def __init__(self, read: Reader, chain: tuple[str, ...], count: _Count) -> None:
@@ -161,7 +170,12 @@ class _Including:
         self._count = count
 
     def all_of(self, file: ParameterKeys, source: Source) -> Iterator[DeclaredUnit]:
-        """Return the units that all includes of a file add."""
+        """Yield the units that all includes of a file add. Raises `FileError` with all problems of an included file.
+
+        Args:
+            file: the ``[[include]]`` sections of the file.
+            source: the file, for the lines of errors.
+        """
         for index, section in enumerate(file.include):
             yield from self._one(section, source, ("include", index))
 
@@ -195,7 +209,13 @@ class _Including:
             raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
-        """Return all units of a file unchanged, and those of the files that it includes."""
+        """Yield all units of an included file with their own numbers, and those of the files that it includes.
+
+        Args:
+            source: the file.
+            parameters: the parameters for it.
+            identity: real path of the file.
+        """
         filled = replace(source, data=own_units(FilledSource(source, parameters)))
         profile = filled.checked(ProfileFile)
         if not profile.unit and not profile.include:
@@ -207,7 +227,14 @@ class _Including:
     def _several(
         self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
     ) -> Iterator[DeclaredUnit]:
-        """Return units created from a file's single section: one for each number, or one for all if none differs."""
+        """Yield units made from a file's single ``[[unit]]`` section: one for each number, or one for all if alike.
+
+        Args:
+            source: the file.
+            parameters: the parameters for it.
+            numbers: the numbers of the units.
+            asked: file and path of the key that asks for these numbers, for errors.
+        """
         sections = source.data.get("unit")
         if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
             parent, at = asked
@@ -230,7 +257,13 @@ def _checked_unit(source: Source, index: int) -> DeclaredUnit:
 
 
 def _included(error: ConfigError, name: str, where: str) -> ConfigError:
-    """Return the error of an included file, with the including file added; errors of other files unchanged."""
+    """Return an error of an included file with the including file added; an error of another file unchanged.
+
+    Args:
+        error: the error.
+        name: the included file.
+        where: including file and line.
+    """
     if error.file != name:
         return error
     return ConfigError(f"{error.message} (included by {where})", file=error.file, line=error.line, key=error.key)
@@ -241,7 +274,10 @@ def _identity(name: str) -> str:
 
 
 def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source: Source) -> None:
-    """Raise `ConfigError` for a unit number declared in several files; within one file the schema checks it."""
+    """Raise `FileError` for unit numbers that are declared twice, by several files, and for too many devices.
+
+    The ``unit_policy`` ``any`` permits one device only. Within one file the schema checks unit numbers.
+    """
     owners: dict[int, DeclaredUnit] = {}
     problems: list[ConfigError] = []
     for each in units:

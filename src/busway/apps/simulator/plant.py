@@ -3,8 +3,7 @@
 Knows its physics as functions of state and time, and its points; knows no clock and no connection.
 
 1. A second of the demonstration is a minute of the plant, so that a level can be seen to move.
-2. The pump keeps the level around ``tank.target`` while ``pump.enabled`` is on: both can be written by Modbus, and the
-   plant obeys.
+2. The pump keeps the level around ``tank.target`` while ``pump.enabled`` is on. Clients can write both by Modbus.
 """
 
 import math
@@ -89,35 +88,40 @@ type = "int16"
 scale = 0.1
 unit_of_measure = "°C"
 """
-"""The plant's device file; `busway serve` takes one like it."""
+"""The text of the plant's device file; `busway serve` takes files like it."""
 
 TANK: Final = 1
 METER: Final = 2
 THERMOMETER: Final = 3
-"""Their units."""
+"""Unit identifiers of the three devices."""
 HASTE: Final = 60.0
 """Seconds of the plant in one second of the clock."""
 TANK_AREA: Final = 1.5
-"""Square metres."""
+"""Area of the tank in square metres."""
 TANK_HEIGHT: Final = 4.0
-"""Metres; what is pumped beyond runs over."""
+"""Height of the tank in metres: the level cannot rise above."""
 PUMP_FLOW: Final = 36.0
-"""Cubic metres per hour at full speed."""
+"""Flow of the running pump into an empty tank, cubic metres per hour."""
 PUMP_SPEED: Final = 1450
-"""Revolutions per minute."""
+"""Speed of the running pump, revolutions per minute."""
 PUMP_POWER: Final = 4000
-"""Watts at full speed."""
+"""Rated power of the pump in watts; depending on the level of the tank it takes 0.9 to 1.02 of that."""
 IDLE_POWER: Final = 35
-"""Watts of the controls."""
+"""Power of the controls in watts."""
 BAND: Final = 0.3
 """Metres below the target at which the pump starts, and above it at which it stops."""
 _LONGEST_STEP: Final = 0.2
-"""Seconds of the clock; a longer step is divided, so that the pump still switches in time."""
+"""Longest step in seconds of the clock: longer ones are divided, so that the pump still switches in time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Controls:
-    """What an operator may set in the plant: the level to keep, in metres, and whether the pump may run."""
+    """The two values that an operator may set in the plant.
+
+    Attributes:
+        target: the level that the pump keeps, in metres.
+        pump_enabled: whether the pump may run.
+    """
 
     target: float = 2.0
     pump_enabled: bool = True
@@ -128,10 +132,10 @@ class PlantState:
     """The state of the plant: time, level of the tank, whether the pump runs, volume delivered.
 
     Attributes:
-        time: seconds of the clock since it began.
-        level: the level of the tank, in metres.
+        time: seconds of the clock since the plant began.
+        level: level of the tank, in metres.
         is_pumping: whether the pump runs.
-        volume: litres that the pump has delivered.
+        volume: litres that the pump has delivered; starts again from 0 after 2³².
     """
 
     time: float = 0.0
@@ -141,7 +145,13 @@ class PlantState:
 
 
 def advance(state: PlantState, controls: Controls, seconds: float) -> PlantState:
-    """Return the state of the plant some seconds later."""
+    """Return the state of the plant some seconds later.
+
+    Args:
+        state: the state now.
+        controls: the values that the operator has set.
+        seconds: seconds of the clock, one of which is a minute of the plant.
+    """
     while seconds > 0:
         step = min(seconds, _LONGEST_STEP)
         seconds -= step
@@ -162,24 +172,24 @@ def _step(state: PlantState, controls: Controls, seconds: float) -> PlantState:
 
 
 def _pumps(state: PlantState, controls: Controls) -> bool:
-    """Whether the pump of the plant runs: it starts below the level band and stops above it."""
+    """Whether the pump runs from now on: it starts `BAND` below the target level, and stops `BAND` above it."""
     if not controls.pump_enabled or state.level >= controls.target + BAND:
         return False
     return state.is_pumping or state.level <= controls.target - BAND
 
 
 def flow(state: PlantState) -> float:
-    """Return the flow of the pump in cubic metres per hour: slightly less against a full tank."""
+    """Return the flow of the pump in cubic metres per hour: slightly less into a full tank, 0 while the pump stands."""
     return PUMP_FLOW * (1 - 0.04 * state.level) if state.is_pumping else 0.0
 
 
 def consumption(time: float) -> float:
-    """Return what the consumers take in cubic metres per hour, ``time`` seconds after the start."""
+    """Return the flow to the consumers in cubic metres per hour, ``time`` seconds of the clock after the start."""
     return 15.0 + 5.0 * math.sin(time * 2 * math.pi / 7)
 
 
 def temperature(time: float) -> float:
-    """Return the temperature of the tank in degrees Celsius, in steps of 0.1."""
+    """Return the temperature of the tank in °C, in steps of 0.1, ``time`` seconds of the clock after the start."""
     return round(18.0 + 1.5 * math.sin(time * 2 * math.pi / 30), 1)
 
 
@@ -193,7 +203,7 @@ class Plant:
 
     Attributes:
         devices: the devices to serve, by unit.
-        points: their values by name, by unit.
+        points: by unit, the named points of its device.
         state: the present state of the plant.
     """
 
@@ -207,7 +217,10 @@ class Plant:
         self.tick(0.0)
 
     def tick(self, seconds: float) -> None:
-        """Advance the plant by some seconds: apply written controls, and update each device at once."""
+        """Advance the plant by some seconds of the clock, with the controls that clients have written.
+
+        The points of each device get their new values at once, so that clients see all of them or none.
+        """
         tank, meter = self.points[TANK], self.points[METER]
         controls = Controls(tank["tank.target"], tank["pump.enabled"])
         self.state = state = advance(self.state, controls, seconds)

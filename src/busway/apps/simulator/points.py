@@ -14,10 +14,10 @@ from ...values.refusal import shown
 
 
 class Points:
-    """The named points of a device: ``points["tank.level"]``, from any thread.
+    """The named points of a device, read and set by name: ``points["tank.level"] = 1.5``; from any thread.
 
     Args:
-        device: the device that holds them.
+        device: the device that has the points.
         sections: the points, as the device's file declares them.
     """
 
@@ -39,7 +39,11 @@ class Points:
         return section.physical(self._device.read(section.place, section.form))
 
     def __setitem__(self, name: str, value: Any) -> None:
-        """Set a point. Raises `InvalidRequest` if the value does not fit, or if there is no such point."""
+        """Set a point to a value in its unit of measure.
+
+        Raises:
+            InvalidRequest: there is no such point, or the value does not fit its type or range.
+        """
         section = self._section(name)
         raw = section.raw(value)
         self._device.write(section.place, raw if section.form is None else [raw], section.form)

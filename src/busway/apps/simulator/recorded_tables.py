@@ -15,7 +15,11 @@ from ...values import Address, format_address
 
 
 def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # Any: what TOML has
-    """Return the keys that declare these items: for each table their values, by offset."""
+    """Return the keys of a ``[[unit]]`` section that declare items with their values.
+
+    Args:
+        tables: for each table, the values of its items by offset.
+    """
     keys: dict[str, Any] = {}
     points: list[dict[str, Any]] = []
     for table, items in tables.items():
@@ -32,14 +36,20 @@ def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # A
 
 
 def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
-    """Return items grouped into runs without a gap: the first offset and the values of each."""
+    """Yield the items in runs without a gap: the first offset and the values of each."""
     for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
         offsets = [offset for _, offset in group]
         yield offsets[0], [items[offset] for offset in offsets]
 
 
 def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
-    """Return the keys that declare a table; zeros at the end are left out."""
+    """Return the keys that declare a table of items without a gap; values of zero at the end are left out.
+
+    Args:
+        table: the table.
+        first: offset of the first item.
+        values: the values of all items.
+    """
     said = len(values)
     while said and not values[said - 1]:
         said -= 1
@@ -48,6 +58,6 @@ def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
 
 
 def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
-    """Return the keys that declare an item without a name."""
+    """Return the keys of a point for an item without a name; its address becomes its name."""
     address = format_address(Address(table, offset))
     return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}

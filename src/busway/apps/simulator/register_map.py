@@ -11,12 +11,12 @@ Knows the columns and how their cells are written; what a point may be is known 
 Rules:
 
 1. The first line that is neither empty nor begins with ``#`` names the columns; capitals and spaces around a name do
-   not matter. Columns that there are not are refused by name; one whose name begins with ``#`` is not read.
-2. Separated by comma, semicolon or tab, whichever makes known columns of the first line. Text is UTF-8 with or without
-   a byte order mark, UTF-16 with one, or else Latin-1.
-3. A file is read as a whole; each thing that is wrong is said with file, line and column.
-4. Where commas do not separate, a number may have a decimal comma.
-5. Nothing is guessed: an empty cell is the default of its key, and what cannot be read is refused.
+   not matter. Unknown columns are refused by name; a column whose name begins with ``#`` is not read.
+2. Cells are separated by comma, semicolon or tab: the one that splits the first line into known columns. Text is UTF-8
+   with or without a byte order mark, UTF-16 with one, or else Latin-1.
+3. A file is read as a whole; each error is reported with file, line and column.
+4. If commas do not separate cells, a number may have a decimal comma.
+5. Nothing is guessed: an empty cell is the default of its key, and a cell that cannot be read is refused.
 """
 
 import csv
@@ -57,10 +57,10 @@ class Column:
     """A column that a register map in CSV may have.
 
     Attributes:
-        name: as its header has it.
-        key: the key of a point that it gives; empty if it only helps to read another.
-        says: what it contains, for the documentation.
-        also: other headers that mean the same.
+        name: header of the column.
+        key: key of a point that gets the cell's value; empty if the cell only helps to read another.
+        says: meaning of the cells, for the documentation.
+        also: other headers with the same meaning.
     """
 
     name: str
@@ -99,14 +99,14 @@ _NAME_OF_KEY: Final = {column.key: column.name for column in COLUMNS if column.k
 
 
 def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSection]:
-    """Read the points of a register map from a CSV file.
+    """Return the points that the register map in a CSV file describes, in its order.
 
     Args:
-        path: the file.
+        path: path of the file.
 
     Raises:
-        FileError: all that is wrong with it, each with file, line and column.
-        ConfigError: it cannot be read.
+        FileError: the file is invalid; the error has all problems, each with file, line and column.
+        ConfigError: the file cannot be read.
     """
     name = os.fspath(path)
     try:
@@ -121,11 +121,11 @@ def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSecti
     """Return the points that a register map in CSV describes, in its order.
 
     Args:
-        data: the content of the file.
-        name: its name, for the sentences.
+        data: content of the file.
+        name: name of the file, for errors.
 
     Raises:
-        FileError: all that is wrong with it, each with file, line and column.
+        FileError: the register map is invalid; the error has all problems, each with file, line and column.
     """
     text = data if isinstance(data, str) else _decoded(data)
     reader = _Reader(name, text)
@@ -159,7 +159,13 @@ def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSecti
 
 @dataclass(frozen=True, slots=True)
 class _Row:
-    """A row of the register map: its cells by column, without the empty ones."""
+    """A row of a register map.
+
+    Attributes:
+        line: number of its line in the file.
+        cells: by name of the column, the cells that are not empty.
+        decimal_comma: whether numbers may have a decimal comma, as commas do not separate cells.
+    """
 
     line: int
     cells: Mapping[str, str]
@@ -168,14 +174,20 @@ class _Row:
 
 @dataclass(slots=True)
 class _Reader:
-    """Splits a register map in CSV into rows, and collects errors in it."""
+    """Splits a register map in CSV into rows, and collects the errors in it.
+
+    Attributes:
+        name: name of the file, for errors.
+        text: content of the file.
+        problems: the errors so far.
+    """
 
     name: str
     text: str
     problems: list[ConfigError] = field(default_factory=list)
 
     def rows(self) -> list[_Row]:
-        """Return the rows of the register map below its header line."""
+        """Return the rows of the register map below its header line; without one, none. Adds errors to `problems`."""
         begin, header = self._header_line()
         if header is None:
             self._complain("there is no line with columns; there are " + ", ".join(_NAME_OF_KEY.values()), begin)
@@ -199,14 +211,14 @@ class _Reader:
         return found
 
     def _header_line(self) -> tuple[int, str | None]:
-        """Return the first line that has content, and its number."""
+        """Return the number of the first line with content, and the line; 1 and None if there is none."""
         for number, line in enumerate(self.text.splitlines(), 1):
             if line.strip(" \t,;") and not line.lstrip(" \t\"'").startswith("#"):
                 return number, line
         return 1, None
 
     def _records(self, delimiter: str, begin: int) -> Iterator[tuple[int, list[str]]]:
-        """Return the CSV records from a line on, each with the number of its first line."""
+        """Yield the CSV records from a line on, each with the number of its first line."""
         body = "\n".join(self.text.splitlines()[begin - 1 :])
         reader = csv.reader(io.StringIO(body, newline=""), delimiter=delimiter, strict=True)
         line = begin
@@ -218,7 +230,10 @@ class _Reader:
             self._complain(f"is no CSV: {error}", line)
 
     def _columns(self, cells: list[str], line: int) -> list[Column | None] | None:
-        """Return the columns that the header line names; None if they are unusable."""
+        """Return the columns that the cells of the header line name; None if one is wrong or missing.
+
+        A cell whose column is not read gives None in the list.
+        """
         columns: list[Column | None] = []
         wrong = len(self.problems)
         for number, cell in enumerate(cells, 1):
@@ -251,18 +266,18 @@ def _decoded(data: bytes) -> str:
 
 
 def _known_in(header: str, delimiter: str) -> int:
-    """Return how many known column names a header line has if this delimiter splits it."""
+    """Return how many known column names a header line has if it is split by this delimiter."""
     return sum(" ".join(cell.strip(' "').lower().split()) in _BY_HEADER for cell in header.split(delimiter))
 
 
 def _column_of(key: str | None) -> str | None:
-    """Return the column of the register map that a point's key comes from: ``point[3].unit_of_measure`` → ``unit``."""
+    """Return the column of a register map for the path of a point's key: ``point[3].unit_of_measure`` → ``unit``."""
     last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
     return _NAME_OF_KEY.get(last, last or None)
 
 
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return a row of the register map as keys of a point, and the errors in its cells: column and sentence."""
+    """Return the keys of a point that a row of a register map gives, and column and sentence of each error in it."""
     cells = row.cells
     keys: dict[str, Any] = {}
     faults = [(needed, "is empty") for needed in ("name", "address") if needed not in cells]
@@ -295,7 +310,7 @@ def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
 
 
 def _table(text: str) -> Table:
-    """Return the table that a cell of a register map names: ``holding``, ``Holding Registers``."""
+    """Return the table that a cell of a register map names, such as ``holding``. Raises `ValueError` for no table."""
     try:
         found = parse_address(f"{text}:0").table
     except InvalidRequest:
@@ -322,7 +337,7 @@ def _number(text: str, row: _Row) -> float:
 
 
 def _with_point(text: str, row: _Row) -> str:
-    """Return a number with a decimal point, even if the register map uses commas."""
+    """Return the text of a number with a decimal point, also if the register map uses decimal commas."""
     return text.replace(",", ".") if row.decimal_comma and text.count(",") == 1 and "." not in text else text
 
 
@@ -335,7 +350,11 @@ def _access(text: str) -> str:
 
 
 def _enumeration(text: str) -> dict[str, int]:
-    """Return the names of values in a cell of a register map: ``0=off | 1=on``."""
+    """Return by name the numbers in a cell of a register map such as ``0=off | 1=on``.
+
+    Raises:
+        ValueError: the cell is written otherwise, or has a name twice.
+    """
     found: dict[str, int] = {}
     for entry in re.split(r"[|;\n]", text):
         if not entry.strip():
@@ -355,7 +374,18 @@ def _whole(text: str) -> int:
 
 
 def _value(text: str, row: _Row, keys: Mapping[str, Any], *, is_bit: bool) -> Any:
-    """Return the initial value in a cell: in the notation of its type, in the unit of measure, or as a name."""
+    """Return the initial value in a cell of a register map, as the key ``value`` of a point takes it.
+
+    Args:
+        text: the cell: a name of the enumeration, on or off, a number in the unit of measure, or the notation of the
+            type.
+        row: the row of the cell.
+        keys: the keys of the point so far.
+        is_bit: whether the point is one bit.
+
+    Raises:
+        ValueError, InvalidRequest: the cell cannot be read so.
+    """
     if text in keys.get("enumeration", {}):
         return text
     if is_bit:

@@ -2,10 +2,10 @@
 
 Knows sections of points and runs of items; knows no behaviour and no time.
 
-1. What a behaviour gives always becomes something that the registers hold: whole numbers are rounded, and what lies
-   outside the point's range, or that of its type, becomes the nearest end of it. What is no number at all (a formula
-   that divides by zero) leaves whole numbers as they are; a float shows it as NaN.
-2. All that can be found out once is: a tick packs a number by one call of a compiled ``struct``.
+1. Every value of a behaviour becomes one that the registers can hold: whole numbers are rounded, and a value outside
+   the range of the point or of its type becomes the nearest end of that range. NaN, such as from a formula that divides
+   by zero, leaves whole numbers as they are; a float shows it.
+2. The encoding is prepared once for each point: at each moment a number is packed by one call of a compiled ``struct``.
 """
 
 import math
@@ -21,9 +21,15 @@ from ...server.device import Device
 from ...values import ValueType
 
 Put = Callable[[bytearray, int, Any], object]
-"""Puts what the registers hold, a number of the type or ``bool``, into bytes, at an offset in bytes (bits: in bits)."""
+"""Function that writes a number of the point's type, or a ``bool``, into the memory of a device.
+
+Its arguments: the memory, the offset in bytes (for bits: in bits), the number.
+"""
 Quantise = Callable[[float], Any]
-"""What the registers hold for a value in the unit of measure; None where it is no number and they cannot say so."""
+"""Function that returns the number in the registers for a value in the unit of measure.
+
+None if the value is NaN and the type cannot hold that.
+"""
 
 _LETTERS: Final = {
     "int16": "h",
@@ -44,15 +50,15 @@ class PointForm:
     """How a point's value is encoded in registers, computed once for all units that have the point.
 
     Attributes:
-        section: the declaration.
-        table: its table.
-        address: its first item, 0-based.
-        bit: the bit in a register, 0…15; None for whole items.
-        form: the type of its registers; None for one bit.
-        size: registers or bits that it takes.
-        put: puts a number into bytes.
-        quantise: returns a value rounded as the registers hold it.
-        factors: a number of the registers times the first plus the second is the value.
+        section: the declaration of the point in its file.
+        table: table of the point.
+        address: address of the point's first item, 0-based.
+        bit: number of the bit in its register, 0…15; None for whole items.
+        form: value type of the registers; None for one bit.
+        size: number of items that the point takes.
+        put: writes a number, as the registers hold it, into the memory of a device.
+        quantise: returns the number in the registers for a value in the unit of measure.
+        factors: factor and offset: the number in the registers times the first, plus the second, is the value.
     """
 
     section: SimulatedPointSection
@@ -68,7 +74,12 @@ class PointForm:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a point is in the memory of one device: the memory block, and the offset in bytes (for bits: in bits)."""
+    """Where a point is in the memory of one device.
+
+    Attributes:
+        memory: the block of items that has the point.
+        offset: offset of the point in the block, in bytes (for bits: in bits).
+    """
 
     memory: RegisterRun | BitRun
     offset: int
@@ -115,7 +126,7 @@ def _put_bit(data: bytearray, offset: int, on: bool) -> None:
 
 
 def _putter(form: ValueType[Any]) -> Put:
-    """Return a function that writes a number of a type into memory; for common byte orders by ``struct`` alone."""
+    """Return a function that writes a number of a value type into memory, a fast one for the common byte orders."""
     letter = _LETTERS.get(form.name)
     if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
         return struct.Struct(f">{letter}").pack_into
@@ -167,7 +178,7 @@ def _quantiser(section: SimulatedPointSection, form: ValueType[Any]) -> Quantise
 
 
 _ROUNDING: Final = 1e-9
-"""What a division by a binary fraction may be off."""
+"""Largest error of a division whose operands are rounded to binary fractions."""
 
 
 def _whole_quantiser(scale: float, offset: float, least: int, most: int) -> Quantise:
@@ -198,7 +209,7 @@ def _float_quantiser(section: SimulatedPointSection, low: float, high: float) ->
 
 
 def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
-    """Return the smallest and the largest number of a value type."""
+    """Return the smallest and the largest number that a value type can hold."""
     if form.name in _LARGEST:
         return -_LARGEST[form.name], _LARGEST[form.name]
     bits = 16 * form.registers
@@ -215,7 +226,10 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
 
 
 def largest_of(form: PointForm) -> float | None:
-    """Return the value after which a counter of this type starts from 0 again; None for bits and floats."""
+    """Return the value at which a counter in this point starts from 0 again; None for bits and floats.
+
+    This is ``rollover`` of the point if that is a number, or the first value that the registers cannot hold.
+    """
     if form.form is None or form.form.name.startswith("float"):
         return None
     if not isinstance(form.section.rollover, bool):

@@ -3,7 +3,7 @@
 Knows the device that holds the point; knows no behaviour beyond its name, and no clock: times are seconds of the
 simulation since its beginning.
 
-1. The registers are the truth: ``value`` is what a client would read.
+1. The value of a point is always read from its registers: ``value`` is what a client would read.
 """
 
 import math
@@ -23,23 +23,28 @@ from ...values.refusal import shown
 from .registers import PointForm, place_of
 
 SIMULATION: Final = "simulation"
-"""Who has written what a behaviour gave, or the file."""
+"""Name of the writer of values that come from a behaviour, or from the file."""
 
 
 class SimulatedPoint:
     """One named value of a simulated device, with its place in the registers and its behaviour.
 
+    Args:
+        unit: number of the unit, 0…255.
+        form: how the point's value is encoded.
+        device: the device that has the point.
+
     Attributes:
-        key: ``UNIT/NAME``, its name in the simulation.
-        unit: number of its unit.
-        device: the device that has it.
-        form: how its value is encoded.
-        memory: the run that holds its bytes.
-        offset: where they begin in it, in bytes (one bit: in bits).
-        held: the number of the hold under which it was set by hand, or 0 while it follows its behaviour.
-        number: its value as formulas see it; NaN for what is no number.
-        stored: what the registers were last given, a number of the type or ``bool``.
-        changed_at: when its value changed last, in seconds of the simulation.
+        key: ``UNIT/NAME``, the name of the point in the simulation.
+        unit: number of the unit.
+        device: the device that has the point.
+        form: how the point's value is encoded.
+        memory: the block of items that holds the value.
+        offset: where the value begins in that block, in bytes (one bit: in bits).
+        held: number of the latest setting by hand; 0 while the point follows its behaviour.
+        number: the value as formulas see it; NaN if it is no number.
+        stored: the value as the registers hold it: a number of the type, or ``bool``; None if they are invalid in it.
+        changed_at: when the value changed last, in seconds of the simulation.
         last_writer: ``simulation``, ``api``, or the address of a Modbus client.
     """
 
@@ -79,12 +84,12 @@ class SimulatedPoint:
 
     @property
     def name(self) -> str:
-        """Name of the simulated point in its unit."""
+        """The name of the simulated point in its unit."""
         return self.form.section.name
 
     @property
     def table(self) -> Table:
-        """Table that the point is in."""
+        """The table that the point is in."""
         return self.form.table
 
     @property
@@ -114,7 +119,7 @@ class SimulatedPoint:
 
     @property
     def scale(self) -> float:
-        """Change of the value, in the unit of measure, for one step of the raw number."""
+        """The factor from the number in the registers to the value in the unit of measure."""
         return self.form.section.scale
 
     @property
@@ -134,17 +139,17 @@ class SimulatedPoint:
 
     @property
     def minimum(self) -> float | None:
-        """Smallest value that may be written to the point."""
+        """The smallest value that may be written to the point, in its unit of measure; None for no limit."""
         return self.form.section.minimum
 
     @property
     def maximum(self) -> float | None:
-        """Largest value that may be written to the point."""
+        """The largest value that may be written to the point, in its unit of measure; None for no limit."""
         return self.form.section.maximum
 
     @property
     def enumeration(self) -> Mapping[str, int]:
-        """Names of the point's values; empty if they have none."""
+        """The names of the point's values, with the number of each; empty if they have none."""
         return self.form.section.enumeration
 
     @property
@@ -170,7 +175,7 @@ class SimulatedPoint:
 
     @property
     def label(self) -> str | None:
-        """Name of the point's current value, if it has one."""
+        """The name of the point's current value; None if the value has no name."""
         value = self.value
         return next((name for name, number in self.enumeration.items() if number == value), None)
 
@@ -182,7 +187,7 @@ class SimulatedPoint:
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
-        """Read the point's value from its registers again, because a client has written them."""
+        """Update ``stored`` and ``number`` from the point's registers; to be called after these were written."""
         try:
             self.stored = self._decoded()
         except BadReply:
@@ -191,17 +196,19 @@ class SimulatedPoint:
         self.number = float(value) if isinstance(value, int | float) else math.nan
 
     def _decoded(self) -> Any:  # what its type says
-        """Return the content of the point's registers, decoded by its type."""
+        """Return the content of the point's registers, decoded by its type. Raises `BadReply` for invalid content."""
         form, offset = self.form.form, self.offset
         if form is None:
             return bool(self.memory.data[offset >> 3] >> (offset & 7) & 1)
         return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
 
     def put(self, value: Any) -> None:  # what its type says
-        """Set the simulated point to a value in its unit of measure, or to a named value.
+        """Set the point's registers to a value in its unit of measure, or to the name of a value.
+
+        The point goes on following its behaviour; `Simulation.set` holds it.
 
         Raises:
-            InvalidRequest: it does not fit the type, the range or the names.
+            InvalidRequest: the value does not fit the type, the range or the names.
         """
         try:
             put_value(self.device, self.section, value)
@@ -218,11 +225,11 @@ class SimulatedUnit:
     """One unit of a simulation with its device and points.
 
     Attributes:
-        unit: its number, 0…255.
-        name: its name; empty if the file gives it none.
-        description: the description of the unit.
+        unit: number of the unit, 0…255.
+        name: name of the unit; empty if the file gives none.
+        description: description of the unit, from the file.
         device: the device to serve.
-        points: its points by their name in the unit, in the order of the file.
+        points: the points by their name in the unit, in the order of the file.
     """
 
     unit: int
@@ -234,13 +241,13 @@ class SimulatedUnit:
 
 @dataclass(frozen=True, slots=True)
 class PointChanged:
-    """A new value of a simulated point, with its time and who set it.
+    """A new value of a simulated point, with its time and its writer.
 
     Attributes:
-        point: which.
-        value: what it holds now, in the unit of measure; in a float, not yet rounded to the registers.
-        at: when, in seconds of the simulation.
-        who: ``simulation``, ``api``, or the address of a Modbus client.
+        point: the point.
+        value: the new value, in the unit of measure; that of a float may be more exact than its registers.
+        at: when the value changed, in seconds of the simulation.
+        who: the writer: ``simulation``, ``api``, or the address of a Modbus client.
     """
 
     point: SimulatedPoint
@@ -250,5 +257,5 @@ class PointChanged:
 
     @property
     def key(self) -> str:
-        """Key of the changed point: ``UNIT/NAME``."""
+        """The key of the changed point: ``UNIT/NAME``."""
         return self.point.key

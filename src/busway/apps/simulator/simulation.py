@@ -1,6 +1,6 @@
 """A running simulation: units whose points follow their behaviours, and can be set by people and programs.
 
-Knows files of simulations, the engine and a clock; knows no page. What goes wrong on purpose is the fault board's.
+Knows files of simulations, the engine and a clock; knows no page. Faults are played by the fault switchboard.
 
 >>> simulation = Simulation("plant.toml")                                    # doctest: +SKIP
 >>> async with simulation.running("tcp://127.0.0.1:5020"): ...               # doctest: +SKIP
@@ -10,7 +10,7 @@ Knows files of simulations, the engine and a clock; knows no page. What goes wro
 2. Without a clock nothing happens by itself: `tick` moves on to the time it is given.
 3. A point that was set by hand, or written by Modbus, does not follow its behaviour until it is released, by
    `release` or after the ``resume_after`` seconds of its behaviour.
-4. A program that could not keep up leaves moments out; it is never late for ever.
+4. A program that cannot keep up leaves moments out, so that it does not fall behind more and more.
 """
 
 import asyncio
@@ -55,14 +55,14 @@ class SimulationTimer(Protocol):
     """Interface of a call scheduled with the simulation's clock."""
 
     def cancel(self) -> None:
-        """Cancel the scheduled call of a function."""
+        """Cancel the call: the function is not called any more."""
 
 
 class SimulationClock(Protocol):
     """Interface of a clock that also calls functions at a time; `busway.testing.FakeClock` is one."""
 
     def now(self) -> float:
-        """The current time of the simulation's clock in seconds, monotonic."""
+        """Return the current time of the clock in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> SimulationTimer:
         """Call ``callback`` once, when ``now()`` has reached ``when``."""
@@ -81,23 +81,24 @@ class Simulation:
     """Simulated units from a file, whose points follow their behaviours.
 
     Args:
-        file: path of a simulation file; or what `busway.apps.simulator.includes.parse_declaration` gave.
-        clock: the clock; None for the event loop's, from the moment on that it runs in one.
-        seed: of all that is drawn; None for that of the file, which is 0 if it says nothing.
+        file: path of a simulation file; or the result of `busway.apps.simulator.includes.parse_declaration`.
+        clock: the clock; None for that of the event loop, from the moment on that the simulation runs in one.
+        seed: seed of all random numbers; None for that of the file, which is 0 if it says nothing.
         speed: seconds of the simulation in one second of the clock, above 0.
 
     Raises:
-        ConfigError: a file cannot be read, or something in it cannot be; then it has all ``problems``, each with
-            file, line and key.
+        ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
+            key.
 
     Attributes:
-        declaration: the file, includes and all.
+        declaration: the simulation file with all its includes.
+        seed: seed of all random numbers.
         units: the units by number.
         points: all points by ``UNIT/NAME``.
-        board: the faults by name, those of the file and more; played by every server that `serve` makes.
-        speed: as given, or changed since.
-        is_paused: whether time stands still.
-        warnings: what is odd, a sentence each: values that were kept and cannot be taken up again.
+        board: switches the faults by name; they are played by every server that `serve` creates.
+        speed: seconds of the simulation in one second of the clock.
+        is_paused: whether the simulated time stands still.
+        warnings: saved values that could not be restored, a sentence each.
     """
 
     def __init__(
@@ -140,17 +141,17 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """Current time of the simulation, in seconds since its start."""
+        """The current time of the simulation, in seconds since its beginning."""
         return self._time if self._clock is None else self._time_at(self._clock.now())
 
     @property
     def changes(self) -> int:
-        """Number of new values that behaviours have produced so far."""
+        """The number of new values that behaviours have given to points so far."""
         return self._engine.changes
 
     @property
     def left_out(self) -> int:
-        """Number of moments at which points should have changed but did not, because the program was too slow."""
+        """The number of moments at which points should have changed but did not, because the program was too slow."""
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:
@@ -163,10 +164,12 @@ class Simulation:
     def set(self, key: str, value: Any, who: str = "api") -> None:  # Any: what the point's type says
         """Set a point by hand: it holds the value until it is released. From any thread.
 
+        Points that Modbus clients may only read can be set too.
+
         Args:
             key: ``UNIT/NAME``.
-            value: in the unit of measure; or the name of a number; what Modbus cannot write can be set, too.
-            who: what `SimulatedPoint.last_writer` says from then on.
+            value: the value in the unit of measure, or its name in the point's enumeration.
+            who: name of the writer, for `SimulatedPoint.last_writer` and the functions of `watch`.
 
         Raises:
             InvalidRequest: there is no such point, or the value does not fit its type, its range or its names.
@@ -178,7 +181,9 @@ class Simulation:
         self._tell(changes)
 
     def release(self, key: str) -> None:
-        """Let a point that was set by hand follow its behaviour again, from its next moment on. From any thread.
+        """Let a point that was set by hand or by Modbus follow its behaviour again, from its next moment on.
+
+        May be called from any thread.
 
         Raises:
             InvalidRequest: there is no such point.
@@ -188,13 +193,13 @@ class Simulation:
             self._engine.release(point, self.time)
 
     def watch(self, callback: Watcher) -> Callable[[], None]:
-        """Register a function that gets changed values, several at a time. Returns a function that unregisters it.
+        """Register a function to be called with each group of changed values.
 
         Args:
-            callback: called in the thread that made the change; what it raises is logged.
+            callback: gets the changes, in the thread that made them; its errors are logged.
 
         Returns:
-            What ends it.
+            A function that unregisters ``callback``.
         """
         self._watchers = (*self._watchers, callback)
 
@@ -205,16 +210,16 @@ class Simulation:
 
     @property
     def faults(self) -> "Faults":
-        """The faults of the simulated devices; its ``board`` finds them by name."""
+        """The faults of the simulated devices, which the servers play; `board` finds them by name."""
         return self.board.faults
 
     # ---- time
 
     def tick(self, now: float) -> None:
-        """Compute the values of all points up to a time, without skipping moments.
+        """Compute the values of all points at each moment up to a time; no moment is left out.
 
         Args:
-            now: seconds of the clock, monotonic. Without a clock, the first time is the beginning.
+            now: the time of the clock in seconds, monotonic. Without a clock, the first call gives the beginning.
         """
         if self._origin is None:
             self._origin = (now, self._time)
@@ -222,7 +227,10 @@ class Simulation:
         self._engine.run(self._time)
 
     def deadline(self) -> float | None:
-        """Return when the next points change, in seconds of the clock; None if none do, or before the start."""
+        """Return when the next points change, in seconds of the clock.
+
+        None if no point changes, while the simulation is paused, and without a clock before the first `tick`.
+        """
         due = self._engine.deadline()
         if due is None or self._origin is None:
             return None
@@ -232,13 +240,13 @@ class Simulation:
         return began + (due - time) / self.speed
 
     def change_speed(self, speed: float) -> None:
-        """Change the speed of the simulated time from now on; call it in the thread of the running event loop.
+        """Change the speed of the simulated time from now on; to be called in the thread of the running event loop.
 
         Args:
             speed: seconds of the simulation in one second of the clock, above 0.
 
         Raises:
-            ConfigError: it cannot be.
+            ConfigError: the speed is not above 0, or infinite.
         """
         _check_speed(speed)
         self._count_from_here()
@@ -246,13 +254,16 @@ class Simulation:
         self._arm_if_running()
 
     def pause(self) -> None:
-        """Stop the simulated time: points keep their values and can still be set. From the event loop's thread."""
+        """Stop the simulated time: points keep their values and can still be set.
+
+        To be called in the thread of the running event loop.
+        """
         self._count_from_here()
         self.is_paused = True
         self._arm_if_running()
 
     def resume(self) -> None:
-        """Continue the simulated time from where it stopped. From the event loop's thread."""
+        """Continue the simulated time from where it stopped; to be called in the thread of the running event loop."""
         self._count_from_here()
         self.is_paused = False
         self._arm_if_running()
@@ -295,21 +306,29 @@ class Simulation:
 
     @property
     def audit(self) -> str | None:
-        """Path of the audit log that the file declares; None without one."""
+        """The path of the audit log that the simulation file declares; None without one."""
         return self.declaration.configuration.audit
 
     @property
     def control(self) -> str | None:
-        """Address of the control socket; None for the default one."""
+        """The path or address of the control socket; None for the default one."""
         return self.declaration.configuration.control
 
     @property
     def at_once(self) -> frozenset[str]:
-        """Names of the file's sections that a reload applies without a restart."""
+        """The names of the file's sections whose changes a reload applies without a restart."""
         return self.declaration.configuration.at_once
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> "Server":  # Any: as `busway.serve`
-        """Create a server for the units, not started yet; as `Configuration.serve`, which it calls."""
+        """Create a server for the units, with the faults and observers of the simulation; it is not started yet.
+
+        Args:
+            listen: URLs or listeners instead of those of the file.
+            options: options of `busway.serve`, instead of those of the file.
+
+        Raises:
+            ConfigError: an invalid option.
+        """
         server = self.declaration.configuration.serve(
             listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
         )
@@ -319,7 +338,7 @@ class Simulation:
         return server
 
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
-        """Do nothing: changed units and listeners take effect at the next start."""
+        """Do nothing, and return an empty list: changed units and listeners take effect at the next start."""
         return []
 
     @property
@@ -328,7 +347,7 @@ class Simulation:
         return STANDARD
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of requests for every server of the simulation from now on."""
+        """Register an observer of the requests of every server that `serve` creates from now on."""
         self._observers.append(observer)
 
     # ---- running
@@ -342,14 +361,16 @@ class Simulation:
 
     @asynccontextmanager
     async def running(self, *listen: str) -> AsyncIterator[Self]:
-        """Context manager that serves the units and runs their behaviours: ``async with
-        simulation.running("tcp://127.0.0.1:0"): …``.
+        """Serve the units and run their behaviours while the context lasts.
+
+        To be used as ``async with simulation.running("tcp://127.0.0.1:0"): …``.
 
         Args:
-            listen: URLs, instead of those of the file.
+            listen: URLs to listen on, instead of those of the file.
 
         Raises:
-            ConfigError, LinkDown: as of `Server.start`.
+            ConfigError: a listener cannot be used as configured.
+            LinkDown: a listener cannot be opened.
         """
         server = self.serve(listen)
         # The server ends first: what it still takes is kept.
@@ -358,10 +379,10 @@ class Simulation:
 
     @asynccontextmanager
     async def driven(self, server: Any) -> AsyncIterator[Self]:  # Any: what `serve` gave, or a `Service` started
-        """Context manager that runs the behaviours while a server of `serve` runs.
+        """Run the behaviours of the points while the context lasts, and save the state at the end if the file says so.
 
         Args:
-            server: the server; its creator starts and stops it.
+            server: the server that serves the units, as `server` returns it; its creator starts and stops it.
         """
         self._server = server
         self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
@@ -420,20 +441,25 @@ class Simulation:
     # ---- changes
 
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
-        """Report new values that behaviours computed for points."""
+        """Report to the watchers new values that behaviours have given to points. Called by the engine."""
         if self._watchers:
             self._tell(
                 [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
             )
 
     def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
-        """Handle a Modbus write to simulated points. Called with the device's lock held."""
+        """Hold and report points that a Modbus client has written. Called with the device's lock held."""
         for point in points:
             point.look()
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Register points as set by hand. Returns them as changes to report."""
+        """Hold points at the values that they were set to, and return the changes for the watchers; empty without any.
+
+        Args:
+            points: points whose registers have their new value.
+            who: name of the writer.
+        """
         time = self.time
         changes = []
         for point in points:
@@ -463,7 +489,7 @@ class Simulation:
     # ---- values over restarts
 
     def _begin(self) -> None:
-        """Start a new simulation, or continue one from its saved state."""
+        """Give all points their first values, or those of the saved state if the file names one and there is one."""
         path = self.declaration.state
         kept = None
         if path is not None:
@@ -499,12 +525,12 @@ class Simulation:
             self._engine.hold(point, self._time)
 
     def keep(self) -> None:
-        """Save the state of the simulation now, if it has a file for that. Failures are logged."""
+        """Save the state of the simulation now, if its file names a place for that. Failures are logged."""
         if self.declaration.state is not None:
             self._save(self.declaration.state, self._snapshot())
 
     async def _keep_on(self, path: str, ended: asyncio.Event) -> None:
-        """Save the simulation's state periodically; a full disk does not end that."""
+        """Save the simulation's state every ``keep_every`` seconds until ``ended`` is set; failures are logged."""
         while True:
             with suppress(TimeoutError):
                 await asyncio.wait_for(ended.wait(), self.declaration.file.simulation.keep_every)

@@ -2,10 +2,11 @@
 
 Knows the file; knows no device.
 
-1. It is written beside its place and then put there in one step: who reads it sees all of it, or the one before.
-2. A state that cannot be understood is put aside, never overwritten, and said; the simulation begins anew.
+1. A state is written to another file, which then takes the name in one step: a reader sees all of it, or the one
+   before.
+2. A state that cannot be read is renamed, never overwritten, and an error says so; the simulation begins anew.
 3. A file that is no state is refused and stays as it is. So is one that a link of another user leads to.
-4. It is made for its owner alone (0600): it holds what clients wrote.
+4. Only its owner may read the file (0600): it holds values that clients wrote.
 """
 
 import json
@@ -22,7 +23,7 @@ _VERSION: Final = 1
 _LARGEST: Final = 256 << 20
 """Bytes of a state: a hundred thousand units have 100 MB."""
 ASIDE: Final = ".broken"
-"""What is appended to the name of a file that could not be read."""
+"""Ending that is appended to the name of a state file that cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,9 +31,9 @@ class KeptPoint:
     """The saved state of one simulated point.
 
     Attributes:
-        value: in the unit of measure; None where the behaviour alone is kept.
-        is_held: whether it was set by hand and does not follow its behaviour.
-        behaviour: the state of its behaviour; None if it depends only on the time.
+        value: the value in the unit of measure; None if only the state of the behaviour is saved.
+        is_held: whether the point was set by hand and does not follow its behaviour.
+        behaviour: the value from which the behaviour continues; None if it depends only on the time.
     """
 
     value: Any = None  # what the point's type says
@@ -45,8 +46,8 @@ class KeptState:
     """The saved state of a simulation: its time and the state of its points.
 
     Attributes:
-        time: seconds since its beginning.
-        points: by ``UNIT/NAME``.
+        time: time of the simulation, in seconds since its beginning.
+        points: by ``UNIT/NAME``, the state of each saved point.
     """
 
     time: float
@@ -75,7 +76,8 @@ def check_state(path: str) -> str:
     """Return the path of a state file with links resolved; the file need not exist yet.
 
     Raises:
-        ConfigError: it is no regular file, is no state, or is reached by a link of another user; it stays as it is.
+        ConfigError: there is a file that is not regular, is no state, or is reached by a link of another user; the file
+            stays as it is.
     """
     return check_replaceable(
         path, is_ours=lambda head: f'"{_KIND}"'.encode("ascii") in head, kind="state of a simulation"
@@ -86,8 +88,8 @@ def load_state(path: str) -> KeptState | None:
     """Return the state of a simulation saved in a file; None if there is no file.
 
     Raises:
-        ConfigError: the file is not a valid state; it was renamed, with ``.broken`` after its name. Or as of
-            `check_state`.
+        ConfigError: the file is not a valid state, and was renamed if possible, with ``.broken`` after its name; or the
+            file is refused by `check_state`.
     """
     place = check_state(path)
     if not os.path.lexists(place):
@@ -101,7 +103,7 @@ def load_state(path: str) -> KeptState | None:
 
 
 def _put_aside(place: str) -> str:
-    """Rename an invalid state file. Returns the new path, for a message."""
+    """Rename an invalid state file, and return for a message where its values are now."""
     aside = f"{place}{ASIDE}"
     try:
         os.replace(place, check_state(aside))

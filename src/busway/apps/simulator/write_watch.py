@@ -1,6 +1,6 @@
 """Tells a simulation which of its points a Modbus client has written.
 
-Knows points and the hooks of devices; knows no behaviour. What does not fit a point is refused before
+Knows points and the hooks of devices; knows no behaviour. Values that do not fit a point are refused before
 (`busway.config.device_writes`).
 """
 
@@ -13,11 +13,17 @@ from ...server.hooks import Change
 from .simulated import SimulatedPoint
 
 Told = Callable[[Sequence[SimulatedPoint], str], None]
-"""Called with the points that were written, and with who wrote."""
+"""Function that is called with the points that were written, and the address of the client."""
 
 
 def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -> None:
-    """Report each Modbus write to certain points of a device, from now on."""
+    """Have a function called after each Modbus write that touches points of a device, from now on.
+
+    Args:
+        device: the device.
+        points: the points to watch; those that clients cannot write have no effect.
+        told: called with the points that were written and the address of the client.
+    """
     for table in Table:
         inside = [point for point in points if point.table is table]
         if inside and table.is_writable:
@@ -38,7 +44,7 @@ class _Writes:
         self._told = told
 
     def tell(self, change: Change) -> None:
-        """Report the points that a Modbus write has touched."""
+        """Report the points that a Modbus write has touched, if any. Called by the device after each write."""
         touched = self._items.touched(change.address, change.address + change.count)
         if touched:
             self._told([self._points[index] for index in touched], change.peer)

@@ -1,6 +1,6 @@
 """Builds behaviours from the sections of a simulation file.
 
-Knows every kind; knows no device: what expressions read is handed in.
+Knows every kind of behaviour; knows no device: a function that reads other points is handed in.
 """
 
 from collections.abc import Callable
@@ -36,11 +36,11 @@ class Surroundings:
         key: the key of the point, ``UNIT/NAME``.
         seed: the seed of the simulation.
         start: the point's first value.
-        low, high: the point's range; None where it has no end.
+        low, high: smallest and largest value of the point; None for no limit.
         rollover: the value at which a counter of the point's type starts from 0 again; None for never.
         expressions: the parsed expressions of the section, by key.
-        recording: the recording of a replay.
-        source: gives for the name of a point what reads its value.
+        recording: the recording of a replay; None for other behaviours.
+        source: returns for the name of a point a function that reads its value.
     """
 
     key: str
@@ -55,7 +55,12 @@ class Surroundings:
 
 
 def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour:
-    """Create the behaviour of a simulated point that a section of a simulation file declares."""
+    """Create the behaviour of a simulated point that a section of a simulation file declares.
+
+    Args:
+        section: the section, of any kind.
+        around: range and first value of the point, the seed, and access to other points.
+    """
     match section:
         case ConstantSection():
             return Constant(section)

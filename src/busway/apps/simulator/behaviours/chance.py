@@ -1,7 +1,7 @@
 """Random behaviours, equal for equal seeds: noise and random walk.
 
-1. What is drawn at a step depends on the seed, the point and the number of the step alone: however often the engine
-   comes by, and whatever else is drawn, step 1000 is step 1000.
+1. The random number of a step depends on the seed, the point and the number of the step alone. Moments that the engine
+   left out, and the numbers of other points, do not change it.
 """
 
 import math
@@ -16,7 +16,12 @@ _TO_UNIT: Final = 2.0**-53
 
 
 def stream_of(seed: int, key: str) -> int:
-    """Return the start number of a point's own sequence of random numbers."""
+    """Return the start number of a point's own sequence of random numbers, for `drawn`.
+
+    Args:
+        seed: the seed of the simulation.
+        key: key of the point, ``UNIT/NAME``.
+    """
     return int.from_bytes(blake2b(f"{seed}/{key}".encode(), digest_size=8).digest())
 
 
@@ -29,7 +34,12 @@ def drawn(stream: int, index: int) -> float:
 
 
 class Noise:
-    """Behaviour ``noise``: random values around a mean, each independent of the others."""
+    """Behaviour ``noise``: random values around a mean, each independent of the others.
+
+    Args:
+        section: the behaviour's section in the file.
+        stream: start number of the point's random sequence (`stream_of`).
+    """
 
     __slots__ = ("_every", "_is_normal", "_mean", "_spread", "_stream")
 
@@ -50,7 +60,7 @@ class Noise:
         return self._mean + self._spread * radius * math.cos(2 * math.pi * drawn(self._stream, 2 * step + 1))
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: no value of the noise depends on the one before."""
+        """Do nothing: no value of the noise depends on an earlier one."""
 
     def state(self, time: float) -> float | None:
         """Return None, as noise has no state to keep."""
@@ -61,10 +71,10 @@ class RandomWalk:
     """Behaviour ``random-walk``: random steps up and down, reflected at the limits.
 
     Args:
-        section: its section in the file.
-        stream: the start number of the point's random sequence.
+        section: the behaviour's section in the file.
+        stream: start number of the point's random sequence (`stream_of`).
         start: the first value.
-        low, high: ends that the point itself has, where the section has none.
+        low, high: the limits; None for no limit.
     """
 
     __slots__ = ("_every", "_high", "_low", "_size", "_step", "_stream", "_value")
@@ -81,7 +91,7 @@ class RandomWalk:
         self._step = 0
 
     def value(self, time: float) -> float:
-        """Return the value of the random walk at a time; steps that the engine skipped are made first."""
+        """Return the value of the random walk at a time; steps of moments that the engine left out are made first."""
         last = round(time / self._every)
         value = self._value
         for step in range(self._step + 1, last + 1):
@@ -95,7 +105,7 @@ class RandomWalk:
         return value
 
     def resume(self, time: float, value: float) -> None:
-        """Let the random walk continue from a value at a time."""
+        """Let the random walk continue from a value that the point has at a time."""
         self._value = value
         self._step = math.floor(time / self._every + 1e-9)
 

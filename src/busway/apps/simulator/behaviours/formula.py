@@ -7,7 +7,10 @@ class Formula:
     """Behaviour ``formula``: the point's value is computed from other points and the time.
 
     Args:
-        compute: the expression, bound to its points.
+        compute: the expression, bound to its points: returns the value for a time.
+
+    Attributes:
+        value: that function.
     """
 
     __slots__ = ("value",)
@@ -16,7 +19,7 @@ class Formula:
         self.value: Bound = compute
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: the value follows from other points, not from the one before."""
+        """Do nothing: the value follows from other points and the time, not from an earlier value."""
 
     def state(self, time: float) -> float | None:
         """Return None, as a formula has no state to keep."""

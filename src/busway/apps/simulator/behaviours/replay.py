@@ -1,11 +1,11 @@
 """Behaviour ``replay``: recorded values from lines ``time,value``.
 
-Knows the text of such a file; reads none.
+Knows the text of a recording; reads no file.
 
 1. Times are seconds and rise. The first line may be a heading. Empty lines, and those that begin with ``#``, are left
    out. A value is a number; ``on`` and ``off`` (``true``, ``false``) are 1 and 0.
-2. The recording begins at its first time. With ``repeat`` it begins anew after its last time plus the distance of its
-   last two.
+2. The recording begins at its first time. With ``repeat`` the last value lasts as long as the one before it; then the
+   recording begins again.
 """
 
 import math
@@ -26,8 +26,8 @@ class Recording:
     """Recorded values of a point over time, to be replayed.
 
     Attributes:
-        times: seconds since the first of them, rising, the first 0.
-        values: as many.
+        times: times of the values in seconds since the first one, rising; the first is 0.
+        values: a value for each time.
     """
 
     times: tuple[float, ...]
@@ -35,20 +35,23 @@ class Recording:
 
     @property
     def length(self) -> float:
-        """Seconds from the start of the recording until it repeats."""
+        """The seconds from the start of the recording until it repeats: its last value lasts as long as the one before.
+
+        1 second if there is one value only.
+        """
         times = self.times
         return times[-1] + (times[-1] - times[-2] if len(times) > 1 else 1.0)
 
 
 def parse_recording(text: str, name: str) -> Recording:
-    """Parse the lines ``time,value`` of a recording to be replayed.
+    """Return the recording that a text of lines ``time,value`` holds.
 
     Args:
-        text: the content of the file.
-        name: its name, for the sentences.
+        text: content of the file.
+        name: name of the file, for errors.
 
     Raises:
-        FileError: all that is wrong, each with file and line.
+        FileError: the text is invalid; the error has up to 20 problems, each with file and line.
     """
     times: list[float] = []
     values: list[float] = []
@@ -102,12 +105,13 @@ def _is_heading(line: str) -> bool:
 
 
 class Replay:
-    """Behaviour ``replay``: the point takes recorded values, again and again.
+    """Behaviour ``replay``: the point takes recorded values, once or again and again.
 
     Args:
-        recording: the values.
-        at_end: whether the last value stays after the end, or all are repeated.
-        between: how values between two lines come: the earlier one, or on a straight line.
+        recording: the recorded values.
+        at_end: ``hold``: the last value stays after the end; ``repeat``: the recording begins again.
+        between: the value between two recorded ones. ``step``: the earlier one; ``line``: on a straight line from one
+            to the other.
     """
 
     __slots__ = ("_is_line", "_length", "_recording", "_repeats")
@@ -121,7 +125,7 @@ class Replay:
         self._length = recording.length
 
     def value(self, time: float) -> float:
-        """Return the recorded value at a time."""
+        """Return the value of the recording at a time of the simulation."""
         times, values = self._recording.times, self._recording.values
         if self._repeats:
             time %= self._length
@@ -132,7 +136,7 @@ class Replay:
         return values[at] + part * (values[at + 1] - values[at])
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: the replayed value follows from the time."""
+        """Do nothing: the replayed value follows from the time alone."""
 
     def state(self, time: float) -> float | None:
         """Return None, as a replay has no state to keep."""

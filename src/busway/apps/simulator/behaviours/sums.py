@@ -1,10 +1,11 @@
 """Behaviours that continue from their last value: counter and first-order lag.
 
-1. A number as rate or target gives a closed form of the time since the last `resume`: nothing is summed up, nothing
-   drifts.
-2. An expression as rate or target is seen after each moment, and holds until the next (`Observer`). Where it has no
+1. With a number as rate or target the value is computed from the time since the last `resume`: nothing is summed up,
+   nothing drifts.
+2. An expression as rate or target is computed after each moment, and holds until the next (`Observer`). If it has no
    value, a counter stands still and a lag stays where it is.
-3. Who sets a value does so between two moments; before that time, the value is the one that was set.
+3. A value may be set by hand between two moments. It is also the value at earlier times, should the engine ask for one;
+   after that the behaviour continues from it.
 """
 
 import math
@@ -13,11 +14,11 @@ from ....points.expression import Bound
 
 
 class SteadyCounter:
-    """Behaviour ``counter`` with a constant rate: the value is a sum over time.
+    """Behaviour ``counter`` with a constant rate: the value grows by the rate each second.
 
     Args:
-        rate: per second.
-        rollover: the value at which it starts from 0 again; None for never.
+        rate: change of the value per second.
+        rollover: the value at which the counter starts from 0 again; None for never.
         start: the first value.
     """
 
@@ -45,11 +46,11 @@ class SteadyCounter:
 
 
 class Counter:
-    """Behaviour ``counter`` whose rate is a formula: the value is a sum over time.
+    """Behaviour ``counter`` whose rate is a formula: the value is the sum of the rate over time.
 
     Args:
-        rate: per second.
-        rollover: the value at which it starts from 0 again; None for never.
+        rate: the formula, which returns the change of the value per second.
+        rollover: the value at which the counter starts from 0 again; None for never.
         start: the first value.
     """
 
@@ -70,7 +71,7 @@ class Counter:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Take over the counter's rate, computed by a formula, at a time; it holds until the next moment."""
+        """Compute the counter's rate by its formula at a time; the rate holds until the next moment, 0 if it is NaN."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 
@@ -88,8 +89,8 @@ class SteadyLag:
     """Behaviour ``lag`` with a constant target, which the value approaches exponentially.
 
     Args:
-        target: the value that it approaches.
-        time_constant: seconds in which it makes 63 % of the way.
+        target: the value that is approached.
+        time_constant: seconds in which the value makes 63 % of the way.
         start: the first value.
     """
 
@@ -117,11 +118,11 @@ class SteadyLag:
 
 
 class Lag:
-    """Behaviour ``lag`` whose target is a formula; the value approaches it exponentially.
+    """Behaviour ``lag`` whose target is a formula; the value approaches the target exponentially.
 
     Args:
-        target: the value that it approaches.
-        time_constant: seconds in which it makes 63 % of the way.
+        target: the formula, which returns the value that is approached.
+        time_constant: seconds in which the value makes 63 % of the way.
         start: the first value.
     """
 
@@ -143,7 +144,7 @@ class Lag:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Take over the target of the lag, computed by a formula, at a time; it holds until the next moment."""
+        """Compute the target of the lag by its formula at a time; it holds until the next moment."""
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:

@@ -1,7 +1,7 @@
 """Behaviours that depend on time alone: constant, ramp, sine, square.
 
-1. The place within a period is computed from the time by one exact remainder, never summed up: after a year it is as
-   right as in the first second.
+1. The position within a period is computed from the time by one exact remainder, never summed up: after a year it is as
+   exact as in the first second.
 """
 
 import math
@@ -10,7 +10,7 @@ from ....config.files.behaviours import ConstantSection, RampSection, SineSectio
 
 
 class _Timeless:
-    """Base of behaviours that keep no state between two moments."""
+    """Base class of behaviours whose value depends on time alone, and which keep no state."""
 
     __slots__ = ()
 
@@ -36,7 +36,7 @@ class Constant(_Timeless):
 
 
 class Ramp(_Timeless):
-    """Behaviour ``ramp``: a straight line, then holding, repeating or going back."""
+    """Behaviour ``ramp``: the value goes on a straight line from first to last; then it stays, repeats or goes back."""
 
     __slots__ = ("_at_end", "_duration", "_first", "_rise")
 
