@@ -2,8 +2,8 @@
 
 Knows bytes and bools; knows no message.
 
-A state is True or False, or the integers 0 and 1. Nothing else is one: a text such as ``"off"`` would count as true in
-Python, and switch on what its author wanted off.
+The state of a bit is True or False, or the integer 0 or 1. Other values are refused: a text such as ``"off"`` would
+count as true in Python, and switch on what its author wanted off.
 """
 
 import operator
@@ -21,14 +21,14 @@ _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte 
 
 
 def as_state(name: str, value: object) -> bool:
-    """Return a coil value (True, False, 0 or 1) as bool; `InvalidRequest` for other values.
+    """Return the state of a coil as ``bool``.
 
     Args:
         name: what the value is, for the error.
         value: a ``bool``, an integer 0 or 1 of any type, or a boolean of numpy.
 
     Raises:
-        InvalidRequest: it is anything else. Nothing was sent.
+        InvalidRequest: the value is anything else. Nothing was sent.
     """
     if value.__class__ is bool:
         return bool(value)
@@ -44,7 +44,15 @@ def as_state(name: str, value: object) -> bool:
 
 
 def as_states(values: Iterable[object]) -> list[bool]:
-    """Return several coil values as bools. `InvalidRequest` names the invalid one; nothing was sent."""
+    """Return the states of several coils as a list of ``bool``, in order.
+
+    Args:
+        values: a state for each coil, as `as_state` takes it.
+
+    Raises:
+        InvalidRequest: ``values`` is no sequence, or one of its values no state; the error names which. Nothing was
+            sent.
+    """
     states = listed(values, "states", "True and False")
     for position, value in enumerate(states):
         if value.__class__ is not bool:
@@ -53,14 +61,15 @@ def as_states(values: Iterable[object]) -> list[bool]:
 
 
 def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value]:
-    """Return the values of an iterable as a list; `InvalidRequest` for a single value or a text.
+    """Return the values of an iterable as a list; single values and texts are refused.
 
     Args:
-        values: anything that has an order: a list, a range, a generator, an array. At most 65536 are looked at.
-        what, of: what they are, in the plural, and what can stand there, for the error.
+        values: anything that has an order: a list, a range, a generator, an array. At most 65536 values are taken.
+        what, of: names of the values and of what they may be, in the plural, for the error.
 
     Raises:
-        InvalidRequest: it is no such iterable (a text, bytes, a set or a mapping), or never ends. Nothing was sent.
+        InvalidRequest: ``values`` is no such iterable (a text, bytes, a set or a mapping), or has more values. Nothing
+            was sent.
     """
     if not is_several(values):
         raise InvalidRequest(f"the {what} must be a sequence of {of}, not {_shown(values)}")
@@ -86,7 +95,7 @@ def _shown(value: object) -> str:
 
 
 def pack_bits(values: Sequence[bool]) -> bytes:
-    """Pack bools into bytes; unused bits of the last byte are zero."""
+    """Return states as packed bits, the first in the lowest bit of the first byte; unused bits are zero."""
     packed = 0
     for position, value in enumerate(values):
         if value:
@@ -95,7 +104,7 @@ def pack_bits(values: Sequence[bool]) -> bytes:
 
 
 def unpack_bits(data: bytes, count: int) -> list[bool]:
-    """Unpack the first ``count`` bits of ``data``; fewer if there are fewer."""
+    """Return the first ``count`` bits of ``data`` as ``bool``, lowest bit first; fewer if ``data`` has fewer."""
     found: list[bool] = []
     for byte in data:
         found += _BITS_OF_BYTE[byte]
@@ -104,7 +113,7 @@ def unpack_bits(data: bytes, count: int) -> list[bool]:
 
 
 def slice_bits(data: bytes | bytearray, first: int, count: int) -> bytes:
-    """Copy ``count`` packed bits that start at bit ``first``, moved to the lowest bit; unused bits are zero."""
+    """Return ``count`` packed bits of ``data`` from bit ``first`` on, moved to the lowest bit; unused bits are zero."""
     shift = first & 7
     start = first >> 3
     if not shift and not count & 7:

@@ -20,13 +20,20 @@ from .malformed import MalformedPdu
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How a message class is laid out in bytes: a fixed head as one `struct.Struct`, then an optional variable part."""
+    """How a message class is laid out in bytes: a fixed head as one `struct.Struct`, then an optional variable part.
+
+    Attributes:
+        head: the function code, a sub-code and all fixed fields.
+        names, fields: the fixed fields in wire order.
+        tail: the field of variable length that ends the message; None without one.
+        tail_name: its name; empty without one.
+    """
 
     head: struct.Struct
     names: tuple[str, ...]
     fields: tuple[Field, ...]
     length_at: int | None
-    """Index among ``fields`` of the `RestLength`, if there is one."""
+    """Index among ``fields`` of the `RestLength`; None without one."""
     length_offset: int
     """Byte offset in the PDU of the `RestLength`; 0 without one."""
     tail: RestField | RepeatedField | None
@@ -34,12 +41,16 @@ class Layout:
 
 
 def attribute_names(cls: Any) -> tuple[str, ...]:
-    """Return the names of the fields that an instance of a message class holds, in wire order."""
+    """Return the names of the fields that messages of a class have as attributes, in wire order; no byte counts."""
     return tuple(name for name, field in cls.declared.items() if not isinstance(field, RestLength))
 
 
 def as_integer(name: str, value: object) -> int:
-    """Return an integer field's value as int; `InvalidRequest` with the field's name for other types, and for bool."""
+    """Return the value of an integer field as ``int``.
+
+    Raises:
+        InvalidRequest: the value is no integer, or a ``bool``; the error has the field's name.
+    """
     if isinstance(value, bool):
         raise InvalidRequest(f"{name} must be an integer, not {value}")
     try:
@@ -49,14 +60,22 @@ def as_integer(name: str, value: object) -> int:
 
 
 def as_bytes(name: str, value: object) -> bytes:
-    """Return a bytes-like field's value as bytes; `InvalidRequest` for others, also numbers: ``bytes(2)`` is 00 00."""
+    """Return the value of a field of bytes as ``bytes``.
+
+    Raises:
+        InvalidRequest: the value is not bytes-like. Numbers are refused too: ``bytes(2)`` would be 00 00.
+    """
     if isinstance(value, bytes | bytearray | memoryview):
         return bytes(value)
     raise InvalidRequest(f"{name.replace('_', ' ')} must be bytes, not {value!r}")
 
 
 def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_check_tail` looks at next
-    """Return an iterable field's value as tuple; `InvalidRequest` with the field's name otherwise."""
+    """Return the value of a field of several items as a tuple.
+
+    Raises:
+        InvalidRequest: the value cannot be iterated over; the error has the field's name.
+    """
     try:
         return tuple(value)  # type: ignore[arg-type]
     except TypeError:
@@ -64,9 +83,15 @@ def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_chec
 
 
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
-    """Compute the layout of a message class from its declared fields; its encoder and decoder are made at first use.
+    """Give a message class its layout; constructor, ``encode`` and ``decode`` are compiled when one is first used.
 
     Compiling all 40 classes takes 40 ms, which a command that uses two of them should not pay.
+
+    Args:
+        cls: a message class with its declared fields.
+
+    Raises:
+        TypeError: the declared fields cannot form a message.
     """
     cls.layout = _layout(cls)
     if getattr(cls, "writes", None) is not None:
@@ -95,13 +120,13 @@ def _first_decode(cls: Any, pdu: bytes) -> Any:
 
 
 def _compile_pending(cls: Any) -> None:
-    """Create encoder and decoder of a message class, or of the base class that declared its fields."""
+    """Compile constructor, ``encode`` and ``decode`` of a message class, or of the base class with its fields."""
     owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
     _compile_codecs(owner)
 
 
 def _compile_codecs(cls: Any) -> None:
-    """Make the constructor, ``encode`` and ``decode`` of a message class."""
+    """Generate and compile the constructor, ``encode`` and ``decode`` of a message class."""
     layout = cls.layout
     names = attribute_names(cls)
     self_coded = cls.self_coded
@@ -290,7 +315,13 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Return Python source that tests whether a field's value is out of range; empty if no bytes can be."""
+    """Return Python source that is true if a field's value is out of range.
+
+    Args:
+        name: the name of the variable with the value.
+        field: the field with its limits.
+        received: whether the value comes from bytes; then the source is empty if all bytes are in range.
+    """
     if field.values is not None:
         return f"{name} not in {field.values}"
     whole = 0xFF if field.width == 1 else 0xFFFF

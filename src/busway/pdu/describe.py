@@ -1,10 +1,10 @@
 """Describes a PDU for people: every field with its offset, its value and its fault, if any.
 
 Knows the declarations of functions and how to show them; sends and executes nothing. Unlike ``decode`` it never gives
-up: of a broken PDU it shows all fields that are there, and says of each rule which is broken.
+up: of a broken PDU it shows all fields that are there, and names each rule that is broken.
 
 1. Nothing raises, whatever the bytes are.
-2. A PDU is right exactly where ``decode`` of its class takes it; what the fields do not explain is said as a whole.
+2. A PDU is right exactly if ``decode`` of its class accepts it; a problem that no field has is one of the whole PDU.
 """
 
 from collections.abc import Iterator
@@ -25,7 +25,7 @@ from .read_items import ReadFifoQueue, unpack_registers
 from .write_items import WriteSingleCoil
 
 _MOST_VALUES: Final = 24
-"""Values of a block that are shown one by one."""
+"""Most values of a block that are shown; of a longer block their number is added."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +33,10 @@ class Part:
     """One field of a PDU in a description for people: name, offset, bytes, meaning, fault.
 
     Attributes:
-        offset: its first byte, counted from the function code.
-        data: its bytes; fewer than it needs where the PDU is cut off.
-        name: what the specification calls it.
-        text: its value in words; empty where the bytes say it all.
+        offset: offset of its first byte, counted from the function code.
+        data: its bytes; fewer than it needs if the PDU is cut off.
+        name: the specification's name of the field.
+        text: its value in words; empty if the bytes say it all.
         problem: what is wrong with it; empty if nothing is.
     """
 
@@ -54,8 +54,8 @@ class Description:
     Attributes:
         title: function and direction, ``3 (read holding registers), request``.
         parts: the fields in their order; together they hold all bytes.
-        problems: what is wrong, in order, that of the parts included; empty if the PDU is right.
-        message: what it decodes to, if it is right.
+        problems: what is wrong with the PDU and its parts, in order; empty if it is right.
+        message: the decoded message; None if the PDU is not right.
         is_known: whether the function is in the table.
     """
 
@@ -67,7 +67,12 @@ class Description:
 
 
 def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Description:
-    """Describe the bytes of a request PDU for people, field by field; never raises."""
+    """Describe the bytes of a request PDU for people, field by field; never raises.
+
+    Args:
+        pdu: the bytes, function code first; any bytes are accepted.
+        functions: the functions that are known.
+    """
     if not pdu:
         return _empty("request")
     kind = functions.find(pdu, 0, len(pdu))
@@ -80,7 +85,13 @@ def describe_request(pdu: bytes, functions: FunctionTable = STANDARD) -> Descrip
 
 
 def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: Message | None = None) -> Description:
-    """Describe the bytes of a reply PDU; never raises. ``request``, if known, tells number of bits and addresses."""
+    """Describe the bytes of a reply PDU for people, field by field; never raises.
+
+    Args:
+        pdu: the bytes, function code first; any bytes are accepted.
+        functions: the functions that are known.
+        request: the request that it answers, which says how many bits were read; None if it is not known.
+    """
     if not pdu:
         return _empty("reply")
     problem = "a reply has a function code 1…127, or an exception, not 0" if pdu[0] == 0 else ""
@@ -146,7 +157,7 @@ def _finished(title: str, parts: list[Part], problem: str, message: Message | No
 
 
 def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator[Part]:
-    """Return the described fields of a PDU, as far as its bytes go."""
+    """Yield the fields of a PDU with their descriptions, as far as its bytes go."""
     at = 1
     if kind.sub_code is not None:
         data = pdu[at : at + kind.sub_width]
@@ -184,7 +195,7 @@ def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator
 
 
 def _item_parts(pdu: bytes, at: int, tail: RepeatedField, name: str) -> Iterator[Part]:
-    """Return the items of a repeated field, described; remaining bytes that are no item become one last part."""
+    """Yield the items of a repeated field with their descriptions; bytes that are no item become one last part."""
     number = 0
     while at < len(pdu):
         number += 1
@@ -241,7 +252,7 @@ class _Meaning:
         self._request = request
 
     def number(self, name: str, value: int) -> str:
-        """Return in words what a number in the fixed head of a PDU means."""
+        """Return the value of a field in the fixed head of a PDU in words, such as an address in its notation."""
         touch = next(
             (one for one in (self._kind.reads, self._kind.writes) if one is not None and one.address == name), None
         )
@@ -254,7 +265,7 @@ class _Meaning:
         return str(value)
 
     def data(self, data: bytes) -> str:
-        """Return in words what the data at the end of a PDU mean, such as register values."""
+        """Return the values in the data at the end of a PDU in words, such as registers; empty for other data."""
         touch = self._kind.writes if self._is_request else self._kind.reads
         if touch is None:
             return ""

@@ -1,8 +1,7 @@
-"""Messages of functions 07, 08, 11, 12 and 17: status and identification of a server, diagnostics of its
-communication.
+"""Messages of functions 07, 08, 11, 12 and 17: status, identification and communication diagnostics of a server.
 
-08 keys on its sub-function: one class each, all alike but for their code (Application Protocol V1.1b3 §6.7–§6.10,
-§6.13).
+Function 08 has sub-functions: a class for each, which differ in their code only (Application Protocol V1.1b3
+§6.7–§6.10, §6.13).
 """
 
 from typing import TYPE_CHECKING, ClassVar
@@ -28,12 +27,17 @@ class ReadExceptionStatus(Request):
 
 
 class GetCommEventCounter(Request):
-    """11 Get Comm Event Counter (MODBUS Application Protocol V1.1b3 §6.9)."""
+    """11 Get Comm Event Counter: status word and number of successful messages (Application Protocol V1.1b3 §6.9)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_COUNTER
 
     class Reply(ReplyMessage):
-        """The reply of function 11: status FFFF while a program command runs, else 0; number of successful messages."""
+        """The reply of function 11: status word and number of successful messages.
+
+        Attributes:
+            status: FFFF while a program command runs, else 0.
+            event_count: messages that the unit has executed without an exception, 0…65535.
+        """
 
         status: int = u16()
         event_count: int = u16()
@@ -49,7 +53,14 @@ class GetCommEventLog(Request):
     code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_LOG
 
     class Reply(ReplyMessage):
-        """The reply of function 12: status, counts, and event bytes, the newest first."""
+        """The reply of function 12: status word, counts, and events.
+
+        Attributes:
+            status: FFFF while a program command runs, else 0.
+            event_count: messages that the unit has executed without an exception, 0…65535.
+            message_count: messages that the unit has processed since its restart, 0…65535.
+            events: event bytes, the newest first, at most 64.
+        """
 
         byte_count: ClassVar[RestLength] = rest_length(1, 6, 6 + 64)
         status: int = u16()
@@ -68,9 +79,7 @@ class ReportServerId(Request):
     code: ClassVar[FunctionCode] = FunctionCode.REPORT_SERVER_ID
 
     class Reply(ReplyMessage):
-        """The reply of function 17: identification and run indicator (00 off, FF on) in a layout of the
-        device's own.
-        """
+        """The reply of function 17: identification and run indicator (00 off, FF on), in the device's own layout."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 0, 251)
         data: bytes = rest(0, 251)
@@ -80,14 +89,19 @@ class ReportServerId(Request):
 
 
 class Diagnostic(Request):
-    """08 Diagnostics with two bytes of data in request and reply; the classes below are its sub-functions (§6.8)."""
+    """Base of the sub-functions of 08 Diagnostics with two bytes of data in request and reply (§6.8).
+
+    Attributes:
+        data: the two bytes.
+        allowed: the data that a request of this sub-function may have; empty for any.
+    """
 
     sub_width = 2
     data: bytes = rest(2, 2, default=b"\x00\x00")
     allowed: ClassVar[tuple[bytes, ...]] = (b"\x00\x00",)
 
     class Reply(ReplyMessage):
-        """The reply of function 08 with its two bytes of data."""
+        """The reply of a sub-function of 08 with two bytes of data."""
 
         data: bytes = rest(2, 2)
 
@@ -107,9 +121,7 @@ class Diagnostic(Request):
 
 
 class ReturnQueryData(Request):
-    """08/00 Return Query Data: the reply repeats the data of the request (MODBUS Application Protocol V1.1b3
-    §6.8.1).
-    """
+    """08/00 Return Query Data: the reply repeats the data of the request (Application Protocol V1.1b3 §6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_QUERY_DATA
@@ -134,7 +146,7 @@ class ReturnQueryData(Request):
 
 
 class RestartCommunications(Diagnostic):
-    """08/01 Restart Communications Option: FF00 also clears the event log (§6.8.1)."""
+    """08/01 Restart Communications Option: ends listen-only mode; with FF00 also clears the event log (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RESTART_COMMUNICATIONS
@@ -143,14 +155,14 @@ class RestartCommunications(Diagnostic):
 
 
 class ReturnDiagnosticRegister(Diagnostic):
-    """08/02 Return Diagnostic Register: the reply has its 16 bits (§6.8.1)."""
+    """08/02 Return Diagnostic Register: asks for the 16 bits of the diagnostic register (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER
 
 
 class ChangeAsciiDelimiter(Diagnostic):
-    """08/03 Change ASCII Input Delimiter: the character and a zero (§6.8.1)."""
+    """08/03 Change ASCII Input Delimiter: the data are the new last character of ASCII frames, and 00 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CHANGE_ASCII_DELIMITER
@@ -162,7 +174,7 @@ class ChangeAsciiDelimiter(Diagnostic):
 
 
 class ForceListenOnly(Diagnostic):
-    """08/04 Force Listen Only Mode: the unit answers nothing, not even this, until a restart (§6.8.1)."""
+    """08/04 Force Listen Only Mode: the unit answers no request, not even this one, until a restart (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.FORCE_LISTEN_ONLY
@@ -170,7 +182,7 @@ class ForceListenOnly(Diagnostic):
 
 
 class ClearCounters(Diagnostic):
-    """08/0A Clear Counters and Diagnostic Register: all diagnostic counters become 0 (§6.8.1)."""
+    """08/0A Clear Counters and Diagnostic Register: sets all diagnostic counters to 0 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_COUNTERS
@@ -178,63 +190,63 @@ class ClearCounters(Diagnostic):
 
 
 class ReturnBusMessageCount(Diagnostic):
-    """08/0B Return Bus Message Count: messages seen on the line, whatever unit (§6.8.1)."""
+    """08/0B Return Bus Message Count: asks how many messages to any unit were seen on the line (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_MESSAGE_COUNT
 
 
 class ReturnBusCommunicationErrorCount(Diagnostic):
-    """08/0C Return Bus Communication Error Count: damaged frames (§6.8.1)."""
+    """08/0C Return Bus Communication Error Count: asks how many damaged frames were seen on the line (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_COMMUNICATION_ERROR_COUNT
 
 
 class ReturnBusExceptionErrorCount(Diagnostic):
-    """08/0D Return Bus Exception Error Count: exception replies of this unit (§6.8.1)."""
+    """08/0D Return Bus Exception Error Count: asks how many exception replies this unit has sent (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_EXCEPTION_ERROR_COUNT
 
 
 class ReturnServerMessageCount(Diagnostic):
-    """08/0E Return Server Message Count: messages for this unit, and broadcasts (§6.8.1)."""
+    """08/0E Return Server Message Count: asks how many messages and broadcasts this unit has received (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_MESSAGE_COUNT
 
 
 class ReturnServerNoResponseCount(Diagnostic):
-    """08/0F Return Server No Response Count: messages to this unit without a reply (§6.8.1)."""
+    """08/0F Return Server No Response Count: asks how many messages this unit has not answered (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_NO_RESPONSE_COUNT
 
 
 class ReturnServerNakCount(Diagnostic):
-    """08/10 Return Server NAK Count: replies of this unit with exception 07 (§6.8.1)."""
+    """08/10 Return Server NAK Count: asks how many replies with exception 07 this unit has sent (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_NAK_COUNT
 
 
 class ReturnServerBusyCount(Diagnostic):
-    """08/11 Return Server Busy Count: replies of this unit with exception 06 (§6.8.1)."""
+    """08/11 Return Server Busy Count: asks how many replies with exception 06 this unit has sent (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.SERVER_BUSY_COUNT
 
 
 class ReturnBusCharacterOverrunCount(Diagnostic):
-    """08/12 Return Bus Character Overrun Count: messages lost because characters came too fast (§6.8.1)."""
+    """08/12 Return Bus Character Overrun Count: asks how many messages were lost to fast characters (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT
 
 
 class ClearOverrun(Diagnostic):
-    """08/14 Clear Overrun Counter and Flag: the count of 08/12 becomes 0 (§6.8.1)."""
+    """08/14 Clear Overrun Counter and Flag: sets the count of 08/12 to 0 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_OVERRUN

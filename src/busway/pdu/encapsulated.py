@@ -18,7 +18,7 @@ _LAST_OBJECT_OF_LEVEL = {BASIC: 0x02, REGULAR: 0x7F, EXTENDED: 0xFF}
 _INDIVIDUAL_TOO = 0x80
 
 MAX_OBJECT_SIZE = PDU_LIMIT - 7 - 2
-"""Bytes of an object: what is left of a reply that holds it alone."""
+"""Most bytes of an identification object: a reply that holds it alone has room for no more."""
 
 OBJECT_NAMES = {
     0x00: "VendorName",
@@ -50,7 +50,12 @@ class IdentificationObject:
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the identification object at offset ``at``. Returns it and the offset after it."""
+        """Decode the identification object at offset ``at`` of ``data``. Returns it and the offset after it.
+
+        Raises:
+            ValueError: the object is cut off.
+            InvalidRequest: its value is too long.
+        """
         if at + 2 > len(data) or at + 2 + data[at + 1] > len(data):
             raise ValueError("the object is cut off")
         end = at + 2 + data[at + 1]
@@ -60,7 +65,10 @@ class IdentificationObject:
 class ReadDeviceIdentification(Request):
     """43/14 Read Device Identification (MODBUS Application Protocol V1.1b3 §6.21).
 
-    ``level`` is 1 basic, 2 regular, 3 extended (streams that start at ``object_id``) or 4 (the one object).
+    Attributes:
+        level: 1 basic, 2 regular, 3 extended: all objects of this level, from ``object_id`` on; 4: the one object
+            ``object_id``.
+        object_id: number of an object, 0x00…0xFF.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE
@@ -70,8 +78,15 @@ class ReadDeviceIdentification(Request):
     object_id: int = u8(default=0)
 
     class Reply(ReplyMessage):
-        """The reply of function 43/14: objects; ``more_follows`` is FF if a request from ``next_object`` on is
-        needed.
+        """The reply of function 43/14: identification objects, as many as fit.
+
+        Attributes:
+            level: the level of the request.
+            conformity: the highest level of the device, plus 0x80 if it answers requests for one object.
+            more_follows: FF if a further request from ``next_object`` on is needed, else 00.
+            next_object: number of the next object; 0 if none follows.
+            number_of_objects: number of ``objects``.
+            objects: the objects.
         """
 
         level: int = u8(BASIC, INDIVIDUAL)

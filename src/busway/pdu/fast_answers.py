@@ -6,7 +6,7 @@ Knows the wire form of the table functions and the blocks they act on; knows no 
    the generic path". It returns None for every request that is not plainly valid, so all refusals are decided in one
    place.
 2. It must equal the generic path on every request; a property test checks that.
-3. Each function is written out, also where two are alike: one more call for each request is what this file saves.
+3. Each function is written out, also where two are alike: this file saves one more call for each request.
 
 Measured: 1.0 µs for a read of ten registers from frame to frame, against 2.1 µs by the generic path.
 """
@@ -19,8 +19,9 @@ from ..codes import Table
 
 
 class Requester(Protocol):
-    """The client of a write request, as the audit log names it; `ClientIdentity` of
-    `busway.session.responder` is one.
+    """Interface of the client of a write request, as the audit log names it.
+
+    `ClientIdentity` of `busway.session.responder` is one.
     """
 
     peer: str
@@ -30,10 +31,18 @@ class Requester(Protocol):
 
 
 Answer = Callable[[bytes | bytearray, int, int, Requester], bytes | None]
+"""Function that answers a request from its bytes.
+
+It gets a buffer, the start and the end of the request PDU in it, and the client. It returns the reply PDU, or None if
+the request must take the generic path; then nothing was changed.
+"""
 
 
 class Block(Protocol):
-    """Consecutive registers or bits of a device in wire order. ``data`` may be replaced by a new object at any time."""
+    """Interface of consecutive registers or bits of a device, in wire order.
+
+    ``data`` may be replaced by a new object at any time, so users ask for it anew.
+    """
 
     @property
     def first(self) -> int:
@@ -48,41 +57,61 @@ class Block(Protocol):
         """The bytes of the block: registers big-endian, bits packed from the lowest bit of the first byte."""
 
     def put(self, position: int, count: int, data: bytes) -> bool | None:
-        """Replace ``count`` items from ``position`` (counted from ``first``); safe from any thread.
+        """Replace ``count`` items from ``position`` on by ``data``; safe from any thread.
 
-        True if nothing was replaced, because writes are observed and the request has to take the generic path.
+        Args:
+            position: the first item, counted from ``first``.
+            count: number of registers or bits.
+            data: their bytes in wire order.
+
+        Returns:
+            True if nothing was replaced, because writes are observed and the request has to take the generic path.
         """
 
 
 class ExchangingBlock(Block, Protocol):
-    """A block of registers or bits whose writes can also return the values that they replace."""
+    """Interface of a block of registers or bits whose writes can also return the values that they replace."""
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace ``count`` items as ``put`` does, and return their previous values, in one step."""
+        """Replace ``count`` items as ``put`` does, and return the bytes of their previous values, in one step."""
 
 
 class RegisterBlock(Block, Protocol):
-    """A block of registers that reads and writes in one step for all threads, as functions 22 and 23 do."""
+    """Interface of a block of registers that reads and writes in one step for all threads, for functions 22 and 23."""
 
     def mask(self, position: int, and_mask: int, or_mask: int) -> None:
-        """Set a register to (current AND and_mask) OR (or_mask AND NOT and_mask), in one step."""
+        """Set the register at ``position`` to (current AND and_mask) OR (or_mask AND NOT and_mask), in one step."""
 
     def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
-        """Replace ``count`` registers from ``position``, then return ``size`` from ``start``, in one step."""
+        """Replace ``count`` registers from ``position`` on, then return ``size`` ones from ``start`` on, in one step.
+
+        ``position`` and ``start`` are counted from ``first``.
+        """
 
 
 class DirectModel(Protocol):
-    """Interface of a device that lets requests read and write its tables' memory directly, for speed."""
+    """Interface of a device that lets requests read and write the memory of its tables directly, for speed."""
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return a table's memory if requests may use it directly (no hook, no gap); else None."""
+        """Return a table's memory if requests may use it directly; None if the table has hooks or gaps.
+
+        Args:
+            table: the table.
+            writes: whether the memory is wanted for writes.
+        """
 
 
 class ReadPlan:
     """How the server answers one particular read of registers: the bytes before the data, and where the data are.
 
-    A poller repeats the same few reads. The bytes of a request after the transaction are the key of its plan, so one
-    look-up checks protocol, length, unit, function, address and count: 0.4 µs, where a compiled answer takes 1.0.
+    A poller repeats the same few reads. The bytes of a request after the transaction identifier are the key of its
+    plan, so one look-up checks protocol, length, unit, function, address and count: 0.4 µs, where a compiled answer
+    takes 1.0.
+
+    Args:
+        head: MBAP header after the transaction identifier, function code and byte count of the reply.
+        block: the registers of the device.
+        start, stop: the bytes of the block that the reply has.
     """
 
     __slots__ = ("block", "head", "part")
@@ -94,7 +123,14 @@ class ReadPlan:
 
 
 def plan_read(unit: int, pdu: bytes, limit: int, block: Block) -> ReadPlan | None:
-    """Prepare the answer to a read of registers on TCP; None if the read is invalid or needs other checks."""
+    """Return the prepared answer to a read of registers on TCP; None if the read must take the generic path.
+
+    Args:
+        unit: unit identifier of the request.
+        pdu: the request PDU.
+        limit: most registers in one read.
+        block: the registers of the device.
+    """
     if len(pdu) != 5:
         return None
     address, count = _unpack_two(pdu, 1)
@@ -110,7 +146,13 @@ _number = int.from_bytes
 
 
 def read_registers(code: int, limit: int, block: Block) -> Answer:
-    """Return a function that answers read requests 03 or 04 from a block of memory."""
+    """Return a function that answers requests to read registers (03 or 04) from a block of memory.
+
+    Args:
+        code: the function code.
+        limit: most registers in one read.
+        block: the registers of the device.
+    """
     heads: list[bytes] = [bytes((code, 2 * count)) for count in range(limit + 1)]
     first, size = block.first, block.count
 
@@ -128,7 +170,13 @@ def read_registers(code: int, limit: int, block: Block) -> Answer:
 
 
 def read_bits(code: int, limit: int, block: Block) -> Answer:
-    """Return a function that answers read requests 01 or 02 from a block of memory."""
+    """Return a function that answers requests to read bits (01 or 02) from a block of memory.
+
+    Args:
+        code: the function code.
+        limit: most bits in one read.
+        block: the coils or discrete inputs of the device.
+    """
     heads: list[bytes] = [bytes((code, length)) for length in range((limit + 7) // 8 + 1)]
     first, size = block.first, block.count
 
@@ -148,7 +196,7 @@ def read_bits(code: int, limit: int, block: Block) -> Answer:
 
 
 def write_register(code: int, block: Block) -> Answer:
-    """Return a function that executes and answers write requests 06 on a block of memory."""
+    """Return a function that executes and answers requests 06 (write single register) on a block of memory."""
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -164,7 +212,13 @@ def write_register(code: int, block: Block) -> Answer:
 
 
 def write_registers(code: int, limit: int, block: Block) -> Answer:
-    """Return a function that executes and answers write requests 16 on a block of memory."""
+    """Return a function that executes and answers requests 16 (write multiple registers) on a block of memory.
+
+    Args:
+        code: the function code.
+        limit: most registers in one write.
+        block: the holding registers of the device.
+    """
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -189,7 +243,7 @@ _COIL_VALUES: Final = {b"\xff\x00": b"\x01", b"\x00\x00": b"\x00"}
 
 
 def write_coil(code: int, block: Block) -> Answer:
-    """Return a function that executes and answers write requests 05 on a block of memory."""
+    """Return a function that executes and answers requests 05 (write single coil) on a block of memory."""
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -206,7 +260,13 @@ def write_coil(code: int, block: Block) -> Answer:
 
 
 def write_coils(code: int, limit: int, block: Block) -> Answer:
-    """Return a function that executes and answers write requests 15 on a block of memory."""
+    """Return a function that executes and answers requests 15 (write multiple coils) on a block of memory.
+
+    Args:
+        code: the function code.
+        limit: most coils in one write.
+        block: the coils of the device.
+    """
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -233,7 +293,7 @@ _unpack_four = struct.Struct(">HHHHB").unpack_from
 
 
 def mask_write_register(code: int, block: RegisterBlock) -> Answer:
-    """Return a function that executes and answers requests 22 on a block of memory."""
+    """Return a function that executes and answers requests 22 (mask write register) on a block of memory."""
     first, size, mask = block.first, block.count, block.mask
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -250,7 +310,13 @@ def mask_write_register(code: int, block: RegisterBlock) -> Answer:
 
 
 def read_write_registers(code: int, most_read: int, most_written: int, block: RegisterBlock) -> Answer:
-    """Return a function that executes and answers requests 23 on a block of memory."""
+    """Return a function that executes and answers requests 23 (write, then read registers) on a block of memory.
+
+    Args:
+        code: the function code.
+        most_read, most_written: most registers in the read and in the write of one request.
+        block: the holding registers of the device.
+    """
     heads: list[bytes] = [bytes((code, 2 * count)) for count in range(most_read + 1)]
     first, size, put_then_get = block.first, block.count, block.put_then_get
 

@@ -18,19 +18,26 @@ _WIDTHS = {1: "B", 2: "H"}
 
 
 class _NoDefault:
-    """The type of `NO_DEFAULT`, which says that a message field has no default."""
+    """Type of `NO_DEFAULT`, the default of a message field that has none."""
 
     def __repr__(self) -> str:
         return "<no default>"
 
 
 NO_DEFAULT = _NoDefault()
-"""Marks a field that the caller has to give."""
+"""Default of a message field that has none: the caller must give a value."""
 
 
 @dataclass(frozen=True, slots=True)
 class FixedField:
-    """A message field for an unsigned integer of one or two bytes, with its limits (inclusive) or allowed values."""
+    """A message field for an unsigned integer of one or two bytes.
+
+    Attributes:
+        width: bytes on the wire, 1 or 2.
+        low, high: smallest and largest value.
+        values: the allowed values, instead of limits; None for the limits.
+        default: value if the caller gives none; `NO_DEFAULT` for none.
+    """
 
     width: int
     low: int
@@ -46,7 +53,13 @@ class FixedField:
 
 @dataclass(frozen=True, slots=True)
 class RestLength:
-    """A message field that counts the bytes after it; computed when encoding, checked when decoding."""
+    """A message field that counts the bytes after it; computed when encoding, checked when decoding.
+
+    Attributes:
+        width: bytes on the wire, 1 or 2.
+        low, high: smallest and largest number of bytes.
+        step: the number must be a multiple of this.
+    """
 
     width: int
     low: int
@@ -61,7 +74,13 @@ class RestLength:
 
 @dataclass(frozen=True, slots=True)
 class RestField:
-    """A message field of all bytes to the end of the message; their number has limits and a step."""
+    """A message field of all bytes to the end of the message.
+
+    Attributes:
+        low, high: smallest and largest number of bytes.
+        step: the number must be a multiple of this.
+        default: value if the caller gives none; `NO_DEFAULT` for none.
+    """
 
     low: int
     high: int
@@ -74,15 +93,25 @@ class Item(Protocol):
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode one element at offset ``at``. Returns it and the offset after it; `ValueError` if it is invalid."""
+        """Decode one element at offset ``at`` of ``data``. Returns it and the offset after it.
+
+        Raises:
+            ValueError: the bytes are no such element.
+        """
 
     def encode(self) -> bytes:
-        """Return one element of a repeated field as bytes."""
+        """Return the bytes of the element."""
 
 
 @dataclass(frozen=True, slots=True)
 class RepeatedField:
-    """A message field that repeats items of one class to the end of the message."""
+    """A message field that repeats items of one class to the end of the message.
+
+    Attributes:
+        item: class of the items; it has the methods of `Item`.
+        low, high: smallest and largest number of items.
+        default: value if the caller gives none; `NO_DEFAULT` for none.
+    """
 
     item: type[Any]  # any class with the two methods of Item; a Protocol type cannot be called through type[]
     low: int
@@ -114,10 +143,10 @@ def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1)
 
 
 def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of all bytes to the end, ``low``…``high`` of them, a multiple of ``step``."""
+    """Declare a message field of all bytes to its end, ``low``…``high`` of them, a multiple of ``step``."""
     return RestField(low, high, step, default)
 
 
 def repeated(item: type[Any], low: int = 1, high: int = 252, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of ``low``…``high`` items of the class ``item`` to the end of the message."""
+    """Declare a message field of ``low``…``high`` items of the class ``item``, to the end of the message."""
     return RepeatedField(item, low, high, default)

@@ -43,7 +43,13 @@ def _check_reference(file: int, record: int) -> str | None:
 
 @dataclass(frozen=True, slots=True)
 class FileReference:
-    """One group of a request of function 20: ``count`` registers of a file to read, from ``record`` on."""
+    """One group of a request of function 20: registers of a file to read.
+
+    Attributes:
+        file: number of the file.
+        record: number of the first record.
+        count: number of registers.
+    """
 
     file: int
     record: int
@@ -55,12 +61,17 @@ class FileReference:
         _check_word("count", self.count)
 
     def encode(self) -> bytes:
-        """Encode the group of a file read: reference type 6, file, record and length, 7 bytes."""
+        """Return the group's bytes in a request of function 20: reference type 6, file, record and length, 7 bytes."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count)
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group of a file read at ``at``. A wrong reference type is kept, as it is an address error (02)."""
+        """Decode the group of a file read at offset ``at`` of ``data``. Returns it and the offset after it.
+
+        Raises:
+            ValueError: the group is cut off.
+            MalformedPdu: the reference type is not 6; its exception code is 02.
+        """
         if at + 7 > len(data):
             raise ValueError(f"{counted(len(data) - at, 'byte')} where a group has 7")
         kind, file, record, count = _REFERENCE.unpack_from(data, at)
@@ -71,7 +82,13 @@ class FileReference:
 
 @dataclass(frozen=True, slots=True)
 class FileData:
-    """One group of a request of function 21: registers to write to a file from ``record`` on, big-endian."""
+    """One group of a request of function 21: registers to write to a file, from ``record`` on.
+
+    Attributes:
+        file: number of the file.
+        record: number of the first record.
+        data: the registers, big-endian.
+    """
 
     file: int
     record: int
@@ -84,21 +101,26 @@ class FileData:
 
     @property
     def count(self) -> int:
-        """Number of registers that this group of a write request (function 21) has."""
+        """Number of registers that the group writes."""
         return len(self.data) // 2
 
     @property
     def registers(self) -> list[int]:
-        """The registers that this group of a write request (function 21) writes, as numbers 0…65535."""
+        """The registers that the group writes, as numbers 0…65535."""
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Encode the group of a file write: reference type 6, file, record, length and the data."""
+        """Return the group's bytes in a request of function 21: reference type 6, file, record, length and the data."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group of a file write at ``at``. Returns it and the offset after it."""
+        """Decode the group of a file write at offset ``at`` of ``data``. Returns it and the offset after it.
+
+        Raises:
+            ValueError: the group is cut off.
+            MalformedPdu: the reference type is not 6; its exception code is 02.
+        """
         reference, start = FileReference.decode_from(data, at)
         end = start + 2 * reference.count
         if end > len(data):
@@ -123,12 +145,16 @@ class FileContent:
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Encode the group of a file read's reply: length of the rest, reference type 6, the data."""
+        """Return the group's bytes in a reply of function 20: length of the rest, reference type 6, the data."""
         return bytes((1 + len(self.data), REFERENCE_TYPE)) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group of a file read's reply at ``at``. Returns it and the offset after it."""
+        """Decode the group of a reply of function 20 at offset ``at`` of ``data``. Returns it and the offset after it.
+
+        Raises:
+            ValueError: the length or the reference type is wrong, or the group is cut off.
+        """
         end = at + 1 + data[at]
         if data[at] < 1 or not data[at] % 2 or end > len(data):
             raise ValueError(f"file response length {data[at]} where {counted(len(data) - at - 1, 'byte', 'follows')}")
@@ -138,7 +164,10 @@ class FileContent:
 
 
 class ReadFileRecord(Request):
-    """20 Read File Record: several groups, their data together within one PDU (Application Protocol V1.1b3 §6.14)."""
+    """20 Read File Record: reads several groups of registers in one request (Application Protocol V1.1b3 §6.14).
+
+    Requests and replies of all groups together must fit one PDU.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_FILE_RECORD
     byte_count: ClassVar[RestLength] = rest_length(1, 0x07, 0xF5, 7)
@@ -152,7 +181,11 @@ class ReadFileRecord(Request):
 
     @classmethod
     def of(cls, groups: Sequence[FileReference]) -> Self:
-        """Create a file read for ``groups``; `InvalidRequest` for an impossible record or too long a reply."""
+        """Create the request that reads ``groups``.
+
+        Raises:
+            InvalidRequest: a group has an impossible file or record, or the reply would be too long. Nothing was sent.
+        """
         for group in groups:
             problem = _check_reference(group.file, group.record)
             if problem is not None:
@@ -166,7 +199,7 @@ class ReadFileRecord(Request):
         return None
 
     def reply_length(self) -> int:
-        """Number of bytes of the PDU that answers this file read."""
+        """Return the number of bytes of the PDU that answers this file read."""
         return 2 + sum(2 + 2 * group.count for group in self.groups)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -206,7 +239,16 @@ class WriteFileRecord(Request):
 
     @classmethod
     def of(cls, file: int, record: int, values: Iterable[int]) -> Self:
-        """Create the request that writes ``values`` (each 0…65535) to the records of one file."""
+        """Create the request that writes registers to consecutive records of one file.
+
+        Args:
+            file: number of the file, 1…65535.
+            record: number of the first record, 0…9999.
+            values: the registers, each 0…65535.
+
+        Raises:
+            InvalidRequest: a number is out of range, or there are too many values for one request. Nothing was sent.
+        """
         problem = _check_reference(file, record)
         if problem is not None:
             raise InvalidRequest(problem)

@@ -20,7 +20,14 @@ AnyRequest = Request | OpaqueRequest | MalformedRequest
 
 
 class FunctionTable:
-    """Request and reply classes by function code and sub-code. Raises `ValueError` for two functions with one code."""
+    """Immutable table of request classes by function code and sub-code; decodes requests and replies.
+
+    Args:
+        functions: request classes.
+
+    Raises:
+        ValueError: two functions have the same code, or a code is not 1…127.
+    """
 
     __slots__ = ("_by_code", "_by_sub_code", "_sub_width")
 
@@ -47,7 +54,7 @@ class FunctionTable:
             raise ValueError(f"{function.__name__}: function {code} is in the table already")
 
     def with_functions(self, *functions: type[Request]) -> "FunctionTable":
-        """Return a new table that also holds ``functions``."""
+        """Return a new table that has the functions of this one and ``functions``. Raises `ValueError` as the class."""
         return FunctionTable(*self, *functions)
 
     def __iter__(self) -> Iterator[type[Request]]:
@@ -58,11 +65,14 @@ class FunctionTable:
         return code in self._by_code or code in self._sub_width
 
     def codes(self) -> tuple[int, ...]:
-        """All function codes in the table, ascending."""
+        """Return all function codes in the table, ascending."""
         return tuple(sorted({*self._by_code, *self._sub_width}))
 
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
-        """Return the request or reply class of the PDU that starts at ``at``; the exception bit is ignored."""
+        """Return the request class of the function whose request or reply PDU starts at ``at`` of ``data[:end]``.
+
+        None for functions that are not in the table, exception replies, and a sub-code that is cut off.
+        """
         code = data[at]
         found = self._by_code.get(code)
         if found is None and code in self._sub_width:
@@ -72,7 +82,15 @@ class FunctionTable:
         return found
 
     def decode_request(self, pdu: bytes) -> AnyRequest:
-        """Decode a request PDU of 1…253 bytes with a function code below 0x80. Never raises for received bytes."""
+        """Decode a request PDU; never raises for received bytes.
+
+        Args:
+            pdu: 1…253 bytes, the first a function code below 0x80.
+
+        Returns:
+            A message of the function's class; `OpaqueRequest` for an unknown function; `MalformedRequest` for a broken
+                request.
+        """
         kind = self.find(pdu, 0, len(pdu))
         if kind is None:
             width = self._sub_width.get(pdu[0])
@@ -89,7 +107,11 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """Decode a reply PDU as its class, `ExceptionResponse` or `OpaqueReply`. Raises `MalformedPdu`."""
+        """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for other codes, `OpaqueReply`.
+
+        Raises:
+            MalformedPdu: the bytes are no such reply.
+        """
         if not pdu:
             raise MalformedPdu("an empty PDU")
         if pdu[0] & 0x80:
@@ -102,11 +124,17 @@ class FunctionTable:
         return OpaqueReply(pdu[0], bytes(pdu[1:]))
 
     def request_length(self, data: bytes, at: int, end: int) -> int:
-        """Return the length of the request PDU at ``at`` in bytes; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU, S8)."""
+        """Return the length in bytes of the request PDU that starts at ``at`` of ``data[:end]``, for RTU frames.
+
+        `NEED_MORE` means that more bytes are needed to tell, `UNKNOWN_LENGTH` that the content does not tell.
+        """
         return self._length(data, at, end, reply=False)
 
     def reply_length(self, data: bytes, at: int, end: int) -> int:
-        """Return the length of the reply PDU at ``at`` in bytes; `NEED_MORE` or `UNKNOWN_LENGTH` (RTU, S8)."""
+        """Return the length in bytes of the reply PDU that starts at ``at`` of ``data[:end]``, for RTU frames.
+
+        `NEED_MORE` means that more bytes are needed to tell, `UNKNOWN_LENGTH` that the content does not tell.
+        """
         if at < end and data[at] & 0x80:
             return _exception_length(data, at, end)
         return self._length(data, at, end, reply=True)
@@ -122,8 +150,9 @@ class FunctionTable:
 
 
 def _exception_length(data: bytes, at: int, end: int) -> int:
-    """Return the length of an exception PDU: 2, but some devices answer 43/14 with ``AB 0E cc`` (V1.1b3, figure of
-    §6.21).
+    """Return the length in bytes of the exception PDU at ``at``: 2, or 3 for the form ``AB 0E cc`` of some devices.
+
+    `NEED_MORE` if too few bytes are there to tell. The form is in the figure of Application Protocol V1.1b3 §6.21.
     """
     if data[at] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80:
         if end < at + 2:
@@ -168,4 +197,4 @@ STANDARD = FunctionTable(
     encapsulated.CanopenGeneralReference,
     encapsulated.ReadDeviceIdentification,
 )
-"""All functions of the specification."""
+"""The table with all functions of the specification."""

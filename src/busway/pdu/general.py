@@ -25,10 +25,13 @@ class ExceptionResponse(SelfCoded):
 
 
 def decode_exception(pdu: bytes) -> ExceptionResponse:
-    """Decode the PDU of an exception reply. Raises `MalformedPdu`.
+    """Decode the PDU of an exception reply.
 
-    43 may be refused with ``AB 0E cc``, the form that the figure of its section prints (Application Protocol
-    V1.1b3 §6.21): the MEI type in the middle says nothing more and is left out.
+    43 may be refused with ``AB 0E cc``, the form that the figure of its section prints (Application Protocol V1.1b3
+    §6.21): the MEI type in the middle is left out.
+
+    Raises:
+        MalformedPdu: the bytes are no exception reply.
     """
     if len(pdu) == 3 and pdu[0] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80 and pdu[1] in tuple(MeiType):
         pdu = pdu[:1] + pdu[2:]
@@ -45,7 +48,7 @@ class OpaqueReply(SelfCoded):
 class OpaqueRequest(Request):
     """A request whose function code is not in the table of functions: kept as bytes, so that it can be forwarded.
 
-    Nothing is known of it, so it counts as a write.
+    It counts as a write, because its effect is not known.
     """
 
     self_coded = True
@@ -64,7 +67,15 @@ class OpaqueRequest(Request):
 
 @dataclass(frozen=True, slots=True)
 class MalformedRequest:
-    """A request of a known function that breaks one of its rules; a server answers with ``code``."""
+    """A received request of a known function that breaks one of its rules.
+
+    Attributes:
+        function: the function code.
+        kind: the request class of the function.
+        data: the PDU as it was received.
+        reason: which rule is broken, in words.
+        code: the exception code that a server answers.
+    """
 
     function: int
     kind: type[Request]

@@ -7,7 +7,7 @@ class MalformedPdu(ValueError):
     """Error: a received message breaks a rule of its function.
 
     Attributes:
-        reason: which rule, in words.
+        reason: which rule is broken, in words.
         code: exception code that a server answers (03 for quantities and lengths).
     """
 

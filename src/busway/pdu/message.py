@@ -25,14 +25,21 @@ if TYPE_CHECKING:
     from .model import Context, DataModel
 
 UNKNOWN_LENGTH = -1
-"""Answer of the length rules: this message is delimited by silence or by the frame around it, not by its content."""
+"""Result of the length rules: the content of the message does not tell its length; the frame around it does."""
 NEED_MORE = 0
-"""Answer of the length rules: the bytes so far do not tell yet."""
+"""Result of the length rules: more bytes are needed to tell the length."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The items of one table that a request reads or writes, as access rules, hooks and routes check them."""
+    """The items of one table that a request reads or writes, as access rules, hooks and routes check them.
+
+    Attributes:
+        table: the table.
+        address: the first item, 0-based.
+        count: number of items.
+        writes: whether the items are written; otherwise they are read.
+    """
 
     table: Table
     address: int
@@ -42,7 +49,13 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Names the fields of a request class that say which items it touches; ``count``: a field, or None for one item."""
+    """Says which items a request class reads or writes, by the names of its fields.
+
+    Attributes:
+        table: the table.
+        address: name of the field with the address of the first item.
+        count: name of the field with the number of items; None for one item.
+    """
 
     table: Table
     address: str = "address"
@@ -70,7 +83,7 @@ class _MessageType(type):
 
 
 def _complete(cls: Any, reply: Any) -> None:
-    """Prepare a request class, and the reply class declared inside it, when its function code is known."""
+    """Give a request class, and the reply class declared inside it, codes, layout and codecs."""
     if reply is None and cls.echoes:
         reply = _MessageType("Reply", (ReplyMessage,), {"__qualname__": f"{cls.__qualname__}.Reply", **cls.declared})
         reply.__module__ = cls.__module__
@@ -94,25 +107,25 @@ Reply_co = TypeVar("Reply_co", bound="Message", covariant=True)
 
 @dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
 class Message(metaclass=_MessageType):
-    """Base of request and reply messages; the module says what a subclass declares."""
+    """Base class of request and reply messages; rules 1…4 of this file say what a subclass declares."""
 
     code: ClassVar[int]
     """Function code, 1…127."""
     sub_code: ClassVar[int | None] = None
-    """Sub-function of 08 or MEI type of 43."""
+    """Sub-function of 08 or MEI type of 43; None for other functions."""
     sub_width: ClassVar[int] = 0
     """Bytes of the sub-code on the wire."""
     self_coded: ClassVar[bool] = False
     """Whether the function code is itself a field."""
     exception_bit: ClassVar[bool] = False
-    """Whether the function code travels with 0x80 added."""
+    """Whether 0x80 is added to the function code on the wire."""
     has_rule: ClassVar[bool] = False
-    """Whether `validate` says anything."""
+    """Whether the class has rules of its own in `validate`."""
     declared: ClassVar[dict[str, Field]] = {}
     layout: ClassVar[Layout]
 
     def validate(self) -> str | None:
-        """Check rules about several fields of the message. Returns what is wrong, or None. Overridden by subclasses."""
+        """Return which rule about several fields the message breaks, in words; None if none. Subclasses override it."""
         return None
 
     def encode(self) -> bytes:
@@ -121,7 +134,11 @@ class Message(metaclass=_MessageType):
 
     @classmethod
     def decode(cls, pdu: bytes) -> Self:
-        """Create the message from a whole PDU. Raises `MalformedPdu` if a limit or a length is broken."""
+        """Create the message from a whole PDU, function code first.
+
+        Raises:
+            MalformedPdu: a limit or a length is broken.
+        """
         raise TypeError(f"{cls.__name__} declares no code")
 
     @classmethod
@@ -179,24 +196,24 @@ class Message(metaclass=_MessageType):
 
 
 class SelfCoded(Message):
-    """Base of messages that hold their function code in a field, ``function``, as unknown functions do."""
+    """Base class of messages that hold their function code in a field, ``function``, as unknown functions do."""
 
     self_coded = True
 
 
 class ReplyMessage(Message):
-    """Base of the positive reply of a function: declared inside its request, which gives it the code."""
+    """Base class of normal replies; a reply class is declared inside its request class, which gives it the code."""
 
 
 class Request(Message):
-    """Base of requests: a subclass declares fields, limits and reply, and what the request does to a device.
+    """Base class of requests: a subclass declares fields, limits and reply, and what the request does to a device.
 
     Class attributes that a function sets:
-        Reply: class of its positive answer.
-        reads, writes: the ranges it touches (`Touch`), if it touches a table.
+        Reply: class of its normal reply.
+        reads, writes: the ranges of items that it reads and writes (`Touch`); None for none.
         is_write: whether executing it twice may differ from executing it once, so that it is never repeated blindly.
             True wherever ``writes`` is set.
-        echoes: whether the positive answer repeats the request; then no ``Reply`` is declared.
+        echoes: whether the normal reply repeats the request; then no ``Reply`` is declared.
         broadcast: whether a serial master may send it to unit 0 (Serial Line V1.02 §2.1).
     """
 
@@ -207,13 +224,14 @@ class Request(Message):
     is_write: ClassVar[bool] = False
     echoes: ClassVar[bool] = False
     take: ClassVar[Any] = None  # Any: a staticmethod (bytes) -> Message or None; a plain callable would be bound
-    """Makes the reply of its data, where length and first bytes fit; compiled where the rest of it is data only."""
+    """Creates a reply from its data alone, if length and first bytes are as expected; None if there is no such way."""
     broadcast: ClassVar[bool] = False
 
     @classmethod
     def direct(cls, model: "DirectModel") -> "Answer | None":
-        """Return a function that answers such requests from their bytes, for one device; None without
-        (`pdu.fast_answers`).
+        """Return a function that answers requests of this class from their bytes, for one device.
+
+        None if requests of this class must take the generic path (`busway.pdu.fast_answers`).
         """
         return None
 
@@ -237,15 +255,29 @@ class Request(Message):
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """The prepared answer to a repeated read of registers (`busway.pdu.fast_answers.ReadPlan`), or None."""
+        """Return the prepared answer to a repeated read of registers (`busway.pdu.fast_answers.ReadPlan`), or None.
+
+        Args:
+            model: the device.
+            unit: unit identifier of the request.
+            pdu: the request.
+        """
         return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
-        """Execute the request on a device and return the reply. A failure raises `Refusal` with its exception code."""
+        """Execute the request on a device and return the normal reply.
+
+        Args:
+            model: the device.
+            context: the client, the unit and its diagnostics.
+
+        Raises:
+            Refusal: the device refuses the request; has the exception code to reply.
+        """
         raise TypeError(f"{type(self).__name__} does not say what it does to a device")
 
     def spans(self) -> tuple[Span, ...]:
-        """Return the ranges of items that the request touches: those written before those read."""
+        """Return the ranges of items that the request reads and writes: the written one before the read one."""
         found = []
         for touch, writes in ((self.writes, True), (self.reads, False)):
             if touch is not None:
@@ -254,9 +286,9 @@ class Request(Message):
         return tuple(found)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        """Return length and first bytes of the expected reply PDU; a client recognises it by them.
+        """Return length and first bytes of the expected reply PDU, by which a client recognises the reply.
 
-        A length of `UNKNOWN_LENGTH` says that only ``check_reply`` can tell.
+        The length is `UNKNOWN_LENGTH` if it does not follow from the request.
         """
         if self.echoes:
             encoded = self.encode()
@@ -265,7 +297,10 @@ class Request(Message):
         return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
 
     def prepare(self) -> bytes:
-        """Encode the request once, with what a client compares in its reply. Returns the PDU; may be repeated."""
+        """Encode the request, and keep the PDU and what a client expects of the reply with it; returns the PDU.
+
+        It may be called again; ``wire``, ``expected_size`` and ``expected_prefix`` can be read after the first call.
+        """
         wire = self.encode()
         size, prefix = self.reply_shape()
         _set_wire(self, wire)
@@ -278,7 +313,11 @@ class Request(Message):
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
-        """Decode the positive reply to this request. Raises `MalformedPdu` if it does not answer this request."""
+        """Decode the normal reply to this request; only after `prepare`.
+
+        Raises:
+            MalformedPdu: the bytes do not answer this request.
+        """
         reply = self.Reply.decode(pdu)
         size, prefix = self.expected_size, self.expected_prefix
         if size != UNKNOWN_LENGTH and len(pdu) != size:
@@ -291,7 +330,7 @@ class Request(Message):
         return reply
 
     def check_reply(self, reply: Any) -> str | None:
-        """Compare this request with a decoded reply of its class. Returns the mismatch, or None."""
+        """Return how a decoded reply of the right class does not fit this request, in words; None if it fits."""
         return None
 
 
@@ -321,7 +360,8 @@ _set_memo = Request.__dict__["memo"].__set__
 def _taker_of(cls: Any) -> Any:  # a staticmethod of (bytes) -> message, or None
     """Return a function that creates a reply from its data alone, faster than ``decode``: 0.2 instead of 1.0 µs.
 
-    It is right only where length and first bytes were compared with what the request expects.
+    It checks nothing: the caller has compared length and first bytes with what the request expects. None if replies of
+    the class have more than a byte count and data.
     """
     layout: Layout = cls.layout
     if len(layout.fields) != 1 or not isinstance(layout.fields[0], RestLength) or cls.has_rule:

@@ -2,8 +2,8 @@
 
 Knows the shape of a device; knows no device, store, session or transport.
 
-1. Data crosses in wire order: registers big-endian, bits packed from the lowest bit.
-2. A device refuses with `Refusal`; nothing it refuses has changed anything.
+1. Data are passed in wire order: registers big-endian, bits packed from the lowest bit.
+2. A device refuses with `Refusal`; a refused request has changed nothing.
 3. ``check`` comes before every change, so a request that touches two ranges changes both or none.
 """
 
@@ -16,9 +16,12 @@ from ..codes import ExceptionCode, Table, exception_meaning
 class Refusal(Exception):
     """Raised by a device, a hook or a handler to refuse a request with an exception code.
 
+    Args:
+        code: exception code, 1…255; 04 (server device failure) if none is given.
+        reason: why, for the log and the audit log; it is not sent to the client.
+
     Attributes:
-        code: exception code, 1…255. A hook's veto without a code is 04 (server device failure).
-        reason: for the log and the audit; it does not travel.
+        code, reason: as given.
     """
 
     def __init__(self, code: int = ExceptionCode.SERVER_DEVICE_FAILURE, reason: str = "") -> None:
@@ -33,7 +36,7 @@ class Diagnostics(Protocol):
     """Interface of a unit's diagnostics: counters and event log (functions 08, 11, 12)."""
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Execute a sub-function of 08 and return the data of its reply. `Refusal` 01 if it is not offered."""
+        """Execute a sub-function of 08 and return the data of its reply. Raises `Refusal` 01 if it is not offered."""
 
     def event_counter(self) -> tuple[int, int]:
         """Return status word (0, or FFFF while a program command runs) and number of successful messages."""
@@ -62,29 +65,60 @@ class Tables(Protocol):
     """Interface of the four tables of a device, as requests use them (Application Protocol V1.1b3 §4.3)."""
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Raise `Refusal` 02 unless all items of a table's range exist, and may be written if ``writes``.
+        """Raise `Refusal` 02 unless all items of a range exist, and may be written if ``writes``.
 
-        With a ``context``, hooks that may veto a read are called too: function 23 has to know before it writes.
+        Args:
+            table: the table.
+            address: the first item, 0-based.
+            count: number of items.
+            writes: whether the items are to be written.
+            context: given to call hooks that may refuse a read too; function 23 must know that before it writes.
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """Return ``count`` items of a table from ``address`` on, in wire order."""
+        """Return ``count`` items of a table from ``address`` on, in wire order. Raises `Refusal` if a hook refuses."""
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        """Replace the items of a table's range, all or none."""
+        """Replace ``count`` items of a table from ``address`` on, all or none.
+
+        Args:
+            table: the table.
+            address: the first item, 0-based.
+            count: number of items.
+            data: the new items in wire order.
+            context: the client and the unit, for hooks.
+
+        Raises:
+            Refusal: the device or a hook refuses the write.
+        """
 
 
 class Records(Protocol):
     """Interface of file records and queues of a device (Application Protocol V1.1b3 §6.14, §6.15, §6.18)."""
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """Return ``count`` registers of a file from ``record`` on."""
+        """Return ``count`` registers of a file from ``record`` on, in wire order.
+
+        Raises:
+            Refusal: the file does not have all of them.
+        """
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """Replace records of a file; with ``dry`` only check whether a device would refuse that."""
+        """Replace registers of a file from ``record`` on by ``data``.
+
+        Args:
+            file: number of the file, 1…65535.
+            record: number of the first record, 0…9999.
+            data: the registers, in wire order.
+            context: the client and the unit.
+            dry: whether only to check that the device accepts the write; nothing is replaced then.
+
+        Raises:
+            Refusal: the device does not accept the write.
+        """
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """Return the registers of the queue at ``address``, oldest first, without removing them."""
+        """Return the registers of the queue at ``address``, oldest first, in wire order, without removing them."""
 
 
 class Identity(Protocol):
@@ -104,4 +138,4 @@ class Identity(Protocol):
 
 
 class DataModel(Tables, Records, Identity, Protocol):
-    """Interface of a whole device, through which requests read and write it."""
+    """Interface of a whole device, through which requests read and write it: tables, files, queues, identification."""

@@ -14,19 +14,28 @@ from .model import Context, DataModel, Refusal
 
 
 class ReadBits(Request):
-    """Base of the requests of functions 01 and 02; a subclass names its code and its table."""
+    """Base class of the requests of functions 01 and 02; a subclass names its code and its table.
+
+    Attributes:
+        address: the first bit, 0…65535.
+        count: number of bits, 1…2000.
+    """
 
     address: int = u16()
     count: int = u16(1, MAX_READ_BITS)
 
     class Reply(ReplyMessage):
-        """The reply with the bits that were read, the first in the lowest bit of the first byte."""
+        """The reply of function 01 or 02: the bits that were read.
+
+        Attributes:
+            data: the bits, the first in the lowest bit of the first byte; unused bits are zero.
+        """
 
         byte_count: ClassVar[RestLength] = rest_length(1, 1, MAX_READ_BITS // 8)
         data: bytes = rest(1, MAX_READ_BITS // 8)
 
         def bits(self, count: int) -> list[bool]:
-            """The first ``count`` bits of the reply as bools."""
+            """Return the first ``count`` bits of the reply as bools; the count is that of the request."""
             return unpack_bits(self.data, count)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -57,13 +66,22 @@ class ReadDiscreteInputs(ReadBits):
 
 
 class ReadRegisters(Request):
-    """Base of the requests of functions 03 and 04; a subclass names its code and its table."""
+    """Base class of the requests of functions 03 and 04; a subclass names its code and its table.
+
+    Attributes:
+        address: the first register, 0…65535.
+        count: number of registers, 1…125.
+    """
 
     address: int = u16()
     count: int = u16(1, MAX_READ_REGISTERS)
 
     class Reply(ReplyMessage):
-        """The reply with the registers that were read, big-endian."""
+        """The reply of function 03 or 04: the registers that were read.
+
+        Attributes:
+            data: the registers, big-endian.
+        """
 
         byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
         data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)
@@ -112,7 +130,12 @@ class ReadFifoQueue(Request):
     address: int = u16()
 
     class Reply(ReplyMessage):
-        """The reply of function 24: queued registers, the oldest first; they stay in the queue."""
+        """The reply of function 24: queued registers, the oldest first; they stay in the queue.
+
+        Attributes:
+            count: number of registers, 0…31.
+            data: the registers, big-endian.
+        """
 
         byte_count: ClassVar[RestLength] = rest_length(2, 2, 2 + 2 * MAX_FIFO_REGISTERS, 2)
         count: int = u16(0, MAX_FIFO_REGISTERS)
@@ -138,11 +161,11 @@ class ReadFifoQueue(Request):
 
 
 _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_READ_REGISTERS + 2))
-"""Unpackers by number of registers, as many as a reply has; a device also unpacks whole tables."""
+"""Functions that unpack registers, by the number of registers, for as many as a reply has; longer data are rarer."""
 
 
 def unpack_registers(data: bytes) -> list[int]:
-    """Unpack big-endian registers into numbers 0…65535."""
+    """Return the numbers 0…65535 that big-endian registers hold, one for every two bytes."""
     count = len(data) >> 1
     if count < len(_REGISTERS):
         return list(_REGISTERS[count](data))
@@ -161,5 +184,14 @@ def _read(model: DataModel, table: Table, address: int, count: int, context: Con
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Return the request that reads a range; the same range gives the same object, which is encoded only once."""
+    """Return the request that reads a range; the same range gives the same object, which is encoded only once.
+
+    Args:
+        kind: the request class.
+        address: the first item, 0…65535.
+        count: number of items.
+
+    Raises:
+        InvalidRequest: the range is impossible. Nothing was sent.
+    """
     return kind(address, count)

@@ -1,7 +1,7 @@
 """The data of function 17 in the parts that the specification names: identification, run indicator, the rest.
 
 Knows bytes; knows no message. The specification leaves the length of the identification to the device and does not say
-how to find its end: here the first byte 00 or FF is taken for the run indicator.
+how to find its end: here the first byte that is 00 or FF is taken for the run indicator.
 """
 
 from dataclasses import dataclass
@@ -9,12 +9,12 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True, slots=True)
 class ServerId:
-    """What a device says of itself by function 17 (MODBUS Application Protocol V1.1b3 §6.13).
+    """What a device reports about itself by function 17 (MODBUS Application Protocol V1.1b3 §6.13).
 
     Attributes:
         identification: the bytes before the run indicator; all bytes if there is none.
         is_running: the run indicator: True for FF, False for 00, None if there is none.
-        additional: the bytes behind it.
+        additional: the bytes after the run indicator.
     """
 
     identification: bytes
@@ -23,7 +23,7 @@ class ServerId:
 
     @classmethod
     def of(cls, data: bytes) -> "ServerId":
-        """Take the data of a reply apart: ``ServerId.of(unit.report_server_id())``.
+        """Split the data of a reply into its parts: ``ServerId.of(unit.report_server_id())``.
 
         Args:
             data: as `report_server_id` returns it. An identification that contains 00 or FF is cut there.

@@ -14,18 +14,22 @@ from .read_items import ReadRegisters
 NARROW: Final = 2
 """Bytes of a register by the specification."""
 WIDEST: Final = 12
-"""Bytes of the widest registers that were seen."""
+"""Bytes of the widest registers that have been seen in devices."""
 MAX_DATA: Final = 2 * MAX_READ_REGISTERS
-"""Bytes that a reply can announce, however wide its registers are."""
+"""Most data bytes in a reply, whatever the width of its registers."""
 
 Read = TypeVar("Read", bound=ReadRegisters)
 
 
 def wide(kind: type[Read], width: int) -> type[Read]:
-    """Return the request class of function 03 or 04 for registers of ``width`` bytes, 2…12 and even; 2 gives
-    ``kind``.
+    """Return a request class of function 03 or 04 for registers of ``width`` bytes.
 
-    It takes as many registers as fit into 250 bytes; its reply gives one number for each.
+    A request takes as many registers as fit into 250 bytes of reply; ``registers`` of the reply has one number for
+    each.
+
+    Args:
+        kind: `ReadHoldingRegisters` or `ReadInputRegisters`.
+        width: bytes of a register, 2…12 and even; 2 returns ``kind``.
     """
     return kind if width == NARROW else _widened(kind, width)
 

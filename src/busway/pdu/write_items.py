@@ -123,10 +123,14 @@ class WriteMultipleCoils(Request):
 
     @classmethod
     def of(cls, address: int, values: Iterable[bool]) -> Self:
-        """Create the request that writes coils from ``address`` on.
+        """Create the request that writes consecutive coils from ``address`` (0…65535) on.
+
+        Args:
+            address: the first coil.
+            values: True, False, 1 or 0 for each coil; 1…1968 of them.
 
         Raises:
-            InvalidRequest: one of them is not True, False, 1 or 0, or there are none or too many. Nothing was sent.
+            InvalidRequest: a value is none of these, or there are none or too many. Nothing was sent.
         """
         states = as_states(values)
         return cls(address, len(states), pack_bits(states))
@@ -169,7 +173,15 @@ class WriteMultipleRegisters(Request):
 
     @classmethod
     def of(cls, address: int, values: Iterable[int]) -> Self:
-        """Create the request that writes ``values`` (each 0…65535) from ``address`` on."""
+        """Create the request that writes consecutive holding registers from ``address`` on.
+
+        Args:
+            address: the first register, 0…65535.
+            values: the registers, each 0…65535; 1…123 of them.
+
+        Raises:
+            InvalidRequest: a value is out of range, or there are none or too many. Nothing was sent.
+        """
         data = pack_registers(values)
         return cls(address, len(data) // 2, data)
 
@@ -195,8 +207,8 @@ class WriteMultipleRegisters(Request):
 class MaskWriteRegister(Request):
     """22 Mask Write Register: sets a register to (current AND and_mask) OR (or_mask AND NOT and_mask).
 
-    MODBUS Application Protocol V1.1b3 §6.16. Executing it twice has the same result as once, yet it is a write like
-    any other: another client may have written in between.
+    MODBUS Application Protocol V1.1b3 §6.16. Executing the request twice has the same result as once, yet it is a write
+    like any other: another client may have written in between.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.MASK_WRITE_REGISTER
@@ -231,9 +243,7 @@ class MaskWriteRegister(Request):
 
 
 class ReadWriteMultipleRegisters(Request):
-    """23 Read/Write Multiple Registers: writes 1…121 registers, then reads 1…125 (MODBUS Application Protocol V1.1b3
-    §6.17).
-    """
+    """23 Read/Write Multiple Registers: writes 1…121, then reads 1…125 (Application Protocol V1.1b3 §6.17)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
     reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
@@ -258,7 +268,17 @@ class ReadWriteMultipleRegisters(Request):
 
     @classmethod
     def of(cls, read_address: int, read_count: int, write_address: int, values: Iterable[int]) -> Self:
-        """Create the request that writes ``values`` (each 0…65535) and then reads."""
+        """Create the request that writes holding registers and then reads some.
+
+        Args:
+            read_address: the first register to read, 0…65535.
+            read_count: number of registers to read, 1…125.
+            write_address: the first register to write, 0…65535.
+            values: the registers to write, each 0…65535; 1…121 of them.
+
+        Raises:
+            InvalidRequest: a number is out of range, or there are none or too many values. Nothing was sent.
+        """
         data = pack_registers(values)
         return cls(read_address, read_count, write_address, len(data) // 2, data)
 
@@ -285,7 +305,7 @@ class ReadWriteMultipleRegisters(Request):
 
 
 def _read_and_written(model: DirectModel) -> RegisterBlock | None:
-    """Return the holding registers if requests may use their memory directly for reads and for writes."""
+    """Return the memory of the holding registers if requests may read and write it directly; None otherwise."""
     block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
     if block is None or block is not model.plain_block(Table.HOLDING_REGISTERS, writes=False):
         return None
@@ -293,7 +313,12 @@ def _read_and_written(model: DirectModel) -> RegisterBlock | None:
 
 
 def pack_registers(values: Iterable[int]) -> bytes:
-    """Pack numbers 0…65535 as big-endian registers; `InvalidRequest` names the first invalid one."""
+    """Return numbers 0…65535 as big-endian registers, two bytes for each.
+
+    Raises:
+        InvalidRequest: a value is no number 0…65535, or ``values`` no sequence; the error names the first. Nothing was
+            sent.
+    """
     if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
         values = listed(values, "registers")
     try:
