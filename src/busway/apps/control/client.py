@@ -51,7 +51,7 @@ def find_running(*directories: Path) -> list[Running]:
     """Return the running programs whose control sockets or tokens are in these directories.
 
     They are in the order of the directories, in each first those with a Unix socket, by name, then those on loopback.
-    Each is asked whether it answers, at most a second each; programs that do not answer are left out.
+    A connection to each is tried, for at most a second; programs that cannot be connected to are left out.
     """
     found: list[Running] = []
     for directory in directories:

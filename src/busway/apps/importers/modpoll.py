@@ -36,7 +36,7 @@ def read_modpoll(text: str, name: str) -> ImportedDevice:
 
     Args:
         text: the CSV text.
-        name: the file's name; not used, for other importers need it.
+        name: the file's name; not used here.
     """
     found = ImportedDevice()
     unit, table, order = 1, "", "ABCD"
