@@ -6,7 +6,7 @@ Knows frames, the faults and ``now``; knows no socket, no clock and no device: i
    `answered` takes the reply and plans what is sent.
 2. Replies are sent in the order of their requests, however late one is. While any is unsent (`has_unsent`), replies
    without a fault wait for it.
-3. `FaultyConversation.tick` returns the bytes that are due, one item per write; `deadline` says when more are.
+3. `FaultyConversation.tick` returns the bytes that are due, one item per write; `deadline` says when more will be.
 """
 
 from collections import deque
@@ -83,7 +83,7 @@ class FaultyConversation:
         return self._encode(transaction, unit, pdu, None)
 
     def strike(self, exchange: Exchange) -> Struck:
-        """Count a received request, and return the faults that apply to it."""
+        """Return the faults that apply to a received request; the request counts for their schedules."""
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now
         return struck

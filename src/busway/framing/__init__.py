@@ -19,8 +19,9 @@
 `word`             Base of options whose values are words, such as `even`
 =================  =====================================================================================================
 
-Receivers take bytes and the time of the read and give what was complete (`busway.framing.received.Receiver`); those
-of serial lines share what masters, servers and observers need (`busway.framing.received.SerialReceiver`).
+A receiver takes bytes with the time at which they were read, and returns the frames that they complete
+(`busway.framing.received.Receiver`). Those of serial lines have further methods, for masters, servers and observers
+(`busway.framing.received.SerialReceiver`).
 
 Where it is decided: where a frame ends: `lengths` by function, `rtu` by length and CRC, `rtu_strict` by silence,
 `ascii` by its delimiter, `mbap` by its header. Where the next frame begins after damaged bytes: `rtu_search`. Whether a

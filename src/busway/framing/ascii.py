@@ -2,13 +2,13 @@
 
 Knows characters and the times at which they were read; knows no port and no function's length.
 
-1. ``:`` begins a frame, wherever it is, also behind CR; a frame in progress is discarded then, and reported when
-   the one that follows it ends: it is one disturbance, however many colons it has. CR and the delimiter end a frame;
-   the delimiter is LF until function 08/03 changes it.
-2. Between two characters at most ``character_timeout`` may pass, 1 s by default.
-3. At most 513 characters. What is between frames is no frame and no error: it is skipped.
-4. Sent in upper case. Lower case is received too unless ``upper_case_only`` says otherwise: devices send it, and the
-   LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports that cannot do 7 data bits give it.
+1. ``:`` begins a frame, wherever it comes, also behind CR. An unfinished frame before the colon is discarded, and
+   reported when the frame that follows ends: several of them in a row are one disturbance. CR and the delimiter end a
+   frame; the delimiter is LF until function 08/03 changes it.
+2. Between two characters of a frame at most ``character_timeout`` may pass, 1 s by default.
+3. A frame has at most 513 characters. Characters between frames are skipped; they are no error.
+4. Frames are sent in upper case. Lower case is received too, unless ``upper_case_only`` is set: devices send it, and
+   the LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports without 7 data bits deliver it.
 """
 
 from collections.abc import Container

@@ -1,6 +1,6 @@
 """Estimates when each received byte was on the serial line, from the times at which bytes were read.
 
-Knows places in a stream and times; knows no bytes. What was read at once is taken as sent without gaps.
+Knows positions in a stream and times; knows no bytes. Bytes of one read are assumed to have been sent without gaps.
 """
 
 from bisect import bisect_left, bisect_right

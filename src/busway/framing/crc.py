@@ -2,11 +2,11 @@
 
 Knows bytes; knows no frame and no time.
 
-1. Polynomial A001 (reflected), preset FFFF; on the wire the low byte comes first. So the CRC of a whole frame, its own
-   two bytes included, is 0: that is the test everywhere.
-2. Two bytes are taken in one step: the register has 16 bits, and one table of 65 536 entries moves it by 16.
-3. A receiver that has to look for a frame must not compute the CRC of every span anew. The CRC is linear: with the
-   running states of the whole stream, one look into a table compares any span (`SpanCheck`).
+1. The polynomial is A001 (reflected), the preset FFFF; on the wire the low byte comes first. So the CRC of a whole
+   frame, its two CRC bytes included, is 0: every check uses that.
+2. Two bytes are processed in one step: the register has 16 bits, and one table of 65 536 entries moves it by 16.
+3. A receiver that searches for a frame must not compute the CRC of every span anew. The CRC is linear: with the
+   running states of the whole stream, one look-up in a table checks any span (`SpanCheck`).
 """
 
 import struct

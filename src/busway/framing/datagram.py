@@ -1,6 +1,6 @@
 """Checks whether a datagram is exactly one whole frame.
 
-Knows bytes; knows no socket. On UDP there is no stream to come back into step with, so what is not whole is dropped.
+Knows bytes; knows no socket. UDP is no stream: the rest of a frame never follows, so callers drop other datagrams.
 """
 
 from collections.abc import Callable

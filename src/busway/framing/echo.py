@@ -2,11 +2,11 @@
 
 Knows bytes and times; knows no frame.
 
-1. ``ON``: the bytes behind a frame of ours are its copy. Where they differ (a collision, or a converter that was
-   switched over) nothing is taken out, and all of them go on.
-2. ``AUTOMATIC``: the first frames of ours decide. A copy proves the echo; other bytes first, or none within the window
-   after the frame has ended, prove that there is none. What was learnt is unlearnt when a frame behaves otherwise.
-3. A reply may be a true copy of the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
+1. ``ON``: the bytes received after a sent frame are its copy, and are removed. If they differ (a collision, or a
+   converter that was switched over), nothing is removed.
+2. ``AUTOMATIC``: the first sent frames decide. A copy proves the echo; other bytes first, or none within the window
+   after the end of the frame, prove that there is none. A later frame that behaves otherwise changes the decision.
+3. A reply may be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
    copy is held back: bytes after it prove that it was the echo, `release` (the response timeout) that it was the
    reply. Once it is known, no copy is held.
 """

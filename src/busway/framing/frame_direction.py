@@ -2,11 +2,11 @@
 
 Knows units, functions and the request that was seen last; knows no bytes of a frame beyond its first two.
 
-1. A master hears replies; what looks like a request is its own echo or another master.
+1. A master hears replies; a frame that looks like a request is its own echo, or another master's.
 2. A server hears requests for its own units. On a shared bus it also hears foreign requests and foreign replies:
    after a foreign request the reply to it is expected first; anything else is taken as a request first.
 3. An observer hears both, and follows the pairs in the same way.
-4. A reply is expected for `REPLY_WINDOW` seconds, then a frame of the same unit and function is another request:
+4. A reply is expected for `REPLY_WINDOW` seconds; after that a frame of the same unit and function is another request:
    requests and replies of functions that echo (05, 06, 08, 22) look alike, and a dead unit that is asked again and
    again must not seem to answer itself.
 """
@@ -93,7 +93,10 @@ class Conversation:
         return _REPLY_FIRST if due is not None and due.answers(unit, code, now) else _REQUEST_FIRST
 
     def guess(self, unit: int, code: int, now: float) -> Direction:
-        """Return the likelier direction of a whole frame whose length fits neither a request nor a reply."""
+        """Return the likelier direction of a whole frame whose length fits neither a request nor a reply.
+
+        `Direction.UNKNOWN` if neither is likelier. ``now`` is the time of the frame, in seconds.
+        """
         if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
             return Direction.REPLY
         if self.role is LineRole.SERVER and (unit == BROADCAST_UNIT or self.is_own(unit)):
@@ -101,7 +104,7 @@ class Conversation:
         return Direction.UNKNOWN
 
     def is_own(self, unit: int) -> bool:
-        """Whether a unit is one of those that this station, a server, answers for itself."""
+        """Whether this station is a server and answers for ``unit`` itself."""
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:

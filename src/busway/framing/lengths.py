@@ -1,11 +1,11 @@
 """Lengths of RTU frames by function code, prepared so that one look-up gives the length of a frame.
 
-Knows the table; knows no stream. The functions say themselves how long their messages are (`busway.pdu`); what they
-say is turned here into one number per function code, because a receiver asks for every byte of a noisy line.
+Knows the table of functions; knows no stream. Each function declares how long its messages are (`busway.pdu`). This
+file turns the declarations into one number per function code, because a receiver asks at every byte of a noisy line.
 
 1. All lengths here are of whole frames: unit, PDU, CRC.
-2. A number above 0 is the length; below 0, the byte count is that many bytes behind the unit and counts what
-   follows it; 0, the function is unknown; `ASK`, only the table itself can tell (sub-functions, counts of two bytes).
+2. A rule above 0 is the length. A rule below 0 says how many bytes behind the unit the byte count is, which counts the
+   bytes after it. 0: the function is unknown. `ASK`: only the table can tell (sub-functions, counts of two bytes).
 """
 
 from collections.abc import Callable
@@ -84,7 +84,7 @@ class FrameLengths:
 
 
 class AskedLengths:
-    """Lengths of frames that depend on more than one byte; computed for each frame from its beginning.
+    """Lengths of the frames of one direction whose function code has the rule `ASK`: each is computed from its content.
 
     Attributes:
         answers: recently computed lengths, by the first three bytes of the PDU.

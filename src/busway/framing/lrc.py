@@ -1,6 +1,6 @@
 """LRC of ASCII frames (Serial Line V1.02 §2.5.2.2, §6.2.1).
 
-Knows bytes; knows no characters. The two's complement of the sum of all bytes, so that with it the sum is 0.
+Knows bytes; knows no characters. The LRC is the two's complement of the sum of all bytes: with it, their sum is 0.
 """
 
 

@@ -2,12 +2,12 @@
 
 Knows headers and streams of them; knows no socket, no transaction table and no function.
 
-1. ``transaction`` 2, ``protocol`` 2 (0), ``length`` 2 (unit and PDU), ``unit`` 1; then the PDU. Big-endian.
-2. The length alone finds the next frame. A length outside 2…254 cannot be: the stream is broken and cannot be
-   followed further (Messaging on TCP/IP §4.4.2). It is found as soon as its two bytes are there; no byte is waited
-   for behind it.
+1. The header, big-endian: ``transaction``, 2 bytes; ``protocol``, 2 bytes (0); ``length`` of unit and PDU, 2 bytes;
+   ``unit``, 1 byte. The PDU follows.
+2. The length alone finds the next frame. With a length outside 2…254 the stream is broken, and no further frame can be
+   found (Messaging on TCP/IP §4.4.2). The error is reported as soon as the two bytes of the length are there.
 3. A frame whose protocol is not 0 is complete but not Modbus: it is skipped and reported, and the stream goes on.
-4. Splits and joins of the stream make no difference.
+4. How the stream is cut into reads makes no difference.
 """
 
 import struct

@@ -2,10 +2,11 @@
 
 Knows values; knows no framing.
 
-1. A receiver gives good frames and damaged chunks. "Need more" is the empty list, and nothing is fatal: a serial line
-   has no end, the next frame may be good.
-2. A damaged chunk is one disturbance, however long: it is one count of the communication errors (appendix A).
-3. Where a frame's direction cannot be told from its bytes, its ``direction`` says so.
+1. A receiver returns good frames and damaged chunks; an empty list means that more bytes are needed. No damage is
+   fatal: a serial line has no end, and the next frame may be good.
+2. A damaged chunk is one disturbance, however long, and counts as one communication error (Serial Line V1.02,
+   appendix A).
+3. A frame whose direction cannot be told has the direction `Direction.UNKNOWN`.
 """
 
 from dataclasses import dataclass

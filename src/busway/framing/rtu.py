@@ -3,25 +3,25 @@
 Knows bytes and the times at which they were read; knows no port, no request table and no device.
 
 1. Length and CRC together complete a frame of a known function at once, without waiting for a silence to confirm it.
-2. Silence alone makes no frame. Where the function is unknown, or the byte count contradicts the frame, the chunk
-   between two silences of t3.5 is the frame if its CRC fits. Several frames without a visible silence between them are
-   told apart if they fill the chunk without remainder.
+2. Silence alone makes no frame. If the function is unknown, or the byte count contradicts the frame, the chunk of bytes
+   between two silences of t3.5 is the frame if its CRC is right. Several frames without a visible silence between them
+   are told apart if they fill the chunk exactly.
 3. Bytes of one frame may come in bursts: adapters and systems add gaps far above t1.5. An unfinished frame waits for
    the rest up to ``gap_limit``. A master that has heard the beginning of the very reply it waits for, by unit,
    function and size, waits for the rest as long as for the reply: nothing else may be sent meanwhile, a pause of an
-   adapter, a network or a busy system costs no repetition, and the CRC still decides. A ``gap_limit`` that was chosen
-   holds there too. `StrictRtuReceiver` (``rtu_strict``) keeps to the letter.
-4. What may still become a frame has precedence over what was found inside it. A decision against that precedence
-   waits for t3.5 of silence if the outer frame cannot be one, otherwise for ``gap_limit``. It costs nothing: before
-   t3.5 has passed, no station may send.
-5. A master and an observer look for the next frame inside a damaged chunk; a master only for the reply that is due.
-   A server never does: it takes up again at a silence of t3.5, and until it is in step it believes a frame only if
-   it stands between two such silences.
+   adapter, a network or a busy system costs no repetition, and the CRC still decides. If a ``gap_limit`` was given, it
+   limits this wait too. `StrictRtuReceiver` (``rtu_strict``) allows no such gaps.
+4. Bytes that may still become a frame have precedence over a frame found inside them. The inner frame is accepted after
+   t3.5 of silence if the outer bytes cannot be a frame, otherwise after ``gap_limit``. The wait for t3.5 costs no
+   time: before, no station may send.
+5. A master and an observer look for the next frame inside a damaged chunk; a master only for the expected reply. A
+   server never does: it begins again at a silence of t3.5, and until it is in step it accepts a frame only between two
+   such silences.
 6. Each byte is examined a bounded number of times: running CRC states, one comparison per candidate,
    at most 256 bytes of an undecided chunk, rejected places are not tried again, and at most one pass per silence.
 
-A silence before a burst is measured to the moment at which its first byte began, taken that its bytes came without
-gaps; a read that comes late makes it look longer than it was, never shorter than zero.
+A silence before a burst is measured up to the begin of the burst's first byte, which is computed as if its bytes had
+come without gaps. A late read makes the silence look longer than it was, never shorter than zero.
 """
 
 from collections.abc import Container
@@ -360,7 +360,7 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """Drop the first bytes when there are more than a frame can have: no frame begins there."""
+        """Drop the first undecided bytes: there are more than a frame can have, so no frame begins with the first."""
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
@@ -528,6 +528,6 @@ class RtuReceiver:
             self._lost = LostBytes()
 
     def _answers_itself(self, code: int) -> bool:
-        """Whether a reply of this function can be the same bytes as its request: their lengths are equal or unknown."""
+        """Whether a request with this function code can have a reply of equal bytes: lengths are equal or unknown."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]

@@ -121,9 +121,9 @@ def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
 
 @cache
 def _checks() -> list[tuple[list[int], list[int]]]:
-    """Return the CRC tests of `span_check` by length, cached because a search uses them at every byte.
+    """Return for each length the two tables of its `SpanCheck`; cached, because a search uses them at every byte.
 
-    Lengths that no frame has never fit.
+    Those of lengths that no frame has fit no bytes.
     """
     never = [-1] * 256, [0] * 256
     spans = [span_check(length) for length in range(SHORTEST, RTU_ADU_LIMIT + 1)]

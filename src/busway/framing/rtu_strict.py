@@ -5,8 +5,8 @@ Knows bytes and the times at which they came; knows no length rule beyond a hint
 1. Initial –t3.5→ idle –character→ reception –t1.5→ control and waiting –t3.5→ idle; there the frame is processed, or
    deleted whole. A character in "control and waiting" marks the frame as not OK.
 2. A frame ends by silence and is good if its CRC fits; nothing is merged, nothing is looked for inside it.
-3. It is of use only where the times of single characters are known: the driver reads at once and says when.
-   Adapters that deliver in bursts need `RtuReceiver`.
+3. This receiver is of use only where the times of single characters are known: the driver reads each at once and
+   passes its time. Adapters that deliver in bursts need `RtuReceiver`.
 """
 
 from collections.abc import Container

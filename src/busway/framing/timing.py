@@ -4,7 +4,7 @@ Knows bits and seconds; knows no port.
 
 1. A character has a start bit, its data bits, a parity bit or none, and its stop bits. Without parity a second stop
    bit takes the place of the parity bit, so that RTU characters have 11 bits and ASCII characters 10 (§2.5.1, §2.5.2).
-2. Up to 19 200 bit/s, t1.5 and t3.5 are that many character times; above, they stand at 750 µs and 1.75 ms. (The
+2. Up to 19 200 bit/s, t1.5 and t3.5 are 1.5 and 3.5 character times; above, they are 750 µs and 1.75 ms. (The
    document prints t1.5 twice; the second is t3.5.)
 """
 

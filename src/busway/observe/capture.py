@@ -69,7 +69,7 @@ class Capture:
 
         Args:
             stream: the file to write, opened in binary mode.
-            clock: seconds since 1970.
+            clock: returns the time in seconds since 1970.
 
         Raises:
             OSError: the beginning cannot be written.

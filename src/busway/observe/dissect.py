@@ -1,6 +1,6 @@
 """Explains a frame from an unknown source: framing, direction and every field, also of broken frames.
 
-Knows the shapes of the framings and the describer of PDUs; knows no connection. It raises nothing, for any bytes.
+Knows the framings and the description of PDUs; knows no connection. No function raises an error, whatever the bytes.
 
 1. Framing: a frame that proves its framing is taken first (MBAP by protocol and length, RTU by CRC, ASCII by colon),
    then a PDU that is valid by itself, then the likeliest broken frame.
@@ -27,7 +27,7 @@ from ..values.counts import counted
 
 
 class Framing(Enum):
-    """Framings that can be recognised around a PDU, or none."""
+    """The framing of a dissected frame: MBAP, RTU, ASCII, or none around a PDU."""
 
     MBAP = "mbap"
     RTU = "rtu"
@@ -36,7 +36,7 @@ class Framing(Enum):
 
 
 class MessageDirection(Enum):
-    """Whether a message was recognised as request or reply."""
+    """What a dissected message is: a request, a reply, or bytes that can be either."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -130,7 +130,7 @@ class Dissector:
         return list(self.dissections(data))
 
     def dissections(self, data: bytes) -> Iterator[Dissection]:
-        """Yield the explained frames in ``data`` one by one, so that a long stream takes the memory of one."""
+        """Yield the frames that `dissect` returns one by one, so that a long stream takes the memory of one frame."""
         at, is_stream = 0, self._is_stream(data)
         while True:
             end = _end_of_mbap(data, at) if is_stream else len(data)

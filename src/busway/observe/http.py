@@ -1,7 +1,7 @@
 """HTTP service for the status and metrics of a program, in threads beside the program's event loop.
 
-Knows the limits of one connection and of all; knows nothing of the resources, which its owner answers. The standard
-library's `ThreadingHTTPServer` parses requests. It has no limits, so they are here:
+Knows the limits of one connection and of all; knows nothing of the resources: a function of its owner answers
+requests. The standard library's `ThreadingHTTPServer` parses them. That server has no limits, so this file sets them:
 
 1. One request per connection, then the connection is closed. No keep-alive, no chunked bodies, no redirects.
 2. Head, body, time and number of connections are limited. One connection too many closes the oldest that has not sent

@@ -1,6 +1,6 @@
 """Trace of RTU and ASCII traffic: log lines, and packets in a capture file; levels as in `busway.observe.trace`.
 
-Knows frames and messages; knows no port: a driver passes in what it received and sent. It follows the line as an
+Knows frames and messages; knows no port: a driver passes in what it received and sent. A log follows the line as an
 observer does, so frames of other masters are shown too.
 
 1. A driver sends whole frames: each is shown at once, after what was received before it has been decided.

@@ -220,7 +220,7 @@ class Pairing:
         return frame.direction is Direction.REPLY
 
     def _may_reply(self, frame: SerialFrame) -> bool:
-        """Whether the bytes of the last request would also be a valid reply to it."""
+        """Whether a frame with the bytes of the last request is also a valid reply."""
         try:
             self._functions.decode_reply(frame.pdu)
         except MalformedPdu:

@@ -4,7 +4,7 @@ Knows blocks and options; knows nothing of what packets contain. `busway.observe
 
 1. Little-endian; times in microseconds. One section.
 2. Each block is written and flushed at once: the file is valid whenever the program ends, and readable while it grows.
-3. Written here: three kinds of blocks are needed, less than a dependency, and rule 2 must hold.
+3. No library is used: three kinds of blocks are enough, and rule 2 must hold.
 """
 
 import struct

@@ -110,7 +110,7 @@ class CertificateStore:
         return self.write(name, self.authority.client_with(name, [value]))
 
     def client_with_two_roles(self, first: bytes, second: bytes, *, name: str = "two roles") -> CertificateFiles:
-        """Create a client certificate with two role extensions."""
+        """Create a client certificate with two role extensions, which hold these raw bytes."""
         return self.write(name, self._two_roles(name, first, second))
 
     def client_without_purpose(self, name: str = "any purpose") -> CertificateFiles:

@@ -1,7 +1,7 @@
 """The pytest plugin of busway: simulated devices, serial lines and a clock as fixtures.
 
-Knows pytest and the names of what it makes; imports the rest when a test asks for it, so that runs without Modbus pay
-next to nothing.
+Knows pytest and the names of its fixtures; imports the rest when a test uses a fixture, so that test runs without
+Modbus take no longer.
 
 ================  ======================================================================================
 fixture           gives

@@ -113,7 +113,7 @@ class ModbusPDU:
         return self.dev_id
 
     def fill(self, **values: Any) -> None:
-        """Set attributes by name."""
+        """Set several attributes of this object, given by name."""
         for name, value in values.items():
             setattr(self, name, value)
 

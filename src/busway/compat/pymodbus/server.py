@@ -330,42 +330,45 @@ class ModbusSerialServer(ModbusBaseServer):
 
 
 async def StartAsyncTcpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve over TCP until the task is cancelled or `ServerAsyncStop` is called."""
+    """Serve over TCP until the task is cancelled or `ServerAsyncStop` is called; arguments of `ModbusTcpServer`."""
     await ModbusTcpServer(context, **names).serve_forever()
 
 
 async def StartAsyncUdpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve over UDP until the task is cancelled or `ServerAsyncStop` is called."""
+    """Serve over UDP until the task is cancelled or `ServerAsyncStop` is called; arguments of `ModbusUdpServer`."""
     await ModbusUdpServer(context, **names).serve_forever()
 
 
 async def StartAsyncTlsServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve over TLS until the task is cancelled or `ServerAsyncStop` is called."""
+    """Serve over TLS until the task is cancelled or `ServerAsyncStop` is called; arguments of `ModbusTlsServer`."""
     await ModbusTlsServer(context, **names).serve_forever()
 
 
 async def StartAsyncSerialServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve on a serial port until the task is cancelled or `ServerAsyncStop` is called."""
+    """Serve on a serial port until the task is cancelled or `ServerAsyncStop` is called.
+
+    Arguments are those of `ModbusSerialServer`.
+    """
     await ModbusSerialServer(context, **names).serve_forever()
 
 
 def StartTcpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve over TCP until `ServerStop` is called from another thread."""
+    """Serve over TCP until `ServerStop` is called from another thread; arguments of `ModbusTcpServer`."""
     asyncio.run(StartAsyncTcpServer(context, **names))
 
 
 def StartUdpServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve over UDP until `ServerStop` is called from another thread."""
+    """Serve over UDP until `ServerStop` is called from another thread; arguments of `ModbusUdpServer`."""
     asyncio.run(StartAsyncUdpServer(context, **names))
 
 
 def StartTlsServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve over TLS until `ServerStop` is called from another thread."""
+    """Serve over TLS until `ServerStop` is called from another thread; arguments of `ModbusTlsServer`."""
     asyncio.run(StartAsyncTlsServer(context, **names))
 
 
 def StartSerialServer(context: ModbusServerContext | None = None, **names: Any) -> None:
-    """Serve on a serial port until `ServerStop` is called from another thread."""
+    """Serve on a serial port until `ServerStop` is called from another thread; arguments of `ModbusSerialServer`."""
     asyncio.run(StartAsyncSerialServer(context, **names))
 
 

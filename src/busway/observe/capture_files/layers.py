@@ -1,10 +1,10 @@
 """Takes a packet apart: link layer, IP, and TCP or UDP; or the bytes of a serial line.
 
-Knows headers; knows no connection and no Modbus. It raises nothing, for any bytes.
+Knows headers; knows no connection and no Modbus. No function raises an error, whatever the bytes are.
 
-1. What is not understood is an `Ignored` with the reason, to be counted and told: another protocol is no error.
-2. Lengths come from the headers, since Ethernet pads short packets; what a header promises and the capture does not
-   have is counted in ``missing``.
+1. A packet that is not understood becomes an `Ignored` with the reason, to be counted: another protocol is no error.
+2. Lengths come from the headers, since Ethernet pads short packets; bytes that a header announces and the capture does
+   not have are counted in ``missing``.
 3. Fragments of IP are not put together: Modbus over TCP has none.
 """
 

@@ -1,7 +1,7 @@
 """Reads the packets of a capture file: pcap in its four forms, and pcapng (draft-ietf-opsawg-pcapng).
 
-Knows records and blocks; knows nothing of what packets contain. It takes a binary stream that is read from its
-beginning to its end, so a pipe serves too, and holds one packet at a time.
+Knows records and blocks; knows nothing of what packets contain. The file is read as a binary stream from beginning to
+end, so a pipe serves too, and one packet at a time is in memory.
 
 1. A file that ends inside a record is *truncated*: what was whole is given, and `PacketFile.truncated_at` says where.
 2. A file that breaks the rules of its format is refused with `ConfigError`, which names the file and the offset of the
@@ -9,7 +9,7 @@ beginning to its end, so a pipe serves too, and holds one packet at a time.
 3. pcapng: byte order and interfaces belong to a section, and a file may have several. Blocks of unknown kinds are
    skipped, as the format asks. A packet of a simple block has no time; it gets that of the packet before it.
 4. Limits: `MOST_RECORD` bytes of a record, `MOST_INTERFACES` of a section.
-5. Read here: the libraries that read captures are a network stack of their own, or no longer kept up.
+5. No library is used: those that read captures are a network stack of their own, or no longer maintained.
 """
 
 import struct
@@ -78,7 +78,7 @@ class _Interface:
 
 
 class _EndError(Exception):
-    """The file ends inside a record."""
+    """Error: the file ends inside a record."""
 
 
 def is_capture_file(head: bytes) -> bool:

@@ -146,7 +146,10 @@ class StreamAssembler:
     # Inside.
 
     def _distance(self, sequence: int) -> int:
-        """Return the distance of a sequence number from the first byte, nearest to the next byte."""
+        """Return the distance in bytes of a sequence number from the first byte of the stream.
+
+        Sequence numbers repeat every 2³² bytes; the distance nearest to the next byte is meant.
+        """
         assert self._start is not None
         ahead = (sequence - self._start - self._next + (1 << 31)) & 0xFFFF_FFFF
         return self._next + ahead - (1 << 31)

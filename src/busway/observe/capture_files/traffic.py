@@ -1,9 +1,9 @@
 """Finds the Modbus frames in the packets of a capture file, connection by connection and line by line.
 
-Knows packets, streams and framings; knows no file, and not which reply answers which request. It raises nothing, for
-any packets.
+Knows packets, streams and framings; knows no file, and not which reply answers which request. No function raises an
+error, whatever the packets are.
 
-1. Who listens on one of the ports is the server; where both ends do, the one that a SYN was sent to.
+1. The end of a connection with one of the given ports is the server; if both ends have one, that to which a SYN went.
 2. A stream that begins in the middle, or behind missing bytes, is out of step: reading goes on at a segment that
    begins like a frame, and the bytes skipped until then are reported. An impossible length has the same effect.
 3. Each datagram is read by itself, and so is each packet of a line whose kind makes it one frame; other bytes of a
@@ -137,7 +137,7 @@ class FaultyBytes:
 
 
 class ChannelEnding(Enum):
-    """How a connection in a capture file ended."""
+    """How a connection or line in a capture file ended."""
 
     CLOSED = "closed"
     RESET = "reset"

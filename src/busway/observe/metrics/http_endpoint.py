@@ -41,7 +41,7 @@ class MetricsSource(Protocol):
         """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer of the server's requests; only before it is started."""
+        """Register an observer of the server's requests; only before the server is started."""
 
 
 @runtime_checkable
