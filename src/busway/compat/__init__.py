@@ -3,8 +3,8 @@
 `pymodbus` and `minimalmodbus` have the interfaces of the libraries of those names. Programs import them from here, or
 call `install` before they import a library that needs the original, which then gets these modules in its place.
 
-1. No protocol here: each call becomes a request of `busway.pdu` on a link of `busway.client`, each server one of
-   `busway.server`.
+1. The protocol is busway's: each call becomes a request of `busway.pdu` on a link of `busway.client`, each server one
+   of `busway.server`.
 2. A write is never repeated unless the program asks for it by ``write_retries=``.
 """
 

@@ -1,4 +1,4 @@
-"""The interface of minimalmodbus on busway's links: instruments on serial ports, their 14 methods and 8 exceptions.
+"""The interface of minimalmodbus on busway's links: instruments on serial ports, their 14 methods and 9 exceptions.
 
 Knows how values become registers by minimalmodbus' rules, and a port's settings; the line itself is a link of busway.
 

@@ -1,4 +1,4 @@
-"""Integrations: what other projects define and want a Modbus library to fill in, made of busway's own links.
+"""Integrations: interfaces that other projects define for Modbus libraries, implemented with busway's links.
 
 ===================  ===============================================================================================
 `modbus_connection`  The backend of modbus-connection, which Home Assistant's integrations speak Modbus through

@@ -1,4 +1,4 @@
-"""The backend of modbus-connection (Home Assistant's seam) over asyncio links of busway. Needs Python 3.12.
+"""The backend of modbus-connection, for Home Assistant's integrations, over asyncio links of busway. Needs Python 3.12.
 
 Knows the classes, parameters and errors of modbus-connection 4; knows no frames and no connection.
 

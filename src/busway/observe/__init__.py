@@ -17,6 +17,6 @@
 ==================  ==================================================================================================
 
 Where it is decided: which reply answers which request: `pairing`. In which framing a frame from an unknown source is:
-`dissect`. What is logged at which level: `trace`. What a capture file has: `capture`; how one is read:
+`dissect`. What is logged at which level: `trace`. What is written to a capture file: `capture`; how one is read:
 `capture_files`. Which metrics there are: `metrics`.
 """

@@ -1,7 +1,7 @@
 """Builds the headers around Modbus bytes in capture files: IP, TCP, UDP, and the tag that names a line's dissector.
 
-Knows the layouts; knows no file and no Modbus. A program sees payloads, not packets, so the headers are made from
-the addresses of the connection.
+Knows the layouts of headers; knows no file and no Modbus. A program sees payloads, not packets, so the headers are
+made from the addresses of the connection.
 
 1. Ports and addresses are the true ones; sequence numbers count from 1 (RFC 9293), checksums are valid.
 2. A frame of a serial line travels in no packet. It is written as an "upper PDU" of Wireshark: tags that name the

@@ -11,9 +11,9 @@ Knows ptys, a thread and the clock; `VirtualLine` decides what is on the line at
 1. One thread owns the line and the ptys. In between, it carries out the orders of other threads.
 2. Characters are handed over at the moment their last bit has passed. Where they are shorter than `GRANULARITY`,
    several are handed over together, as a UART with a buffer does; the last one of a transmission always in its time.
-3. A pty takes some 50 µs from a write until the other end has woken up, which no wire does. That is
-   measured when the line is made: transmissions begin, and characters are handed over, that much earlier. The quickest
-   of several samples counts, so that no character arrives before its time.
+3. A pty takes some 50 µs from a write until the other end has woken up, unlike a wire. This time is measured when the
+   line is made: transmissions begin, and characters are handed over, that much earlier. The quickest of several samples
+   counts, so that no character arrives before its time.
 4. A pty has no parity bit and no stop bits: the line's baud and parity set the length of a character, not the settings
    of the programs.
 """

@@ -3,8 +3,8 @@
 Knows character times and which port hears which; knows no clock, no thread and no device: every call is given the
 time, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real ports.
 
-1. A character is heard when its last bit has passed, by every other port; by its sender too where that has an echo.
-2. Two ports that send at once spoil each other's characters, and neither hears while it sends (a driver that sends
+1. A character is heard when its last bit has passed, by every other port, and by its sender if that has an echo.
+2. Two ports that send at once damage each other's characters. A port hears nothing while it sends (a driver that sends
    has its receiver off), unless it has an echo.
 3. Times never run backwards. A write must come before the line is advanced beyond its time.
 """

@@ -1,4 +1,4 @@
-"""The eight clients of pymodbus, each a link of busway: of `busway.connect` or, those of asyncio, of `busway.open`.
+"""The eight clients of pymodbus: blocking ones use links of `busway.connect`, asyncio ones links of `busway.open`.
 
 Knows where a client connects and how pymodbus reports the outcome; knows no bytes.
 

@@ -1,4 +1,4 @@
-"""What a server of pymodbus says of itself: the identification objects by number and by name. Knows no server."""
+"""Identification of a server of pymodbus: its identification objects by number and by name. Knows no server."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any

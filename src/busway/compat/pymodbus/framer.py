@@ -1,4 +1,4 @@
-"""The framer types of pymodbus: each only names a framing, which busway's own sessions do. Knows no bytes."""
+"""The framer types of pymodbus: each is the name of a framing, which busway's sessions carry out. Knows no bytes."""
 
 import enum
 from typing import Any, ClassVar

@@ -1,7 +1,7 @@
 """The payload builder and decoder that pymodbus had until 3.9: values ⇄ bytes ⇄ registers, piece by piece.
 
-Knows numbers, texts and bytes; knows no client. ``byteorder`` little swaps the bytes of each register, ``wordorder``
-little reverses the registers of a value; both as pymodbus did it, values of one byte included.
+Knows numbers, texts and bytes; knows no client. With ``byteorder`` little the bytes of each register are swapped, with
+``wordorder`` little the registers of a value are reversed; both as in pymodbus, values of one byte included.
 """
 
 import struct

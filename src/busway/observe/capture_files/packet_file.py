@@ -3,9 +3,10 @@
 Knows records and blocks; knows nothing of what packets contain. The file is read as a binary stream from beginning to
 end, so a pipe serves too, and one packet at a time is in memory.
 
-1. A file that ends inside a record is *truncated*: what was whole is given, and `PacketFile.truncated_at` says where.
-2. A file that breaks the rules of its format is refused with `ConfigError`, which names the file and the offset of the
-   record, after the packets before it were given. There is no other exception but `OSError` of the stream.
+1. A file that ends inside a record is *truncated*: its whole records are read, and `PacketFile.truncated_at` says where
+   it ends.
+2. At a record that breaks the rules of its format `ConfigError` is raised, which names the file and the offset of the
+   record. The packets before the record are read. There is no other exception but `OSError` of the stream.
 3. pcapng: byte order and interfaces belong to a section, and a file may have several. Blocks of unknown kinds are
    skipped, as the format asks. A packet of a simple block has no time; it gets that of the packet before it.
 4. Limits: `MOST_RECORD` bytes of a record, `MOST_INTERFACES` of a section.

@@ -1,13 +1,13 @@
 """Puts the segments of one direction of a TCP connection in order, and says which bytes are missing.
 
-Knows sequence numbers (RFC 9293 §3.4) and bytes; knows no address and no Modbus. Nothing is guessed: what the capture
-does not have is a `StreamGap` with its size.
+Knows sequence numbers (RFC 9293 §3.4) and bytes; knows no address and no Modbus. Nothing is guessed: bytes that the
+capture does not have become a `StreamGap` with their number.
 
 1. A stream begins with its SYN, or with the first segment that the capture has: then it *begins in the middle*.
 2. Bytes that came before are a retransmission and dropped, also where segments overlap; those that came first stay.
-3. A segment beyond the next byte waits until what is missing has come. It is missing for good when the peer has
-   acknowledged it (the peer has it, the capture does not), when more than `MOST_WAITING` bytes or segments wait, and
-   at the end.
+3. A segment beyond the next byte waits for the missing bytes before it. They are missing for good when the peer has
+   acknowledged the segment (the peer has them, the capture does not), when more than `MOST_WAITING` bytes or too many
+   segments wait, and at the end.
 4. A segment more than `FARTHEST` away belongs to another connection with the same addresses: the stream begins anew.
 """
 

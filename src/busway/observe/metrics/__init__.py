@@ -3,7 +3,7 @@
 `request_tally` counts, `observer` sees the requests, `metric_families` turns counts into metrics, `http_endpoint`
 serves them to a scraper. Only the last two need ``prometheus-client`` (the extra ``metrics``), loaded when used.
 
-1. Off costs nothing: there is no observer, and only counters that exist anyway are counted.
+1. Without metrics there is no observer, at no cost: only counters that exist anyway are counted.
 2. A client cannot create more than a fixed number of time series, so requests cannot fill the memory.
    Addresses of peers are no labels.
 """

@@ -3,8 +3,8 @@
 Knows the shape of a status and the names of metrics; knows no server, socket or registry.
 
 1. Names begin with ``busway_``; they contain units (seconds, bytes), counters end in ``_total``.
-2. A field that a status gains appears by itself: whole numbers of counters become counters of their name.
-3. Labels are own listeners, pools, classes, units, functions and rules: nothing that a stranger chooses freely.
+2. A new field of a status needs no code here: whole numbers of counters become counters of their name.
+3. Labels are own listeners, pools, classes, units, functions and rules: nothing that a client chooses freely.
 """
 
 from collections import Counter

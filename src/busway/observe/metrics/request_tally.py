@@ -1,8 +1,8 @@
 """Counts of answered requests and their durations, by class of client, unit, function and exception code.
 
-Knows numbers; knows no handler, no clock and nothing of how they are shown.
+Knows numbers; knows no responder, no clock and nothing of how numbers are shown.
 
-1. Counted on one thread, the one that answers; read from any: a reading is never torn, at most one request late.
+1. The thread that answers requests counts them; any thread may read. A number read is at most one request late.
 2. The number of series is bounded by `MAX_SERIES`, for any requests: functions outside the table count as
    ``other``, and units as ``other`` once there are too many series.
 """
