@@ -6,10 +6,14 @@ Pure: knows items, rules and what is learnt; knows no clock and no socket.
 2. Plans are kept by that set, `MOST_PLANS` of them.
 3. A plan is made anew if what was learnt makes the predicted time fall by more than `WORTH`, when the cost first counts
    as known, and whenever a hole or limit was learnt.
+4. Which plan is fastest depends on one number: how many registers cost as much as a request does whatever its width (a
+   bit costs a sixteenth of a register everywhere). A plan that was found good enough at two such numbers is so at all
+   between them, since the time of the fastest plan is a concave function of the costs. Each plan keeps that range, and
+   is compared again only outside it: replies over a network vary, and to make a plan takes milliseconds.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from .cost import ReadCost
@@ -19,6 +23,8 @@ from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, plan_reads, pred
 
 WORTH: Final = 0.05
 """Part of the new plan's time by which the old plan must be slower to be replaced."""
+NEAR: Final = 1.02
+"""Factor by which costs may leave the range in which a plan was found good enough, before it is compared again."""
 CHECKED_EVERY: Final = 16
 """Successful reads between two checks whether new plans would be faster."""
 MOST_PLANS: Final = 32
@@ -27,6 +33,29 @@ PROBES: Final = 4
 """How often each width is read at the beginning to measure what reads cost."""
 
 Classes = frozenset[str]
+
+
+@dataclass(slots=True)
+class _KeptPlan:
+    """A plan in the cache, with the range of costs in which it is at most `WORTH` slower than the fastest (rule 4).
+
+    Attributes:
+        plan: the plan.
+        least, most: between which numbers of registers a request counts for as much time as these registers do.
+    """
+
+    plan: DevicePlan
+    least: float
+    most: float
+
+    def is_good_at(self, price: float) -> bool:
+        """Whether the plan is known to be good enough where a request costs as much as ``price`` registers."""
+        return self.least / NEAR <= price <= self.most * NEAR
+
+
+def _price_of(cost: ReadCost) -> float:
+    """Return how many registers cost as much as a request does whatever its width."""
+    return cost.base / cost.per_register
 
 
 class PlanBook:
@@ -64,7 +93,7 @@ class PlanBook:
         self._learner = CostLearner(assumed, fixed=fixed)
         self._map = MapLearner(known, assumed)
         self._absent: frozenset[int] = frozenset()
-        self._plans: dict[Classes, DevicePlan] = {}
+        self._plans: dict[Classes, _KeptPlan] = {}
         self._since_check = 0
         self._is_settled = False
         self._probes: list[PlannedRead] | None = None
@@ -101,12 +130,13 @@ class PlanBook:
 
     def plan_for(self, classes: Classes) -> DevicePlan:
         """Return the read plan that fetches the points of some poll classes; from the cache, or else computed now."""
-        plan = self._plans.get(classes)
-        if plan is None:
+        kept = self._plans.get(classes)
+        if kept is None:
             if len(self._plans) >= MOST_PLANS:
                 self._plans.clear()
-            plan = self._plans[classes] = self._make(classes)
-        return plan
+            price = _price_of(self._cost)
+            kept = self._plans[classes] = _KeptPlan(self._make(classes), price, price)
+        return kept.plan
 
     def set_class(self, name: str, items: Sequence[ReadItem]) -> None:
         """Replace the device's points in a poll class, and drop all plans; an empty list removes the class."""
@@ -167,14 +197,16 @@ class PlanBook:
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled
-        old = self._cost
-        if not first and abs(cost.base - old.base) <= 0.02 * old.base and cost.per_register == old.per_register:
-            return
         self._cost = cost
-        for classes, plan in list(self._plans.items()):
+        price = _price_of(cost)
+        for classes, kept in self._plans.items():
+            if kept.is_good_at(price) and not first:
+                continue
             better = self._make(classes)
-            if first or predicted(plan.reads, cost) > (1 + WORTH) * better.seconds:
-                self._plans[classes] = better
+            if first or predicted(kept.plan.reads, cost) > (1 + WORTH) * better.seconds:
+                kept.plan, kept.least, kept.most = better, price, price
+            else:
+                kept.least, kept.most = min(kept.least, price), max(kept.most, price)
 
     # What is asked to learn.
 
@@ -195,7 +227,7 @@ class PlanBook:
         if self._probes is None:
             if not self._plans:
                 return None
-            some = [read for plan in self._plans.values() for read in plan.reads]
+            some = [read for kept in self._plans.values() for read in kept.plan.reads]
             self._probes = probes_for(some, self._cost) * PROBES if self._may_probe else []
         self._probe = self._probes.pop() if self._probes else None
         return self._probe
