@@ -10,15 +10,15 @@
 `lease_holder`     one collector in its zone: what it owns, takes, renews and hands on, and when it must stop polling
 `lease_driver`     runs a lease holder by asyncio on a coordinator
 `plant`            the part of a plant's configuration that one collector works on
-`control_entries`  what operators tell: the plant's configuration, and who is drained
+`control_entries`  the entries of operators: the plant's configuration, and which collectors are drained
 `fleet_status`     the status of a zone: collectors, owners of shards, configuration
-`zone_watch`       follows a zone for its page: the status at any moment, holes of ownership
+`zone_watch`       follows a zone for its web page: the status now, and times in which shards had no owner
 `fleet_metrics`    the metrics of one collector in its fleet, for Prometheus
 `ownership_log`    the record of what this collector owned when, and of the epoch of its samples; it decides nothing
 `messages`         samples of one link as a message
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
-`chosen_samples`   the samples of the stream that one sink gets: its points, by report rules
+`chosen_samples`   passes on to a sink the samples of the stream that it wants: its points, by report rules
 `fleet_collector`  a collector that polls what it owns
 `fleet_commands`   commands by request and reply on a subject of the link
 `key_memory`       the keys of commands that one entry of the table remembers, and for how long
@@ -31,9 +31,8 @@
 Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
 now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder`
 (`FleetMember.may_begin`); for how long a lease holds: `lease_times`. Whether a request of an old owner may still reach
-the device: `plant`. Which collector takes a free shard, and which shards move: `balance`. Who wins when two write at
-once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What becomes of samples that an
-old owner still sends: they are kept, under the epoch in which they were taken (`messages`). What is sent again:
-`outbox`. Whether a command was sent before: `key_table`; how long that is
-known: `key_memory`.
+the device: `plant`. Which collector takes a free shard, and which shards move: `balance`. Which change wins when two
+are made at once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What becomes of
+samples that an old owner still sends: they are kept, under the epoch in which they were taken (`messages`). Which
+samples are sent again: `outbox`. Whether a command was sent before: `key_table`; how long that is known: `key_memory`.
 """

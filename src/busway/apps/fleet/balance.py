@@ -26,9 +26,9 @@ BEGIN: Final = 0.08
 END: Final = 0.04
 """Part of the fair load within which collectors are left alone, once shards move."""
 MOST_MOVES: Final = 64
-"""Moves that are planned at once, in the whole zone."""
+"""Most moves that are planned at once, in the whole zone."""
 MOST_TRIED: Final = 8
-"""Collectors with which an exchange is tried, the least loaded first."""
+"""Most collectors with which an exchange is tried, the least loaded first."""
 
 
 @dataclass(slots=True)

@@ -1,6 +1,7 @@
-"""The samples of a zone's stream that one sink gets: its points, by report rules, as beside the store of one collector.
+"""Passes on to one sink only the samples of a zone's stream that the sink wants: its points, by report rules.
 
-Knows patterns and report rules; what has to stay with a store is refused by name.
+The choice is that of a sink beside the store of one collector. Knows patterns and report rules; a sink that needs a
+store is refused by name.
 
 1. A rule compares a sample with the last one of its point that the sink has taken since this process began: after a
    start the first sample of each point is passed on.

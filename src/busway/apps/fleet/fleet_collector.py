@@ -53,7 +53,7 @@ from .shards import checked_name, links_by_shard
 LOOK_AGAIN: Final = 1.0
 """Seconds after which a link that seems to have no owner is looked at again: its new owner may not be shown yet."""
 RECORD_AGAIN: Final = 1.0
-"""Seconds after which it is tried again to record what is owned."""
+"""Seconds after which a record of owned links that failed is tried again."""
 END_LIMIT: Final = 10.0
 """Seconds in which shards are handed back when the collector ends in order."""
 
@@ -511,7 +511,7 @@ class _OtherOwners:
 
     Args:
         fleet: this collector.
-        member: its name.
+        member: name of this collector.
         group: the name under which the collectors share messages with commands; empty if messages go to all.
     """
 

@@ -38,7 +38,7 @@ START_SECONDS: Final = 30.0
 """Seconds for which a server that does not answer is asked for the stream of audit lines."""
 LONGEST_WAIT: Final = 60.0
 ANSWER_SECONDS: Final = 15.0
-"""Seconds beyond the time of a command that was passed on, for its answer: it is read back, and recorded."""
+"""Seconds to wait for the answer beyond the time of a command that was passed on: the value is read back before."""
 _KEYS: Final = {"key", "device", "point", "value", "by", "expires"}
 _log = logging.getLogger("busway.fleet")
 

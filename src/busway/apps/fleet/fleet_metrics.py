@@ -1,4 +1,4 @@
-"""The metrics of one collector in its fleet, for the page of its last values that Prometheus scrapes.
+"""The metrics of one collector in its fleet, for the page with metrics and last values that Prometheus scrapes.
 
 Knows the collector of a fleet and the families of prometheus-client (``busway[metrics]``), loaded when used.
 """

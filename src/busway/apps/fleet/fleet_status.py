@@ -1,4 +1,4 @@
-"""The status of a zone as its coordinator shows it: collectors, owners of shards, epochs, load, configuration.
+"""The status of a zone, computed from its shared table: collectors, owners of shards, epochs, load, configuration.
 
 Knows entries of the coordinator; asks no collector.
 
@@ -47,7 +47,7 @@ class ZoneMember:
         """The state of the collector in one word: ``polls``, ``drains``, ``refuses``, ``silent`` or ``ended``.
 
         A collector that refuses owns nothing, for the reason in ``record.problem``. A silent one no longer renews its
-        entry; one that has ended told so.
+        entry; an ended one has released its shards and left the zone.
         """
         if self.record.gone:
             return "ended"

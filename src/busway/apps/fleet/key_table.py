@@ -34,7 +34,7 @@ KEYS: Final = "keys."
 SLOTS: Final = 256
 """Entries of the table: the same for all collectors of a zone, for ever."""
 MOST_DOUBTFUL: Final = 1000
-"""Keys that are remembered as perhaps taken by a change without an answer."""
+"""Most keys that are remembered as perhaps taken by a change without an answer."""
 CLAIM_SECONDS: Final = 8.0
 """Seconds in which a key is taken, or its command refused."""
 RECORD_AGAIN: Final = (0.0, 0.5, 2.0)

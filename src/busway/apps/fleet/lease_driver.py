@@ -1,11 +1,12 @@
-"""The asyncio driver of a fleet member: sends its proposals to the coordinator, and passes on what comes back.
+"""The asyncio driver of a fleet member: makes its proposed changes at the coordinator, and tells it the answers.
 
-Knows tasks and the clock; what is proposed, and what follows from an answer, is decided by `lease_holder`.
+Knows tasks and the clock; which changes are proposed, and what follows from an answer, is decided by `lease_holder`.
 
 1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
-2. An error of the coordinator is an outcome that is not known. Nothing here ends for it.
-3. Where following the table ends by an error that a client library should not raise, it is logged, and followed anew.
+2. After an error of the coordinator the outcome of a change is not known, and the driver goes on.
+3. If following the table ends by an error that a client library should not raise, the error is logged, and the table is
+   followed again.
 """
 
 import asyncio

@@ -45,7 +45,7 @@ from .records import (
 from .shards import hosts_of
 
 LOOK_EVERY: Final = 0.5
-"""Seconds between two looks at what is free."""
+"""Seconds between two checks for free shards."""
 SETTLE: Final = 2.0
 """Seconds that a new member waits for others before it takes shards, and that an imbalance lasts before shards move."""
 PATIENCE: Final = 0.4
@@ -674,7 +674,10 @@ class FleetMember:
             self._silent_since[shard] = seen.record.at
 
     def _free(self, now: float) -> dict[str, float]:
-        """Return the shards (groups of links) without an owner now, with their costs; has the next look in time."""
+        """Return the shards (groups of links) that have no owner now, with the cost of each.
+
+        Also sets the time of the next check to when the next lease may be taken, if that is earlier.
+        """
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
             if shard in self.owned:

@@ -20,7 +20,7 @@ from .lease_times import Epoch
 
 FORMAT: Final = 1
 MOST_ROWS: Final = 2000
-"""Samples in one message: about 64 kB."""
+"""Most samples in one message: about 64 kB."""
 
 
 class UnreadableMessage(ModbusError):

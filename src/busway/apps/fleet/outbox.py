@@ -27,11 +27,11 @@ from .lease_times import Epoch
 from .messages import MOST_ROWS, SampleMessage, by_link
 
 OUTBOX: Final = "fleet"
-"""The name of its cursor in the manifest."""
+"""The name of the outbox's cursor in the manifest."""
 MOST: Final = 20_000
-"""Samples that are read at once."""
+"""Most samples that are read from the store at once."""
 IDLE: Final = 0.25
-"""Seconds between two looks for new commits."""
+"""Seconds between two checks for new commits."""
 AGAIN_AFTER: Final = 30.0
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 15.0

@@ -145,7 +145,7 @@ def rights_table(zone: str) -> str:
     """Return the rights of all roles as a table in Markdown, for the documentation.
 
     Args:
-        zone: the name of a zone that the subjects show.
+        zone: name of a zone, to be shown in the subjects.
     """
     lines = ["| role | may | publishes | subscribes |", "| --- | --- | --- | --- |"]
     for role, rights in RIGHTS.items():

@@ -77,7 +77,8 @@ def checked_zone(zone: str) -> str:
     """Return the name of a zone of collectors if it is valid.
 
     Raises:
-        ConfigError: the name has invalid characters, or more than `LONGEST_ZONE`: that of `keys_zone` is longer.
+        ConfigError: the name has invalid characters, or more than `LONGEST_ZONE`, so that `keys_zone` cannot append to
+            it.
     """
     if len(checked_name(zone, "zone")) > LONGEST_ZONE:
         raise ConfigError(

@@ -40,7 +40,7 @@ from .outbox import StreamDown
 
 CURSORS: Final = "cursor."
 FETCH: Final = 64
-"""Messages that a sink takes at once."""
+"""Most messages that a sink takes at once."""
 AUDIT_AGE: Final = 366 * 86_400.0
 ACK_SECONDS: Final = 10.0
 """Seconds after which a message that a sink has not acknowledged is given to it again."""

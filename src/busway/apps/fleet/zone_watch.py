@@ -24,7 +24,7 @@ from .records import LEASES, MEMBERS, LeaseRecord, decode_lease
 
 CURSORS: Final = "cursor."
 MOST_HOLES: Final = 200
-"""Holes that are kept; older ones are in the stores of the collectors."""
+"""Most holes that are remembered; older ones are in the stores of the collectors."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -133,13 +133,13 @@ class Batch(Call):
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Yield the requests of a client in this batch that have no answer yet."""
+        """Yield the requests of a client in this batch, its own or joined ones, that have no answer yet."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Withdraw the requests of the client that sent the batch, because it has disconnected."""
+        """Withdraw the requests of a client in this batch, its own or joined ones, because it has disconnected."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:
@@ -152,7 +152,7 @@ class Batch(Call):
         return len(self.tags) - len(self.told)
 
     def waiters(self, position: int) -> list[Waiter]:
-        """Return the clients that wait for the request at a position of the batch."""
+        """Return the clients that wait for the request at a position of the batch, each with its tag and request."""
         own = [] if self.asker is None else [(self.asker, self.tags[position], self.asked[position])]
         return own + self.joined.get(position, [])
 

@@ -114,7 +114,7 @@ class Gateway:
         return [url for each in self._listeners.values() for url in each.server.endpoints]
 
     async def start(self) -> None:
-        """Open all listeners and serial ports; upstreams on networks connect at the first request.
+        """Open all listeners. Serial ports of upstreams are opened by tasks; networks connect at the first request.
 
         Does nothing while the gateway runs. A serial port of an upstream that cannot be opened is tried again.
 

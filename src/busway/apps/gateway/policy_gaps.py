@@ -86,7 +86,7 @@ def _reached_in_several_ways(
 
 
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
-    """Whether one access rule applies to all clients to which another one applies."""
+    """Whether the access rule ``other`` applies to all clients to which ``rule`` applies."""
     return (
         other.peers in (None, rule.peers)
         and other.roles in (None, rule.roles)

@@ -281,11 +281,11 @@ class ListenerRouter:
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """Return how a broadcast from a serial line is forwarded; it is asked here once for each unit of the listener.
+        """Return how a broadcast from a serial line is forwarded; called once for each unit that the listener serves.
 
-        An upstream that takes broadcasts gets one. Another one, a server on a network, gets a write for each unit that
-        a route names, or one to unit 0 if the route names none: most of 247 units would have no device, and their
-        timeouts would take minutes.
+        An upstream that takes broadcasts gets one. Any other upstream, a server on a network, gets a write for each
+        unit that a route names, or one to unit 0 if the route names none: most of 247 units would have no device, and
+        their timeouts would take minutes.
 
         Args:
             context: the unit and the client.

@@ -226,7 +226,10 @@ class Upstream:
             self.news.is_down(reason)
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set by unit for how many seconds it gets no request after its reply; no effect except on serial lines."""
+        """Set the seconds of silence after a unit's reply before the unit gets a request again, by unit.
+
+        No effect except on serial lines. Call this after `open`.
+        """
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.set_unit_gaps(unit_gaps)

@@ -270,7 +270,7 @@ class _Recorder:
         return bool(self._shared[key] >> place.bit & 1)
 
     def unnamed_bits(self) -> Iterator[SimulatedPointSection]:
-        """Return points for set bits without a name, so that the cloned register has the same value."""
+        """Yield points for set bits without a name, so that the cloned register has the same value."""
         for (table, offset), value in self._shared.items():
             for bit in range(16):
                 if value >> bit & 1 and (table, offset, bit) not in self._named:

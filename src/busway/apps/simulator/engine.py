@@ -143,7 +143,8 @@ class _Batch:
 class Engine:
     """Gives all simulated points with behaviours new values, each at its own moments.
 
-    All times are seconds of the simulation since its beginning.
+    All times are seconds of the simulation since its beginning. A point is set by hand if the program, a person or a
+    Modbus client has set it.
 
     Args:
         driven: the points with their behaviours.
@@ -334,7 +335,7 @@ def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
 
 
 def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
-    """Whether a behaviour depends on the values of other points over time."""
+    """Whether a behaviour takes over values of other points after each moment (`Observer`)."""
     return hasattr(behaviour, "observe")
 
 

@@ -49,7 +49,7 @@ class Points:
         self._device.write(section.place, raw if section.form is None else [raw], section.form)
 
     def update(self) -> AbstractContextManager[None]:
-        """Context manager that groups changes of a device, so that clients see all of them at once."""
+        """Return a context manager that groups changes of the device: clients see all of them at once, or none."""
         return self._device.update()
 
     def _section(self, name: str) -> PointSection:

@@ -41,7 +41,7 @@ class SimulatedPoint:
         form: how the point's value is encoded.
         memory: the block of items that holds the value.
         offset: where the value begins in that block, in bytes (one bit: in bits).
-        held: number of the latest setting by hand; 0 while the point follows its behaviour.
+        held: number of the latest setting by hand or by a Modbus client; 0 while the point follows its behaviour.
         number: the value as formulas see it; NaN if it is no number.
         stored: the value as the registers hold it: a number of the type, or ``bool``; None if they are invalid in it.
         changed_at: when the value changed last, in seconds of the simulation.
@@ -160,14 +160,12 @@ class SimulatedPoint:
 
     @property
     def is_held(self) -> bool:
-        """Whether the point was set by hand and keeps that value instead of following its behaviour."""
+        """Whether the point was set by hand or by a Modbus client, and keeps that value against its behaviour."""
         return self.held > 0
 
     @property
     def value(self) -> Any:  # what its type says
-        """Value of the point in its unit of measure, as a client reads it; None if the registers are invalid in its
-        type.
-        """
+        """The value of the point in its unit of measure, as a client reads it; None if its type cannot decode it."""
         try:
             return self.section.physical(self._decoded())
         except BadReply:

@@ -21,7 +21,7 @@ from ...safe_files import check_replaceable, read_safely, write_whole
 _KIND: Final = "busway simulation state"
 _VERSION: Final = 1
 _LARGEST: Final = 256 << 20
-"""Bytes of a state: a hundred thousand units have 100 MB."""
+"""Most bytes of a state file: a hundred thousand units have 100 MB."""
 ASIDE: Final = ".broken"
 """Ending that is appended to the name of a state file that cannot be read."""
 
@@ -32,7 +32,7 @@ class KeptPoint:
 
     Attributes:
         value: the value in the unit of measure; None if only the state of the behaviour is saved.
-        is_held: whether the point was set by hand and does not follow its behaviour.
+        is_held: whether the point was set by hand or by a Modbus client, and does not follow its behaviour.
         behaviour: the value from which the behaviour continues; None if it depends only on the time.
     """
 

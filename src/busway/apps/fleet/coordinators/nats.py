@@ -51,7 +51,7 @@ QUIET: Final = 4.0
 LATE: Final = 3.0
 """Seconds after which a change that the leader has confirmed must show in a watch."""
 MOST_TRIES: Final = 12
-"""Consumers that are made until one is on the server that leads: the server chooses by chance."""
+"""Most consumers that are created until one is on the server that leads: the cluster chooses a server by chance."""
 LOOK_EVERY: Final = 0.05
 NOT_YET: Final = (10004, 10005, 10008, 10009, 10023, 10118)
 """Codes of refusals that end by themselves: a cluster has too few of its servers or no leader, a stream has none."""
