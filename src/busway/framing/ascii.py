@@ -156,8 +156,8 @@ class AsciiReceiver:
     def tick(self, now: float) -> list[Received]:
         """Return the unfinished frame as damaged once ``character_timeout`` has passed since its last character.
 
-        ``now`` is the time in seconds. Bytes that were held back as a possible echo
-        and are none may complete frames too.
+        ``now`` is the time in seconds. Bytes that were held back as a possible echo and are none may complete frames
+        too.
         """
         found: list[Received] = []
         released = self.echo.tick(now)
@@ -213,9 +213,9 @@ class AsciiReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return what unfinished characters amount to, without waiting for more: at a response timeout, or at the end.
+        """Return the unfinished frame as damaged, without waiting for its rest: at a response timeout, or at the end.
 
-        Frames among bytes that were held as a possible echo come first; an unfinished frame is returned as damaged.
+        Frames in bytes that were held back as a possible echo come before it.
         """
         found: list[Received] = []
         released = self.echo.release()

@@ -1,6 +1,6 @@
 """Checks whether a datagram is exactly one whole frame.
 
-Knows bytes; knows no socket. UDP is no stream: the rest of a frame never follows, so callers drop other datagrams.
+Knows bytes; knows no socket. Over UDP the rest of a frame never follows, so the caller drops any other datagram.
 """
 
 from collections.abc import Callable

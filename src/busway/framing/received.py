@@ -129,7 +129,7 @@ class SerialReceiver(Receiver[Received], Protocol):
         """
 
     def flush(self, now: float) -> list[Received]:
-        """Return what unfinished bytes amount to, without waiting for more: at a response timeout, or at the end."""
+        """Return the frames and damaged bytes in unfinished bytes, without waiting: at a timeout, or at the end."""
 
     def clear_at(self) -> float:
         """Return the earliest time at which a frame may be sent on the line."""

@@ -224,7 +224,7 @@ class RtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return what unfinished bytes amount to, as after ``gap_limit``: at a response timeout, or at the end."""
+        """Return the frames and damaged bytes in unfinished bytes, as after ``gap_limit``: at a timeout, or the end."""
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -238,7 +238,8 @@ class RtuReceiver:
     def skip_requests(self, now: float) -> bool:
         """Record that whole requests to own units, read at ``now`` (seconds), were answered without this receiver.
 
-        Returns False, and records nothing, if earlier bytes are undecided: then the bytes must go through `receive`.
+        Returns False, and records nothing, if the bytes must go through `receive`: earlier bytes are undecided, the
+        receiver is not in step, or an echo may have to be removed.
         """
         if self._undecided or not self._in_step or self.echo.mode is not Echo.OFF:
             return False

@@ -368,7 +368,7 @@ def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
-    """Return the keys of a device file that declare a point's value, and its type as the value implies it."""
+    """Return the keys of a device file that declare the value of a point, and the type that follows from the value."""
     if isinstance(value, tuple) and 2 <= len(value) <= 3:
         return dict(zip(("value", "type", "order"), value, strict=False))
     if isinstance(value, bool):

@@ -48,10 +48,10 @@ PACKAGES = frozenset(name.partition(".")[0] for name in HOMES if "." in name)
 
 
 class AliasFinder(MetaPathFinder, Loader):
-    """Finder and loader of the import system for the names of pymodbus' modules below one name.
+    """Finder and loader of Python's import system: it finds pymodbus' modules below one name.
 
     Args:
-        root: that name, such as ``pymodbus``.
+        root: the name, such as ``pymodbus``.
     """
 
     def __init__(self, root: str) -> None:
