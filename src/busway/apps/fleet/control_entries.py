@@ -1,4 +1,4 @@
-"""The entries by which operators control a fleet: the plant's configuration, and which collectors are drained.
+"""The entries that operators write to control a fleet: the plant's configuration, and which collectors are drained.
 
 Knows entries and the checks of a collector file; knows no collector.
 

@@ -66,7 +66,7 @@ class Epoch:
 
     Attributes:
         generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.
-        revision: revision of the table entry by which the lease was taken; more if an earlier epoch is not below that.
+        revision: revision of the table entry that took the lease; more if an earlier epoch is not below that.
     """
 
     generation: int

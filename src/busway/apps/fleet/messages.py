@@ -59,7 +59,7 @@ class SampleMessage:
 
     @property
     def name(self) -> str:
-        """The name of the message, by which a stream recognises and drops a message that it has already (rule 1)."""
+        """The name of the message; a stream drops a message whose name it knows already (rule 1)."""
         first, last = (self.samples[0].commit, self.samples[-1].commit) if self.samples else (0, self.complete)
         return f"{self.collector}/{self.store}/{self.link}/{self.epoch or 0}/{first}-{last}.{self.part}.{self.round}"
 

@@ -1,6 +1,6 @@
 """The record of which links this collector owned when, and in which epoch: an SQLite file beside the store.
 
-Knows epochs and commit numbers; knows no coordinator. Who owns a shard now is decided by `lease_holder`,
+Knows epochs and commit numbers; knows no coordinator. Which collector owns a shard now is decided by `lease_holder`,
 not here.
 
 1. A link's ownership begins after everything that was taken before is committed, so the epoch of a sample follows from

@@ -32,7 +32,7 @@ class NatsServer:
 
     Attributes:
         name: name of the server, unique among the servers; also the name of its certificate files.
-        host: host on which the server listens, and by which the others reach it.
+        host: host where the server listens, and where the others reach it.
         port: TCP port for clients.
         route_port: TCP port for other servers of its cluster.
         leaf_port: TCP port for servers of edge sites.
@@ -110,7 +110,7 @@ def site_text(site: NatsServer, options: NatsServerOptions) -> str:
 
 
 def site_secret_text(site: NatsServer, centre: Sequence[NatsServer], options: NatsServerOptions, password: str) -> str:
-    """Return the text of the file by which the server of an edge site connects to the centre; it has a password.
+    """Return the text of the file that connects the server of an edge site to the centre; the file has a password.
 
     Args:
         site: the server of the edge site.
@@ -125,7 +125,7 @@ def site_secret_text(site: NatsServer, centre: Sequence[NatsServer], options: Na
 
 
 def leafs_text(passwords: Mapping[str, str]) -> str:
-    """Return the text of `LEAFS_FILE`: the users by which edge sites connect to the centre, with their passwords.
+    """Return the text of `LEAFS_FILE`: a user with password for each edge site that connects to the centre.
 
     Args:
         passwords: by name of each site, its password. Each user belongs to the account of the site's zone.

@@ -116,8 +116,8 @@ def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
     Args:
         role: ``collector``, ``sink`` or ``operator``: a key of `RIGHTS`.
         zone: name of the zone.
-        is_site: True for the permissions at the centre for the zone of an edge site: the subjects by which the site's
-            JetStream domain is reached are added.
+        is_site: True for the permissions at the centre for the zone of an edge site: the subjects for reaching the
+            site's JetStream domain are added.
     """
     rights = RIGHTS[role]
     publish = dict.fromkeys(subject.replace("{zone}", zone) for each in rights for subject in each.publish)
@@ -128,7 +128,7 @@ def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
 
 
 def in_domain(subject: str, domain: str) -> str:
-    """Return the subject by which a subject of JetStream's API or a table's key is reached in another domain.
+    """Return the subject for reaching a subject of JetStream's API, or a table's key, in another domain.
 
     Other subjects are the same in all domains, and are returned as they are.
 

@@ -20,7 +20,7 @@ ForwardingClient = ForwardedReads | Forwarding
 ForwardedRequest = Any
 """A `ForwardPlan` of `ForwardedReads`, or a `Translated` of a `Forwarding`; each client gets its own back."""
 Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
-"""A client, the tag by which it knows its request, and that request."""
+"""A client, the tag that names its request for the client, and that request."""
 _NO_POSITIONS: frozenset[int] = frozenset()
 _NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
 
@@ -73,7 +73,7 @@ class Batch(Call):
         target: the unit of the upstream.
         link: the link that sends the requests.
         asker: the client.
-        tags: for each request of the client, the tag by which the client knows it.
+        tags: for each request of the client, the tag that names the request for the client.
         asked: the requests.
 
     Attributes:

@@ -64,7 +64,7 @@ class ForwardTarget:
 
         Args:
             asker: the client, which gets the replies and exception codes.
-            tags: for each request, the tag by which the client knows it.
+            tags: for each request, the tag that names the request for the client.
             asked: the requests.
         """
         forwarder = self.forwarder

@@ -1,4 +1,4 @@
-"""The values read recently, and the reads in flight, by which a gateway answers a read without a new request.
+"""The values read recently, and the reads in flight, that can answer a read of a gateway without a new request.
 
 `forwarding` asks here before it sends a read; `shared_reads` lets a client wait for a read in flight.
 

@@ -322,7 +322,7 @@ class ListenerRouter:
     def _way_to_all(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
-        """Return the route by which a broadcast goes to an upstream, or the exception code with which it is refused.
+        """Return the route for a broadcast to an upstream, or the exception code if the broadcast is refused.
 
         None if no route leads this write there. Every unit of the upstream hears a broadcast, so the routes and the
         policy must permit it for each of them, with the same address.

@@ -27,7 +27,7 @@ def share(
 
     Args:
         asker: the client.
-        tags: for each read, the tag by which the client knows it.
+        tags: for each read, the tag that names the read for the client.
         asked: the reads, all to one unit.
         shared: the unit's reads in flight, by key.
         within: seconds until the client must be answered; None for no limit.

@@ -20,8 +20,8 @@
 =================  =====================================================================================================
 
 Where it is decided: which point changes when, and in which order: `engine`. How long a point keeps a written value
-against its behaviour: `engine` (``hold``); who tells it of a write by a client: `write_watch`, `simulation`. Where a
-point is in memory, and how it is encoded: `registers`. The value at a moment: `behaviours`. What is kept over a
-restart: `state`. What a clone leaves out: `clone`. Columns of a register map: `register_map`. Which parameters a fault
-has: `busway.faults.profiles`.
+against its behaviour: `engine` (``hold``); how a write by a client becomes a hold: `write_watch`, `simulation`. Where a
+point is in memory, and how it is encoded: `registers`. The value at a moment: `behaviours`. Which values are saved over
+a restart: `state`, `simulation`. What a clone leaves out: `clone`. Columns of a register map: `register_map`. Which
+parameters a fault has: `busway.faults.profiles`.
 """
