@@ -39,7 +39,7 @@ def test_a_split_at_any_place_makes_no_difference(cut: int) -> None:
     stream = REQUEST + REPLY
     found = receiver.receive(stream[:cut]) + receiver.receive(stream[cut:])
     assert found == [frame(7, 0x11, REQUEST[7:]), frame(7, 0x11, REPLY[7:])]
-    assert receiver.pending == 0
+    assert len(receiver.unfinished) == 0
 
 
 def test_a_frame_byte_by_byte_comes_out_with_its_last_byte() -> None:
@@ -47,7 +47,7 @@ def test_a_frame_byte_by_byte_comes_out_with_its_last_byte() -> None:
     for count, byte in enumerate(REQUEST, start=1):
         found = receiver.receive(bytes((byte,)))
         assert len(found) == (count == len(REQUEST))
-        assert receiver.pending == (0 if found else count)
+        assert len(receiver.unfinished) == (0 if found else count)
 
 
 @pytest.mark.clause("T11")
@@ -62,7 +62,7 @@ def test_any_cut_of_any_stream_gives_the_same_frames(
     for start, end in pairwise(places):
         found += receiver.receive(bytearray(stream[start:end]))
     assert found == [frame(*one) for one in sent]
-    assert receiver.pending == len(beginning)
+    assert len(receiver.unfinished) == len(beginning)
 
 
 @pytest.mark.clause("T28")
@@ -103,7 +103,7 @@ def test_another_protocol_is_reported_and_the_stream_goes_on() -> None:
 def test_trailing_bytes_wait_for_the_rest() -> None:
     receiver = MbapReceiver()
     assert len(receiver.receive(REQUEST + REPLY[:5])) == 1
-    assert receiver.pending == 5
+    assert len(receiver.unfinished) == 5
     assert len(receiver.receive(REPLY[5:])) == 1
 
 
@@ -112,7 +112,7 @@ def test_noise_never_keeps_more_than_a_frame_and_never_raises(noise: bytes, burs
     receiver = MbapReceiver()
     for start in range(0, len(noise), burst):
         receiver.receive(noise[start : start + burst])
-        assert receiver.pending < 260
+        assert len(receiver.unfinished) < 260
 
 
 def test_silence_decides_nothing() -> None:

@@ -116,9 +116,9 @@ class MbapReceiver:
         self.broken: bool = False
 
     @property
-    def pending(self) -> int:
-        """Number of received bytes of an unfinished frame."""
-        return len(self._buffer.kept)
+    def unfinished(self) -> bytes:
+        """The received bytes of a frame that is not complete yet; empty if there is none."""
+        return self._buffer.kept
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
         """Return all frames that ``data`` completes, in order. ``now`` is ignored: only the length counts."""

@@ -176,3 +176,41 @@ def test_a_request_that_is_executed_though_it_must_be_refused_fails() -> None:
     ]
     assert results["fc03-count-0"].reason == "the request was executed, where exception 03 is right"
     assert "where 03 04 11 11 22 22 is right" in results["fc23-read-over"].reason
+
+
+class HalfWire(VirtualWire):
+    """A connection on which the first reply of a function stops in the middle; the rest comes after the timeout."""
+
+    def receive(self, timeout: float) -> bytes | None:
+        dialer = self._dialer
+        assert isinstance(dialer, HalfDialer)
+        if dialer.rest and dialer.now() >= dialer.rest_at:
+            rest, dialer.rest = dialer.rest, b""
+            return rest
+        came = super().receive(timeout)
+        if came and came[7] == dialer.function and not dialer.half:
+            dialer.half, dialer.rest = came[:9], came[9:]
+            dialer.rest_at = dialer.now() + Pace().timeout
+            return dialer.half
+        return came
+
+
+class HalfDialer(VirtualDialer):
+    """A device with such a connection."""
+
+    function = 4
+    half = rest = b""
+    rest_at = 0.0
+
+    def open(self) -> VirtualWire:
+        return HalfWire(self)
+
+
+def test_a_reply_that_is_late_from_its_middle_on_fails_its_own_check_alone_and_is_shown_as_it_came() -> None:
+    dialer = HalfDialer("mbap")
+    failed = {name: one for name, one in run(dialer, Level.READ).items() if one.outcome is Outcome.FAILED}
+    assert dialer.half
+    assert not dialer.rest
+    (only,) = failed.values()
+    assert "fc04" in only.check.id
+    assert dialer.half in [one.data for one in only.evidence]

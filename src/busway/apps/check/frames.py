@@ -48,7 +48,7 @@ class FrameSearch(Protocol):
         """Return the frames that count as complete because nothing more comes; ``function`` as of `receive`."""
 
     def take_rest(self) -> bytes:
-        """Return the received bytes that are in no frame, or in an unfinished one, and forget them."""
+        """Return the received bytes that are in no frame, or in an unfinished one; on a line they are forgotten."""
 
 
 class MbapSearch:
@@ -74,11 +74,11 @@ class MbapSearch:
         return []
 
     def take_rest(self) -> bytes:
-        """Return the bytes that broke the stream, or else as many zero bytes as an unfinished frame has.
+        """Return the bytes that broke the stream, or else those of an unfinished frame.
 
         Nothing is forgotten: no frame can follow on a broken stream, and an unfinished frame may be completed.
         """
-        return self._broken or bytes(self._receiver.pending)
+        return self._broken or self._receiver.unfinished
 
 
 class RtuSearch:

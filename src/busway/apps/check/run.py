@@ -221,8 +221,8 @@ class _Conversation:
     def _sent(self, frame: bytes, pieces: tuple[int, ...]) -> bool:
         """Discard what came late, and send a frame, cut at the offsets in ``pieces``; return False if that failed."""
         assert self._wire is not None
-        while self._wire.receive(0):  # what came late for an earlier request
-            pass
+        while late := self._wire.receive(0):  # for an earlier request; on a stream it may end a frame that had begun
+            self._search.receive(late, 0)
         self._search.take_rest()
         self._note(frame, sent=True)
         cuts = (0, *pieces, len(frame))

@@ -359,8 +359,8 @@ class _Side:
 
     def cut_off(self, part: StreamPart) -> Iterator[TrafficEvent]:
         """Report the frame of which only the beginning has come, if there is one."""
-        if self._receiver.pending:
-            text = f"the frame ends after {counted(self._receiver.pending, 'byte')}"
+        if self._receiver.unfinished:
+            text = f"the frame ends after {counted(len(self._receiver.unfinished), 'byte')}"
             yield self._fault(part, TrafficFault.CUT_OFF, text)
         self._receiver = MbapReceiver()
 
@@ -487,8 +487,8 @@ class _DatagramChannel:
         receiver = MbapReceiver()
         for frame in receiver.receive(datagram.payload):
             found.append(_mbap_event(self.channel, frame, packet.number, packet.time, direction))
-        if receiver.pending and not datagram.missing:
-            text = f"the frame ends after {counted(receiver.pending, 'byte')}"
+        if receiver.unfinished and not datagram.missing:
+            text = f"the frame ends after {counted(len(receiver.unfinished), 'byte')}"
             found.append(_fault(self.channel, packet, direction, TrafficFault.CUT_OFF, text))
         return found
 
