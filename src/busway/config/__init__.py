@@ -1,5 +1,6 @@
-"""Configuration: reads files that people write, checks them, and builds components from them (Messaging on TCP/IP V1.0b
-§4).
+"""Configuration: reads files that people write, checks them, and builds components from them.
+
+The section of the specification is Messaging on TCP/IP V1.0b §4.
 
 ===================  =================================================================================================
 `certificates`       The certificates of a listener: options of its URL override those of its section
@@ -10,7 +11,7 @@
 `parameters`         Parameters of device files: names in the file's texts that an include replaces by values
 `paths`              Paths in a configuration file: absolute, or relative to the folder of the file
 `preflight`          Checks before the start: access rules that can never match, files that cannot be used
-`reading`            Reads the text of a file of configuration, and refuses one that is not UTF-8
+`reading`            Reads the text of a configuration file, and refuses one that is not UTF-8
 `reloadable_access`  Allow lists and default rules that can be replaced while a server runs
 `report`             The report of a configuration file's problems, each with the line of its key
 `files`              The schemas of all files that people write: TOML text to checked, frozen values

@@ -7,12 +7,16 @@ from ..server.listener_settings import listener_settings
 
 
 def tls_of(listener: Listener) -> TlsParameters | None:
-    """Return the TLS options of a listener; None without TLS. Raises `ConfigError`."""
+    """Return the TLS options of a listener; None for a listener without TLS. Raises `ConfigError`."""
     return listener_settings(listener, limits=ListenerParameters()).tls
 
 
 def try_certificates(listener: Listener) -> None:
-    """Load the certificates of a listener, to see whether they can be used. Raises `ConfigError` with the file."""
+    """Load the certificates of a listener to check that they can be used; does nothing without TLS.
+
+    Raises:
+        ConfigError: a certificate or key cannot be used; the error names the file.
+    """
     tls = tls_of(listener)
     if tls is not None:
         from ..transport.tls.context import server_context

@@ -2,9 +2,9 @@
 
 Knows points and the hooks of devices.
 
-1. A write is judged by the values that it would leave: outside a point's range, or a number without a name where the
-   numbers have names, is answered with exception 04, and nothing has changed: 03 is about how a request is
-   built, and never about a register's value (Application Protocol V1.1b3 §7).
+1. A write is judged by the values that it would leave. If a value is outside its point's range, or has no name where
+   the numbers have names, the write is answered with exception 04 and changes nothing. Exception 03 is about how a
+   request is built, and never about a register's value (Application Protocol V1.1b3 §7).
 2. A write of some of a point's registers is a write of the point.
 """
 
@@ -26,7 +26,10 @@ class PlacedItems:
     """The address ranges of a device's points, arranged to find those that a write touches.
 
     Args:
-        spans: for each, its first item and the item after its last one.
+        spans: the ranges, each as its first item and the item after its last one; they may overlap.
+
+    Attributes:
+        order: indices of ``spans``, in ascending order of the ranges.
     """
 
     def __init__(self, spans: Sequence[tuple[int, int]]) -> None:
@@ -36,7 +39,7 @@ class PlacedItems:
         self._ends = list(accumulate((end for _, end in self._spans), max))
 
     def touched(self, first: int, end: int) -> list[int]:
-        """Return the indices of the points' ranges that share an item with ``first``…``end - 1``."""
+        """Return the indices of the ranges that share an item with ``first``…``end - 1``."""
         found = []
         at = bisect_left(self._ends, first + 1)
         while at < len(self._spans) and self._spans[at][0] < end:
@@ -47,7 +50,12 @@ class PlacedItems:
 
 
 def judge_writes(device: Device, points: Sequence[PointSection]) -> None:
-    """Make a device refuse Modbus writes that do not fit its points, from now on."""
+    """Add hooks to a device that refuse Modbus writes with exception 04 if a value does not fit its point.
+
+    Args:
+        device: the device.
+        points: its points in tables; those without range and names accept every value.
+    """
     for table in Table:
         limited = [point for point in points if point.table is table and _is_limited(point)]
         if limited and table.is_writable:
@@ -67,7 +75,7 @@ class _Limits:
         self._items = PlacedItems([(point.place.offset, point.place.offset + point.size) for point in points])
 
     def judge(self, change: Change) -> None:
-        """Refuse a write that does not fit one of the points it touches; raises `Refusal`."""
+        """Raise `Refusal` if a write does not fit one of the points that it touches."""
         for index in self._items.touched(change.address, change.address + change.count):
             point = self._points[index]
             try:
@@ -79,7 +87,7 @@ class _Limits:
                 raise Refusal(reason=f"{point.name}: {error.message}") from error
 
     def _after(self, point: PointSection, change: Change) -> Any:  # what the point's type says
-        """Return the registers of a point as they would be after a write."""
+        """Return the raw number that a point would have after a write."""
         form, start = point.form, point.place.offset
         assert form is not None  # only numbers have ranges and names
         registers = list(change.new)

@@ -46,7 +46,11 @@ def build_device(section: UnitSection) -> Device:
 
 
 def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: what the point's type says
-    """Set the value of a point in a device, in its unit of measure. Raises `InvalidRequest` if it does not fit."""
+    """Write the value of a point, in its unit of measure, into a device.
+
+    Raises:
+        InvalidRequest: the value does not fit the point.
+    """
     raw = point.raw(value)
     form = point.form
     if form is None or not form.is_part:
@@ -63,7 +67,10 @@ def _hole(section: UnitSection, table: Table) -> int | None:
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """Return a table's items as the file declares them; or else those of its points and of the gaps between them."""
+    """Return the items of a table: those that the file declares, or else those of its points and of gaps between.
+
+    None if the table has neither. ``hole`` is the value in the gaps; with None there are no gaps.
+    """
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
     ]

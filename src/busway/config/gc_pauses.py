@@ -12,7 +12,7 @@ from contextlib import contextmanager
 from typing import Any, Final
 
 _AT_ONCE: Final = 256
-"""Elements that are freed before other threads run."""
+"""Number of elements that are freed in one step; between two steps other threads can run."""
 
 
 @contextmanager
@@ -28,7 +28,11 @@ def collecting_paused() -> Iterator[None]:
 
 
 def let_go(lists: list[list[Any]]) -> None:  # Any: nothing is asked of them
-    """Free the elements of lists in small steps; the caller must hold the only reference to the lists."""
+    """Free the elements of lists in small steps, so that other threads can run in between.
+
+    Args:
+        lists: the lists; the caller must hold the only references to them and to their elements.
+    """
     for each in lists:
         while each:
             del each[-_AT_ONCE:]

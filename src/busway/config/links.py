@@ -2,10 +2,10 @@
 
 Knows the order of precedence of options; the client knows what they mean.
 
-1. An option of the link itself goes before one in its URL, and that before one of ``[client]``; defaults of the program
-   that uses the links come last.
+1. An option of the link's section overrides one in its URL, and that overrides one of ``[client]``; defaults of the
+   program that uses the links come last.
 2. An option of ``[client]`` applies to the links whose scheme has it, and to no other; so do the certificates of
-   ``[security]``, behind all.
+   ``[security]``, which every other source overrides.
 """
 
 from collections.abc import Callable, Mapping
@@ -28,8 +28,8 @@ class NamedLink:
     Attributes:
         name: its name.
         url: the endpoint, with the options in the URL.
-        options: the others, as `busway.open` and `busway.connect` take them.
-        settings: all of it, checked.
+        options: the options that are not in the URL, as `busway.open` and `busway.connect` take them.
+        settings: endpoint and all options, checked.
     """
 
     name: str
@@ -44,12 +44,12 @@ def named_links(
     report: ConfigurationReport,
     defaults: Mapping[str, Any],
 ) -> dict[str, NamedLink]:
-    """Return the links of a file by name; problems of a link are added to the report.
+    """Return the links of a file by name; a link with a problem is left out, and the problem added to the report.
 
     Args:
         file: the file.
-        root: makes paths among options independent of the file's folder.
-        report: collects what is wrong.
+        root: joins the paths among options to the file's folder.
+        report: collects problems.
         defaults: options of the program that uses the links, where they differ from those of links.
     """
     offered = options_for("client", TlsParameters)
@@ -76,9 +76,9 @@ def _named_link(
     Args:
         section: the link's section in the file.
         general, security: options for all links, and certificates for all.
-        root: makes paths among options independent of the file's folder.
+        root: joins the paths among options to the file's folder.
         at: the path of the section in the file.
-        report: collects what is wrong.
+        report: collects problems.
     """
     endpoint = parse_endpoint(section.url)
     offered = options_of(endpoint)

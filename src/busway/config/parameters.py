@@ -4,9 +4,9 @@ Knows TOML data and the names of parameters; what a file contains is known by it
 
 1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
    text. Between the braces an expression is allowed: ``${base + 10 * index}``. ``$${`` is ``${`` unchanged.
-2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any; who takes the file in sets them.
+2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any, which the including file sets.
    ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
-3. What is put into one text is bounded: `LONGEST_TEXT`.
+3. The characters that are inserted into one text are limited: `LONGEST_TEXT`.
 """
 
 import re
@@ -25,13 +25,23 @@ _INSERT: Final = re.compile(r"\$\{([^{}]*)\}")
 _ESCAPED: Final = "$${"
 OF_UNITS: Final = ("unit", "index")
 LONGEST_TEXT: Final = 10_000
-"""Characters that are put into one text: a parameter that is put twice into the next one's doubles with each file."""
+"""Most characters that are inserted into one text: files that insert a parameter twice would double it each time."""
 
 
 def declared_parameters(
     source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
 ) -> dict[str, Parameter]:
-    """Return the parameters of a file with their values: its defaults, overridden by what an include gives."""
+    """Return the parameters of a file with their values: its defaults, overridden by the given values.
+
+    Args:
+        source: the file.
+        given: values from the include that names the file.
+        asked: the file that includes this one and the path of its include, for errors; None for a file that is not
+            included.
+
+    Raises:
+        FileError: a name is invalid, a given parameter is not declared, or a required one is not given.
+    """
     defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
     if not isinstance(defaults, dict) or not isinstance(required, list):
         return dict(given)  # the schema will say what is wrong
@@ -73,7 +83,7 @@ class FilledSource:
 
     Attributes:
         source: the file.
-        used: the parameters that were put in so far.
+        used: names of the parameters that were inserted so far.
     """
 
     def __init__(self, source: Source, parameters: Mapping[str, Parameter]) -> None:
@@ -82,11 +92,19 @@ class FilledSource:
         self._parameters = dict(parameters)
 
     def with_more(self, more: Mapping[str, Parameter]) -> "FilledSource":
-        """Return a copy of the file's data with further parameters."""
+        """Return a filled source of the same file with further parameters."""
         return FilledSource(self.source, {**self._parameters, **more})
 
     def filled(self, node: Any, path: Path) -> Any:  # what TOML has
-        """Return a new copy of a part of the data, with parameters replaced by their values."""
+        """Return a copy of a part of the data, with parameters replaced by their values.
+
+        Args:
+            node: the part.
+            path: its path in the file, for errors.
+
+        Raises:
+            FileError: an expression is invalid, or a parameter does not exist.
+        """
         if isinstance(node, str):
             return self._text(node, path)
         if isinstance(node, list):
@@ -154,7 +172,10 @@ def _written(value: Parameter) -> str:
 
 
 def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
-    """Return the data of a file, where in a section for one unit the unit's number is a parameter too."""
+    """Return the data of a file with parameters replaced, as a file that is not included.
+
+    In a section with one unit number, ``unit`` is that number and ``index`` is 0.
+    """
     data = filled.source.data
     rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())
     sections = data.get("unit")

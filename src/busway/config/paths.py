@@ -8,11 +8,16 @@ from ..options.declaration import Mark, declared
 from ..options.tls import TlsParameters
 
 TLS_FILES: Final = tuple(name for name, option in declared(TlsParameters).items() if Mark.FILE in option.marks)
-"""Options of `TlsParameters` that are paths."""
+"""Names of the options of `TlsParameters` that are paths."""
 
 
 def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: options of several types
-    """Return options whose paths are absolute or relative to the working directory, no longer to the file's folder."""
+    """Return options with the paths among them joined to the folder of the file that has them.
+
+    Args:
+        options: options by name.
+        name: path of the file.
+    """
     return {
         key: within(name, value) if key in TLS_FILES and isinstance(value, str) else value
         for key, value in options.items()
@@ -20,5 +25,5 @@ def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: opt
 
 
 def within(name: str, path: str) -> str:
-    """Return a path written in the file ``name``, joined to the folder of that file."""
+    """Return ``path``, as written in the file ``name``, joined to the folder of that file."""
     return str(Path(name).parent / path)

@@ -23,7 +23,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
-    """Warn of access rules for roles that no client can have."""
+    """Add a warning to the report for each access rule for roles that no client can have, for want of TLS."""
     if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
         return
     for index, rule in enumerate(file.policy.rule):
@@ -32,7 +32,7 @@ def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
-    """Warn of access rules for listeners that the file does not have: such a denial would never apply."""
+    """Add a warning to the report for each access rule for a listener that the file does not have."""
     known = [parse_endpoint(url) for _, url in file.places()]
     if file.policy is None or not known:
         return
@@ -44,7 +44,7 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether an access rule's listener may mean this one: as configured, as bound, or on port 502 beside it."""
+    """Whether ``wanted`` in an access rule may mean a listener: as configured, as bound, or on port 502 beside it."""
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
     try:
@@ -62,7 +62,14 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
 
 
 def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:
-    """Open the files that a configuration names, and report what cannot be used."""
+    """Open the files that a configuration names, and add a problem to the report for each that cannot be used.
+
+    Args:
+        file: the configuration.
+        name: its path, from which relative paths start.
+        listeners: its listeners, in the order of ``file.places()``.
+        report: collects problems.
+    """
     wrong = len(report.problems)
     for place, path in _named_files(file):
         _readable(place, within(name, path), report)
@@ -77,7 +84,12 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """Where in the file a listener's certificates are named: in its own section, or in ``[security]``."""
+    """Function that returns where the file sets an option of a listener's certificates: own section or ``[security]``.
+
+    Args:
+        file: the configuration.
+        place: path of the listener's URL in the file.
+    """
 
     def __init__(self, file: SystemFile, place: Place) -> None:
         self._own = file.listener[int(place[1])].options_of(TlsParameters) if place[0] == "listener" else {}
@@ -100,7 +112,7 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
 
 
 def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
-    """Open a file, or a folder of authorities, and report it if it cannot be read."""
+    """Add a problem to the report if a file cannot be read; a folder of authorities is accepted."""
     if Path(path).is_dir() and place[-1] == "authority":
         return
     try:
@@ -112,7 +124,7 @@ def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
 
 
 def _usable(listener: Listener, place: Callable[[str | None], Place], report: ConfigurationReport) -> None:
-    """Report a certificate and key that can be read but do not belong together."""
+    """Add a problem to the report if the certificate and key of a listener cannot be used together."""
     try:
         try_certificates(listener)
     except ConfigError as error:

@@ -1,4 +1,4 @@
-"""Reads the text of a file of configuration, and refuses one that is not UTF-8."""
+"""Reads the text of a configuration file, and refuses one that is not UTF-8."""
 
 from typing import Final
 
@@ -6,14 +6,14 @@ from ..errors import ConfigError
 from ..safe_files import read_safely, size_text
 
 MOST_BYTES: Final = 32 * 1024 * 1024
-"""Bytes of a file in TOML: several times a policy with as many rules as there may be."""
+"""Most bytes of a file in TOML: several times a policy with as many rules as are allowed."""
 
 
 def read_text(name: str) -> str:
     """Return the text of a UTF-8 file that the command line or the program names; it may be a pipe.
 
     Raises:
-        ConfigError: it cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; names the file.
+        ConfigError: it cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; the error names the file.
     """
     try:
         with open(name, "rb") as file:
@@ -30,7 +30,7 @@ def read_named_text(name: str) -> str:
     """Return the text of a UTF-8 file that another file names; it must be regular and no other user's link.
 
     Raises:
-        ConfigError: as of `read_text`, or as `read_safely` refuses it; names the file.
+        ConfigError: as `read_text`, or the file is not regular or another user's link; the error names the file.
     """
     return _decoded(read_safely(name, most=MOST_BYTES), name)
 

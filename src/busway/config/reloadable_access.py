@@ -3,7 +3,7 @@
 Knows rules and listeners; knows no connection.
 
 1. A listener that the network can reach, and for which no policy was written, is read-only unless writes were allowed
-   by name. Serial lines are not concerned, since they have to take broadcast writes; nor are loopback addresses.
+   by name. This does not concern serial lines, which have to take broadcast writes, nor loopback addresses.
 2. Which listeners those are is only known when the server is bound: until then all network listeners are read-only.
 """
 
@@ -16,7 +16,7 @@ from ..options.endpoints import SCHEMES, parse_endpoint
 from ..server.bound_sockets import is_loopback
 
 UNASKED: Final = "beyond-loopback"
-"""The name of the rule that makes a listener without a policy read-only."""
+"""Name of the rule that makes a listener without a policy read-only."""
 NETWORK_SCHEMES: Final = tuple(f"{name}://" for name, scheme in SCHEMES.items() if scheme.carrier != "serial")
 _LOCAL_NAMES: Final = frozenset({"localhost"})
 
@@ -24,8 +24,11 @@ _LOCAL_NAMES: Final = frozenset({"localhost"})
 class ReloadableAllowList:
     """Decides whether a host may connect, by lists that can be replaced; given to a server as ``authorize``.
 
+    Args:
+        lists: the first lists.
+
     Attributes:
-        lists: all of them must permit a host.
+        lists: a host may connect if all of them permit it.
     """
 
     def __init__(self, lists: Iterable[AddressList] = ()) -> None:

@@ -31,7 +31,12 @@ class ConfigurationReport:
         self.warnings: list[ConfigError] = []
 
     def make(self, make: Callable[[], Made], place: Callable[[str | None], Path]) -> Made | None:
-        """Return the result of ``make``; if it raises `ConfigError`, report that at ``place(key)`` and return None."""
+        """Return the result of ``make``; if it raises `ConfigError`, add a problem to the report and return None.
+
+        Args:
+            make: builds a part of the configuration.
+            place: returns the path in the file at which an error with a given key is reported.
+        """
         try:
             return make()
         except FileError as error:
@@ -41,11 +46,11 @@ class ConfigurationReport:
         return None
 
     def refuse(self, path: Path, sentence: str) -> None:
-        """Report a problem at a path of the configuration file."""
+        """Add a problem to the report, at a path of the configuration file."""
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:
-        """Report a warning at a path of the configuration file."""
+        """Add a warning to the report, at a path of the configuration file."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:
@@ -56,7 +61,15 @@ class ConfigurationReport:
 
 
 def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
-    """Return where to report an error of a key: in the part's section, in the section for all parts, or at the part."""
+    """Return the path at which an error of a key is reported.
+
+    Args:
+        key: the key; None for an error without one.
+        own: keys that the part's own section sets.
+        at: path of that section, for keys that no section sets too.
+        general: keys that the section for all parts sets.
+        elsewhere: path of that section.
+    """
     if key is not None and key in own:
         return (*at, key)
     if key is not None and key in general:

@@ -20,7 +20,7 @@ from ...values.refusal import shown
 from .schema import FileProblems, Section, read_section
 
 FASTEST: Final = 0.01
-"""Seconds between two changes, at least: below, the timers of a system are no longer exact."""
+"""Fewest seconds between two changes: below, the timers of a system are no longer exact."""
 SLOWEST: Final = 86_400.0
 
 KIND: Final = "what makes the value."
@@ -44,9 +44,9 @@ class BehaviourSection(Section):
     """Keys that behaviours of all kinds have: how often the value changes, how long a written value stays."""
 
     expressions: ClassVar[tuple[str, ...]] = ()
-    """Keys that may hold an expression."""
+    """Names of the keys that may hold an expression."""
     begins: ClassVar[bool] = False
-    """Whether it goes on from the point's first value."""
+    """Whether the behaviour continues from the point's first value."""
 
     every: Annotated[
         float,
@@ -194,11 +194,11 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
     "formula": FormulaSection,
     "replay": ReplaySection,
 }
-"""The kinds by name. To add one: its section here, and what it does in `busway.apps.simulator.behaviours`."""
+"""The sections by kind. To add a kind: its section here, and what it does in `busway.apps.simulator.behaviours`."""
 
 
 def _as_behaviour(value: object) -> object:
-    """Read a behaviour by the keys of its kind, so that errors name them; pydantic's union would not."""
+    """Check a behaviour by the section of its kind, so that errors name its keys; pydantic's union would not."""
     if isinstance(value, BehaviourSection):
         return value
     if not isinstance(value, dict):
@@ -219,7 +219,7 @@ DeclaredBehaviour = Annotated[
 
 
 def described(section: BehaviourSection) -> str:
-    """Return a short description of a behaviour: ``sine: amplitude 4, period 60``."""
+    """Return a behaviour with the keys that the file gives, as text: ``sine: amplitude 4, period 60``."""
     own: dict[str, Any] = {  # Any: of the types of the keys
         name: getattr(section, name)
         for name in type(section).model_fields

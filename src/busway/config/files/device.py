@@ -48,18 +48,18 @@ OBJECT_NUMBERS: Final = {
     "user_application_name": 6,
 }
 _RUNNING: Final = b"\xff"
-"""Run indicator at the end of a server id (Application Protocol V1.1b3 §6.13)."""
+"""Run indicator at the end of a server id: FF for on (Application Protocol V1.1b3 §6.13)."""
 
 
 def parse_device_file(text: str, name: str) -> "DeviceFile":
-    """Parse and check a whole device file. Raises `FileError` with all problems.
+    """Parse and check the text of a device file, and return its contents.
 
     Args:
         text: the file's text.
         name: the file's name, for messages.
 
     Raises:
-        FileError: all that is wrong with it, each with file, line and key.
+        FileError: the file is invalid; has all problems, each with file, line and key.
     """
     source = read_source(text, name)
     file = source.checked(DeviceFile)
@@ -156,16 +156,21 @@ class TableSection(Section):
 
     @property
     def size(self) -> int:
-        """Number of items that the table of the device has."""
+        """Number of items that the table has."""
         return self.count if self.count is not None else len(self.values or ())
 
     @property
     def end(self) -> int:
-        """The offset after the last item of the device's table."""
+        """The offset after the last item of the table."""
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
-        """Return errors in the declaration of a table, each with its path in the table's section."""
+        """Yield the errors in the declaration, each with its path in the section and a sentence.
+
+        Args:
+            bits: whether the items are bits.
+            size: number of items that a table can have.
+        """
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
         if self.values is not None and len(self.values) > self.size:
@@ -202,7 +207,7 @@ class FifoSection(Section):
 
     @property
     def place(self) -> Address:
-        """Return the address under which function 24 reads the queue."""
+        """The address under which function 24 reads the queue."""
         return parse_address(self.address, table=Table.HOLDING_REGISTERS)
 
     @model_validator(mode="after")
@@ -235,7 +240,7 @@ class GroupSection(WholeSection):
         return {"name": "?"}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Return errors between the keys of this group, each with its path and a sentence."""
+        """Yield the errors between the keys of this group, each with its path and a sentence."""
         if self.count_from and self.count is None:
             yield ("count",), f"is missing: the most that {self.count_from} may say"
         if self.count is not None and self.count > 1 and not self.stride:
@@ -245,17 +250,25 @@ class GroupSection(WholeSection):
         yield from _repeated("point", "name", [point.name for point in self.point])
 
     def size(self) -> int:
-        """Return how many points the group has at all places where it is repeated."""
+        """Return the number of points of the group and its inner groups, at all places where they are repeated."""
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:
-        """Return the names of the group's points at one of its places, without those of inner groups."""
+        """Yield the names of the group's points as the file has them, without those of inner groups."""
         return (point.name for point in self.point)
 
     def placed(
         self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
     ) -> Iterator["PlacedPoint"]:
-        """Return the group's points once for each place where it is repeated, each with its path in the file."""
+        """Yield the group's points once for each place where it is repeated, with final names and addresses.
+
+        Args:
+            path: path of the group in the unit's section.
+            prefix: text before the group's name.
+            by: items from where the group is written.
+            outer: names of points around the group, the innermost first.
+            around: what the groups around it add to a point.
+        """
         for index in range(self.count or 1):
             here = f"{prefix}{self.name}." if self.count is None else f"{prefix}{self.name}.{index + 1}."
             known = [*(here + name for name in self.names()), *outer]
@@ -273,7 +286,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """What the groups around a point of a device file add to it, as fields of `busway.points.Point`."""
+    """What the groups around a point of a device file add to it, as attributes of `busway.points.Point`."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -284,9 +297,9 @@ class PlacedPoint:
     """One point of a unit with its final name and address, whether written alone or in a group.
 
     Attributes:
-        path: where it is written in the unit's section.
+        path: its path in the unit's section of the file.
         section: its keys in the file; for a point of a group, adjusted to the place of the group.
-        exists, group: as of `busway.points.Point`.
+        exists, group: as in `busway.points.Point`.
     """
 
     path: Path
@@ -330,7 +343,7 @@ class ReadSection(Section):
         return self
 
     def rules(self) -> ReadRules:
-        """Return the limits of read requests as `ReadRules`, for the read plan."""
+        """Return the section as `ReadRules` of `busway.points`, for the read plan."""
         return ReadRules(
             self.max_registers,
             self.max_bits,
@@ -344,8 +357,10 @@ class ReadSection(Section):
 
 
 def item_range(text: str) -> tuple[Table, ItemRange]:
-    """Parse a range such as ``4x1-4x100`` or ``holding:0-holding:0x63``, both ends included. Raises
-    `InvalidRequest`.
+    """Return table and range that a text such as ``4x1-4x100`` names, both ends included; ``4x1`` is one item.
+
+    Raises:
+        InvalidRequest: the text is no range of items of one table.
     """
     first, dash, last = text.partition("-")
     ends = [parse_address(each.strip()) for each in ((first, last) if dash else (first, first))]
@@ -419,7 +434,7 @@ class UnitSection(WholeSection):
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """Return all points of the unit; those of groups once for each place of the group."""
+        """All points of the unit, with final names and addresses; those of groups once for each place of the group."""
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]
         grouped = (
@@ -431,7 +446,7 @@ class UnitSection(WholeSection):
 
     @cached_property
     def stored(self) -> tuple[PlacedPoint, ...]:
-        """Return the points of the unit that are in tables: all but computed ones."""
+        """The points of the unit that are in tables: all but the computed ones."""
         return tuple(each for each in self.placed if not each.section.is_computed)
 
     def points_in(self, table: Table) -> list[PointSection]:
@@ -457,7 +472,7 @@ class UnitSection(WholeSection):
         return {_object_number(key): value for key, value in self.identification.items()}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Return errors between the keys of this unit, each with its path and a sentence."""
+        """Yield the errors between the keys of this unit, each with its path and a sentence."""
         yield from self._table_faults()
         yield from self._placed_faults()
         yield from self._object_faults()
@@ -475,7 +490,7 @@ class UnitSection(WholeSection):
                 yield ("file", index, *path), message
 
     def _placed_faults(self) -> Iterator[tuple[Path, str]]:
-        """Return errors between the points of the unit; none if the points cannot be placed."""
+        """Yield the errors between the points of the unit; only one if the points cannot be placed."""
         if sum(group.size() for group in self.group) > MOST_REPEATED:
             yield ("group",), f"groups come to more than {MOST_REPEATED} points"
             return
@@ -554,7 +569,7 @@ def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path,
 
 
 def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Return errors for points outside their table, or overlapping without being allowed to."""
+    """Yield errors for points outside their table, and for points that overlap without being allowed to."""
     owners: dict[tuple[Table, int, int], str] = {}
     for each in stored:
         point, declared = each.section, unit.table(each.section.table)
@@ -577,7 +592,7 @@ def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tupl
 
 
 def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Return errors for names of points that do not exist, or do not hold the kind of number needed."""
+    """Yield errors for names of points that do not exist, or do not hold the kind of number needed."""
     there = {each.section.name: each.section for each in placed}
     counts = {name: each.path for each in placed for name, _ in each.exists}
     needed = [((*each.path, "scale_from"), each.section.scale_from) for each in placed if each.section.scale_from]
@@ -605,7 +620,7 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
 
 
 def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Return errors for computed points that depend on themselves."""
+    """Yield an error for the first circle of computed points that depend on themselves."""
     computed = {each.section.name: each for each in placed if each.section.is_computed}
     done: set[str] = set()
     for first in computed:

@@ -24,7 +24,7 @@ from .schema import NO_TABLE, FileProblems, Section, Source, keys_of
 
 _MOST_SECONDS: Final = 366 * 86_400.0
 _OFFSETS: Final = re.compile(r"\s*[0-9]{1,4}\s*((\.\.|…|-)\s*[0-9]{1,5}\s*)?")
-"""A number or a range without a table. With five digits and more at its beginning, it would be a notation of one."""
+"""A number or a range without a table. A number of five digits is the notation of an address, such as ``40001``."""
 
 
 def _as_parameter(value: object) -> object:
@@ -114,13 +114,13 @@ def _items(part: str | int) -> dict[Table, tuple[ItemRange, ...]]:
 
 
 def parse_fault_words(text: str) -> FaultSection:
-    """Parse a fault given on the command line: ``late`` or ``late:delay=2,units=1-3,for=10``.
+    """Return the fault that an argument of the command line describes: ``late`` or ``late:delay=2,units=1-3,for=10``.
 
     Args:
-        text: the fault profile; behind a colon, keys of the section and of its schedule, and parameters.
+        text: the fault profile; after a colon, keys of the section and of its schedule, and parameters.
 
     Raises:
-        ConfigError: a word cannot be; its key is the key at fault.
+        ConfigError: a key or value is invalid; the error has the key.
     """
     fault_profile, _, rest = text.partition(":")
     section: dict[str, Any] = {"fault_profile": fault_profile.strip()}  # Any: values of several types

@@ -52,7 +52,7 @@ class GatewayListenerSection(ListenerSection):
 
     @property
     def title(self) -> str:
-        """The name of the listener in routes; its URL if the file gives it no name."""
+        """Name of the listener in routes; its URL if the file gives it no name."""
         return self.name or self.url
 
 
@@ -71,7 +71,7 @@ class RouteSection(OptionSection):
 
     @property
     def parameters(self) -> RouteParameters:
-        """Return the options of the route, with the defaults of those that the file leaves out."""
+        """The options of the route, with defaults for those that the file leaves out."""
         return self.built(RouteParameters)
 
     @model_validator(mode="after")
@@ -107,7 +107,11 @@ class RouteSection(OptionSection):
         return frozenset() if functions is None else parse_whole_functions(functions.written, "a route")
 
     def asked_table(self) -> Table | None:
-        """Return the table that a plain number in the route's addresses means. Raises `ConfigError`."""
+        """Return the table that numbers without a table mean in the route's addresses; None without one.
+
+        Raises:
+            ConfigError: there is no such table.
+        """
         table = self.parameters.table
         return None if table is None else parse_table(table)
 

@@ -25,14 +25,18 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """Return the line of a path in the file; for a missing one, that of the innermost part that exists."""
+    """Return the line of a path in the file; for a path that is not there, that of the innermost part that is."""
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path, 1)
 
 
 class _Reader:
-    """One pass over a TOML text that records the line of each key."""
+    """One pass over a TOML text that records the line of each key.
+
+    Attributes:
+        lines: the lines so far, 1-based, by path.
+    """
 
     def __init__(self, text: str) -> None:
         self._text = text
@@ -43,7 +47,7 @@ class _Reader:
         self.lines: dict[Path, int] = {}
 
     def read_document(self) -> None:
-        """Read the TOML text table by table and line by line."""
+        """Read the whole TOML text, and record the line of each key in ``lines``."""
         table: Path = ()
         while True:
             self._skip_blank()
@@ -127,7 +131,7 @@ class _Reader:
                 self._at += 1
 
     def _read_string(self) -> str:
-        """Read a string of any of TOML's four kinds; the result is exact where it is a key."""
+        """Read a string of any of TOML's four kinds, and return its characters as written; escapes are not decoded."""
         mark = next(each for each in _DELIMITERS if self._text.startswith(each, self._at))
         self._move(len(mark))
         start = self._at

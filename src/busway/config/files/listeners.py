@@ -60,7 +60,7 @@ class ListenerSection(OptionSection):
 
 
 def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
-    """Return errors for listeners that use the same address and port: the path of the later one, and a sentence.
+    """Yield an error for each listener that uses the same address and port as an earlier one: its path, and a sentence.
 
     Args:
         places: the path of each URL in the file, and the URL.
@@ -83,7 +83,7 @@ def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
 
 _EVERYWHERE: Final = {"localhost": "127.0.0.1"}
 _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
-"""Hosts that stand for all addresses, and what is in the addresses they stand for."""
+"""Hosts that mean all addresses of this machine, with a text that each of these addresses contains."""
 
 
 def _covers(one: str, other: str) -> bool:

@@ -37,21 +37,21 @@ class OptionSection(Section):
     """Base of file sections with declared options among their keys."""
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
-    """The classes that check the values."""
+    """The parameter classes whose options are keys of the section."""
     checked_later: ClassVar[tuple[type[Any], ...]] = ()
-    """Those that check when the section is combined with others."""
+    """Those of ``kinds`` that check their options only when the section is combined with others."""
 
     def options(self) -> dict[str, Any]:  # of several types
         """Return the options that this section sets, by name."""
         return self.options_of(*self.kinds)
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """Return those options of some parameter classes that this file section sets, by name."""
+        """Return the options of the given parameter classes that this section sets, by name."""
         known = {name for kind in kinds for name in declared(kind)}
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     def built(self, kind: type[Parameters]) -> Parameters:
-        """Build the parameter object of a class from this section, whose values were checked before."""
+        """Return the parameter object of a class with the options that this section sets; they were checked before."""
         return build_parameters(kind, self.options_of(kind))
 
     @model_validator(mode="after")
@@ -63,7 +63,11 @@ class OptionSection(Section):
 
 
 def build(kind: type[Any], options: Mapping[str, Any]) -> None:
-    """Create a parameter object, which checks its options; an error is reported at the key in the file."""
+    """Create a parameter object only to check options.
+
+    Raises:
+        FileProblems: an option is invalid; the problem has its key.
+    """
     try:
         build_parameters(kind, options)
     except ConfigError as error:
@@ -76,9 +80,9 @@ def with_options_of(
     """Class decorator that adds a key to a file section for each option of the parameter classes.
 
     Args:
-        kinds: the classes.
-        role: ``client`` or ``server``: only options that have an effect for it are keys.
-        without: options that have no effect here, and so are no keys.
+        kinds: the parameter classes.
+        role: ``client`` or ``server``: only options that have an effect for it are keys; empty for all.
+        without: names of options that have no effect here, and so are no keys.
     """
 
     def extended(section: type[Kind]) -> type[Kind]:

@@ -39,7 +39,7 @@ from .schema import NO_LIST, NO_TABLE, FileProblems, Section, faults_in
 Result = TypeVar("Result")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 MOST_REPEATED: Final = 10_000
-"""Points that the groups of one unit may come to."""
+"""Most points that the groups of one unit may have together, repeated ones included."""
 
 _NUMBERS: Final = ("int", "uint", "float", "bcd", "field")
 _FIELD: Final = re.compile(r"(?P<register>.+)\.(?P<low>\d{1,2})-(?P<high>\d{1,2})")
@@ -71,7 +71,11 @@ def _conversion(
 
 
 def checked(key: str, make: Callable[[], Result]) -> Result:
-    """Return the result of the function ``make``; its error is reported at ``key`` of the checked section."""
+    """Return the result of ``make``, which checks the value of a key.
+
+    Raises:
+        FileProblems: ``make`` has raised `InvalidRequest` or `ConfigError`; its message is reported at ``key``.
+    """
     try:
         return make()
     except (InvalidRequest, ConfigError) as error:
@@ -113,7 +117,7 @@ class WriteSection(Section):
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
-        """Return how a write is verified: not at all, by reading the point back, or by reading another address."""
+        """How a write is verified: not at all, by reading the point back, or by reading another address."""
         if self.verify == "none":
             return "none"
         return "read-back" if self.verify == "read-back" else parse_address(self.verify)
@@ -172,7 +176,7 @@ class ReportSection(Section):
 
 
 Report = Annotated[ReportSection, BeforeValidator(_as_report, json_schema_input_type=str | ReportSection)]
-"""A key with a report rule: the name of one, or a table."""
+"""Type of a key with a report rule: a word of ``when``, or a table."""
 
 
 class AlarmSection(Section):
@@ -204,7 +208,11 @@ class AlarmSection(Section):
         return self
 
     def described(self, names: Mapping[str, int], flags: Mapping[str, int]) -> AlarmRule:
-        """Return the section as an `AlarmRule` of `busway.points`; ``names`` and ``flags`` are those of the point."""
+        """Return the section as an `AlarmRule` of `busway.points`.
+
+        Args:
+            names, flags: ``enumeration`` and ``flags`` of the point, which give the states their numbers.
+        """
         states = tuple(("on" if each else "off") if isinstance(each, bool) else each for each in self.states)
         numbers = frozenset(int(each) if isinstance(each, bool) else names.get(each, 0) for each in self.states)
         bits = sum(1 << flags[each] for each in set(map(str, self.states)) & flags.keys())
@@ -221,14 +229,14 @@ class AlarmSection(Section):
 
 
 STAND_IN: Final = "0"
-"""The formula that replaces a wrong one, while those around it are checked."""
+"""Formula of a point that stands in for an invalid one, while the points around it are checked."""
 
 
 class WholeSection(Section):
     """Base of file sections that report all their errors at once, also those between keys."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Return errors between the keys of this section, each with its path and a sentence."""
+        """Yield the errors between the keys of this section, each with its path and a sentence."""
         yield from ()
 
     @model_validator(mode="wrap")
@@ -248,7 +256,7 @@ class WholeSection(Section):
     def _further(
         cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
     ) -> Iterator[tuple[Path, str]]:
-        """Return errors between valid keys, found by replacing invalid keys with valid stand-ins."""
+        """Yield the errors between valid keys, found by replacing invalid keys with valid stand-ins."""
         broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
         if not isinstance(data, dict) or not broken:
             return
@@ -367,7 +375,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def expression(self) -> Expression:
-        """The parsed formula of a computed point; None for others."""
+        """The parsed formula of a computed point; only for computed points."""
         return parse_expression(self.formula)
 
     @cached_property
@@ -377,7 +385,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def _bits(self) -> tuple[str, int, int]:
-        """Return the address of the point's register, and first and last bit of a bit field; -1 and -1 if none."""
+        """Text of the address of the point's register, and first and last bit of a bit field; -1 and -1 without one."""
         match = _FIELD.fullmatch(self.address)
         return (self.address, -1, -1) if match is None else (match["register"], int(match["low"]), int(match["high"]))
 
@@ -407,7 +415,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def taken_bits(self) -> range:
-        """Return which bits of each of its registers the point occupies."""
+        """The bits that the point occupies in each of its registers, 0 the least significant."""
         if self.place.bit is not None:
             return range(self.place.bit, self.place.bit + 1)
         kind = "" if self.form is None else self.form.name
@@ -418,7 +426,7 @@ class PointSection(WholeSection):
 
     @property
     def is_number(self) -> bool:
-        """Whether the point is a number, not a bit, text or group of bits."""
+        """Whether values of the point are numbers, not bits, texts or sixteen bits."""
         return self.form is not None and self.form.name.startswith(_NUMBERS)
 
     @property
@@ -433,7 +441,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def conversion(self) -> Conversion:
-        """The conversion between raw numbers and values of the point; one object for all with the same scale."""
+        """The conversion between raw numbers and values; points with equal keys share one object."""
         return _conversion(
             self.scale,
             self.offset,
@@ -447,7 +455,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def described(self) -> Point:
-        """Return the point as a `busway.points.Point`; `UnitSection` adds what depends on the unit."""
+        """The point as a `busway.points.Point`; `UnitSection.described` adds what depends on the unit."""
         common: dict[str, Any] = {  # Any: arguments of different types
             "unit_of_measure": self.unit_of_measure,
             "poll_class": self.poll_class,
@@ -490,7 +498,7 @@ class PointSection(WholeSection):
         """Return the raw number for a value in the unit of measure, or for the name of a value.
 
         Raises:
-            InvalidRequest: it does not fit the type, the scale, the names or the range.
+            InvalidRequest: the value does not fit the type, the scale, the names or the range.
         """
         point = self.described
         raw = point.raw(value)
@@ -502,20 +510,20 @@ class PointSection(WholeSection):
         return raw
 
     def physical(self, raw: Any) -> Any:
-        """Return the value in the unit of measure for a raw number of the point."""
+        """Return the value in the unit of measure for a raw number; bits, texts and the like unchanged."""
         if self._converter is None or isinstance(raw, bool):
             return raw
         return self._converter(raw)
 
     @cached_property
     def _converter(self) -> Callable[[float], float] | None:
-        """Return the function from raw numbers to values of the point; None if they are the same."""
+        """Function from raw numbers to values of the point; None if they are the same."""
         if not self.is_number or not self.conversion.changes:
             return None
         return converter(self.conversion, whole=self.is_whole)
 
     def check_range(self, value: float) -> None:
-        """Raise `InvalidRequest` if a value is outside the range of the point."""
+        """Raise `InvalidRequest` if a value is below the point's minimum or above its maximum."""
         low, high = self.minimum, self.maximum
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
@@ -525,7 +533,7 @@ class PointSection(WholeSection):
         return self.described.choices()
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Return errors between the keys of this point, each with its path and a sentence."""
+        """Yield the errors between the keys of this point, each with its path and a sentence."""
         return self._computed_faults() if self.formula else self._stored_faults()
 
     def _computed_faults(self) -> Iterator[tuple[Path, str]]:
@@ -678,8 +686,8 @@ class PointSection(WholeSection):
         """Return a copy of the point for one place where its group is repeated, with that place's name and address.
 
         Args:
-            prefix: put before its name.
-            by: items from where it is written.
+            prefix: text before its name.
+            by: items from where it is written to that place.
             known: names of points around, the innermost first, for ``scale_from`` and ``formula``.
         """
         keys = {name: getattr(self, name) for name in self.model_fields_set}
@@ -697,7 +705,10 @@ class PointSection(WholeSection):
 
 
 def resolved(name: str, known: Sequence[str]) -> str:
-    """Return the full name of a point used in a formula: its name with the prefix of the innermost
-    group that has it.
+    """Return the full name of the point that a name in a group means; the name itself if no known point has it.
+
+    Args:
+        name: the name as the group has it.
+        known: full names of points around, the innermost first.
     """
     return next((each for each in known if each == name or each.endswith(f".{name}")), name)

@@ -19,7 +19,7 @@ from .schema import NO_LIST, FileProblems, Section, parse_file
 
 
 def _as_numbers(value: object) -> object:
-    """Accept the numbers of an access rule written as a number, a text or a list of them."""
+    """Accept the numbers of an access rule written as a number, a text or a list of these; returns a list."""
     values = value if isinstance(value, list) else [value]
     for each in values:
         if isinstance(each, bool) or not isinstance(each, int | str):
@@ -32,7 +32,7 @@ def _as_texts(value: object) -> object:
 
 
 MOST_RULES: Final = 100_000
-"""Rules of a policy. Reading so many takes some ten seconds, in a thread beside what runs."""
+"""Most rules of a policy. Reading so many takes some ten seconds, in a thread beside the program's others."""
 
 Numbers = Annotated[list[int | str], BeforeValidator(_as_numbers, json_schema_input_type=int | str | list[int | str])]
 Texts = Annotated[list[str], BeforeValidator(_as_texts, json_schema_input_type=str | list[str])]
@@ -43,14 +43,14 @@ Secure = Annotated[bool | None, "whether those in neither list are refused; None
 
 
 def parse_policy_file(text: str, name: str) -> AccessRules:
-    """Parse and check a whole policy file. Raises `FileError` with all problems.
+    """Parse and check the text of a policy file, and return its access rules.
 
     Args:
         text: the file's text.
         name: the file's name, for messages.
 
     Raises:
-        FileError: all that is wrong with it, each with file, line and key.
+        FileError: the file is invalid; has all problems, each with file, line and key.
     """
     return parse_file(text, PolicyFile, name).policy.access_rules()
 

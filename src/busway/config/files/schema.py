@@ -85,7 +85,7 @@ _KEYS: Final[dict[type[Section], Mapping[str, Option]]] = {}
 
 
 def keys_of(section: type[Section]) -> Mapping[str, Option]:
-    """Return the keys that a section declares, by the name they have in the file, in their order."""
+    """Return the keys that a section declares, by the name they have in the file, in the order of the declaration."""
     found = _KEYS.get(section)
     if found is None:
         options = (_option(field.alias or name, field) for name, field in section.model_fields.items())
@@ -122,9 +122,12 @@ NO_TABLE: Final[Any] = Field(default_factory=dict)
 
 
 class FileProblems(ValueError):
-    """Error of a check inside a file's section, with all problems found there: path and sentence of each.
+    """Error of a check inside a file's section, with all problems found there.
 
-    pydantic gives an error of a whole section the section's place; this carries the places inside.
+    pydantic reports an error of a whole section at the section; this error has the places inside.
+
+    Attributes:
+        faults: path in the section, and sentence, of each problem.
     """
 
     def __init__(self, faults: Sequence[tuple[Path, str]]) -> None:
@@ -142,7 +145,7 @@ class Source:
     Attributes:
         name: the file's name, for messages.
         data: its contents.
-        lines: the line of each key and element.
+        lines: the line of each key and array element, 1-based, by path.
     """
 
     name: str
@@ -150,7 +153,7 @@ class Source:
     lines: Mapping[Path, int]
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """Return an error at a path of the file, with file, line and key."""
+        """Return the error for a path of the file, with file, line and key; the caller raises or collects it."""
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
@@ -162,7 +165,7 @@ class Source:
             at: keys and indexes that lead to the part; none for the whole file.
 
         Raises:
-            FileError: the content is wrong; it has all problems, each with its line.
+            FileError: the content is invalid; has all problems, each with its line.
         """
         part: Any = self.data  # what TOML has
         for key in at:
@@ -175,7 +178,7 @@ class Source:
 
 
 def read_source(text: str, name: str) -> Source:
-    """Parse a TOML text. Raises `FileError` if it is no TOML."""
+    """Parse a TOML text, and return its data with the line of each key. Raises `FileError` if it is no TOML."""
     try:
         return Source(name, tomllib.loads(text), key_lines(text))
     except tomllib.TOMLDecodeError as error:
@@ -193,14 +196,23 @@ def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, S
         name: the file's name, for messages.
 
     Raises:
-        FileError: all that is wrong with it, each with file, line and key.
+        FileError: the file is invalid; has all problems, each with file, line and key.
     """
     source = read_source(text, name)
     return source.checked(schema), source
 
 
 def parse_file(text: str, schema: type[File], name: str) -> File:
-    """Parse a TOML text and check it by a schema class; returns the checked file."""
+    """Parse a TOML text and check it by a schema class; returns the checked file.
+
+    Args:
+        text: the file's text, in TOML.
+        schema: the class that describes the file's sections and keys.
+        name: the file's name, for messages.
+
+    Raises:
+        FileError: the file is invalid; has all problems, each with file, line and key.
+    """
     return parse_with_source(text, schema, name)[0]
 
 
@@ -234,7 +246,7 @@ def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
 
 
 _LONG_NUMBER = re.compile(r"(?<![\w.])[0-9][0-9_]{4299,}")
-"""More digits than Python converts (sys.get_int_max_str_digits)."""
+"""A number with more digits than Python converts (sys.get_int_max_str_digits)."""
 
 
 def _densest_line(text: str) -> int:
@@ -244,7 +256,11 @@ def _densest_line(text: str) -> int:
 
 
 def read_section(schema: type[File], data: object) -> File:
-    """Check part of a file by a section class, chosen by its contents. Raises `FileProblems`."""
+    """Check a part of a file by a section class that the caller has chosen by its contents, and return it.
+
+    Raises:
+        FileProblems: the part is invalid.
+    """
     try:
         return schema.model_validate(data)
     except ValidationError as error:
@@ -257,7 +273,12 @@ def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[Path,
 
 
 def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
-    """Translate one error of pydantic (a mapping of its own kind, hence Any) to paths in the section, and sentences."""
+    """Yield the problems in one error of pydantic: path in the section, and sentence, of each.
+
+    Args:
+        error: an entry of ``ValidationError.errors()``, hence Any.
+        schema: the class of the section.
+    """
     path: Path = tuple(error["loc"])
     raised = error.get("ctx", {}).get("error")
     if isinstance(raised, FileProblems):
@@ -268,7 +289,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
-    """Return the path of a value as written in the file, where a single value may be given instead of a list."""
+    """Return the path of a value as the file has it: an index is left out if one value is written instead of a list."""
     if path in lines:
         return path
     shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))
@@ -368,7 +389,7 @@ def _sections_in(annotation: Any) -> Iterator[type[Section]]:
 def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: what JSON has
     """Return the JSON Schema (draft 2020-12) of a file, for editors and other programs.
 
-    It knows names, types and plain ranges; what goes together is only known to the reader of the file.
+    It has names, types and simple ranges; which keys go together is only checked when a file is read.
     """
     document = schema.model_json_schema()
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_plain(document), "title": title}

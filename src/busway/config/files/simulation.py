@@ -1,13 +1,13 @@
 """The schema of simulation files: device files whose points have ranges, names for numbers, and behaviours.
 
-Knows what can be written and what fits together; knows no device that behaves (`apps.simulator`). Every device file
-and every configuration file is a simulation file too.
+Knows what can be written and what fits together; knows no device that behaves (`apps.simulator`). Every device file and
+every configuration file is a simulation file too.
 
 An example is in `docs/simulator.md`.
 
 Rules:
 
-1. A point's first value lies in its range and has a name, if it has a range or names; so does what Modbus writes (03).
+1. A point's first value lies in its range and has a name, if it has a range or names; so does what Modbus writes (04).
 2. Names stand for numbers: ``value = "auto"`` where ``enumeration = { auto = 1 }``.
 3. A hole is an address between the first and the last item of a table that no point takes. It is refused (02), or is
    read as a value and cannot be written. A table that is declared has no holes.
@@ -79,13 +79,14 @@ class SimulatedPointSection(PointSection):
     ] = None
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Return errors between the keys of this point, each with its path and a sentence."""
+        """Yield the errors between the keys of this point, each with its path and a sentence."""
         faults = list(super().faults())
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
-        """Return a copy of the point for one place where its group is repeated, with adjusted names in
-        its behaviour.
+        """Return a copy of the point for one place where its group is repeated, with its names in the behaviour.
+
+        The arguments are those of `PointSection.moved`.
         """
         moved = super().moved(prefix, by, known)
         assert isinstance(moved, SimulatedPointSection)
@@ -138,7 +139,7 @@ class SimulatedUnitSection(UnitSection):
 
 
 Parameter = int | float | bool | str
-"""What a parameter may be."""
+"""Type of the value of a file's parameter."""
 
 
 class IncludeSection(Section):
@@ -153,7 +154,11 @@ class IncludeSection(Section):
     )
 
     def numbers(self) -> list[int] | None:
-        """Return the unit numbers that the include creates; None for those of the included file."""
+        """Return the unit numbers that the include creates, ascending; None for those of the included file.
+
+        Raises:
+            ConfigError: ``units`` is invalid.
+        """
         return None if self.units is None else sorted(parse_units(self.units))
 
     @model_validator(mode="after")

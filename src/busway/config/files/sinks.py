@@ -21,7 +21,7 @@ from .points import Report
 from .schema import FileProblems, Section, read_section
 
 _SECRETS: Final = frozenset({"p", "passwd", "password", "sslpassword", "token"})
-"""Keys behind ``?`` that hold a password in URLs of PostgreSQL and InfluxDB."""
+"""Keys after ``?`` that hold a password or token in URLs of PostgreSQL and InfluxDB."""
 
 
 def _checked_url(url: str) -> str:
@@ -54,7 +54,7 @@ class SinkSection(OptionSection):
 
     @property
     def parts(self) -> SplitResult:
-        """Return the parts of the sink's URL: host, port, user, path."""
+        """The parts of the sink's URL: host, port, user, path."""
         return urlsplit(self.url)
 
 
@@ -67,7 +67,7 @@ class SentSection(SinkSection):
     ] = None
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """Return those options of some parameter classes that this sink's table sets, by name."""
+        """Return the options of the given parameter classes that this sink's table sets, by name."""
         found = super().options_of(*kinds)
         return found if self.report is None or "report" not in found else found | {"report": self.report.described()}
 
@@ -161,11 +161,11 @@ KINDS: Final[Mapping[str, type[SinkSection]]] = {
     "file": FileSinkSection,
     "prometheus": PrometheusSinkSection,
 }
-"""The kinds by the scheme of their URL. To add one: its options, its section here, and what makes it."""
+"""The sections by the scheme of the sink's URL. To add one: its options, its section here, and what makes the sink."""
 
 
 def sink_section(value: Any) -> SinkSection:  # the value in the file, of any type
-    """Check a table ``[[sink]]`` by the section class of its kind. Raises `FileProblems`."""
+    """Check a table ``[[sink]]`` by the section class of its kind, and return it. Raises `FileProblems`."""
     if isinstance(value, SinkSection):
         return value
     if not isinstance(value, dict):

@@ -29,7 +29,7 @@ from .policy import ActionWord, PolicySection
 from .schema import NO_LIST, FileProblems
 
 DEFAULT_LISTEN: Final = "tcp://127.0.0.1:5020"
-"""Where units are served if the file does not say."""
+"""Where units are served if the file names no listener."""
 
 
 def _unchanged(value: object) -> object:
@@ -111,21 +111,21 @@ class SystemFile(DeviceFile):
 
     @property
     def audit_parameters(self) -> AuditParameters | None:
-        """Return the options of the audit log; None without one."""
+        """The options of the audit log; None without one."""
         return None if self.audit is None else self.audit.built(AuditParameters)
 
     @property
     def metrics_address(self) -> str | None:
-        """Return address and port where metrics are served; None without them."""
+        """Address and port where metrics are served; None without them."""
         return None if self.metrics is None else self.metrics.built(MetricsParameters).listen
 
     @property
     def control_parameters(self) -> ControlParameters:
-        """Return the options of the control socket."""
+        """The options of the control socket."""
         return self.control.built(ControlParameters)
 
     def places(self) -> list[tuple[Path, str]]:
-        """Return the URLs to listen on, each with its path in the file."""
+        """Return the URLs to listen on, each with its path in the file; the default URL for units without one."""
         given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
         given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
         return given or ([(("unit",), DEFAULT_LISTEN)] if self.unit else [])
@@ -145,7 +145,7 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Return an error for each name that two sections of one kind share: path of the later one, and a sentence."""
+    """Yield an error for each name that an earlier section of the kind has: path of the later, and a sentence."""
     for index, name in enumerate(names):
         if name in names[:index]:
             yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

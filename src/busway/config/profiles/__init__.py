@@ -12,7 +12,7 @@ from ...errors import ConfigError
 from ..reading import read_named_text, read_text
 
 PREFIX: Final = "device:"
-"""How a file says that it includes one of these."""
+"""Prefix by which a name in a file means a ready-made device: ``device:meter``."""
 
 DEVICES: Final = {
     "meter": "An energy meter for three phases: float32 values, uint32 counters.",
@@ -34,7 +34,7 @@ DEVICES: Final = {
     "sun2000": "Huawei SUN2000, a photovoltaic inverter: whole numbers with gains, texts.",
     "vlt_fc": "Danfoss VLT FC series, variable-speed drives: control and status word in coils, parameters.",
 }
-"""The devices by name, each in a sentence, in the order of the documentation."""
+"""The devices by name, each described in a sentence, in the order of the documentation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class ReadyMade:
     """A device profile that comes with the package.
 
     Attributes:
-        name: as ``busway simulate --device`` takes it.
-        file: its name in messages.
-        text: the simulation file.
+        name: its name, as ``busway simulate --device`` takes it.
+        file: its file name, for messages.
+        text: the text of the simulation file.
     """
 
     name: str
@@ -53,7 +53,7 @@ class ReadyMade:
 
 
 def ready_made(name: str) -> ReadyMade:
-    """Return the device profile with this name. Raises `ConfigError` that lists all of them."""
+    """Return the ready-made device with this name. Raises `ConfigError` that lists all of them."""
     if name not in DEVICES:
         raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
     file = f"{name}.toml"
@@ -61,16 +61,20 @@ def ready_made(name: str) -> ReadyMade:
 
 
 def read_profile(name: str) -> str:
-    """Return the text of a simulation file by its path, or of ``device:NAME``.
+    """Return the text of a simulation file, given by its path or as ``device:NAME``.
 
     Raises:
-        ConfigError: there is no such device, or the file cannot be read; names the file.
+        ConfigError: there is no such device, or the file cannot be read; the error names the file.
     """
     return _ready_made_text(name) if name.startswith(PREFIX) else read_text(name)
 
 
 def read_included(name: str) -> str:
-    """Return the text of a file that a simulation file names; it must be regular and no other user's link."""
+    """Return the text of a file that a simulation file names, by its path or as ``device:NAME``.
+
+    Raises:
+        ConfigError: there is no such device, the file cannot be read, is not regular, or is another user's link.
+    """
     return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
 
 

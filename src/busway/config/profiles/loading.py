@@ -15,15 +15,15 @@ from . import read_profile
 
 
 def load_profile(name: str, *, unit: int, parameters: Mapping[str, Parameter] | None = None) -> SimulatedUnitSection:
-    """Load the one unit that a file describes, under the given unit number.
+    """Load the one unit that a file describes, with its parameters replaced by values.
 
     Args:
         name: path of a file with one ``[[unit]]``, or ``device:NAME``.
-        unit: the number of the device, 0…255, whatever the file says.
+        unit: the unit number that the result has, 0…255, whatever the file says.
         parameters: values of the file's parameters.
 
     Raises:
-        FileError: all that is wrong with it, each with file, line and key.
+        FileError: the file is invalid; has all problems, each with file, line and key.
         ConfigError: it cannot be read, has no such parameter, needs one that is not given, or has several units.
     """
     given = dict(parameters or {})
