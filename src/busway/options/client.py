@@ -10,17 +10,19 @@ from ..pdu.wide_registers import NARROW, WIDEST
 from .declaration import ByFraming, Mark, Name, On, Range, Strict, check
 
 CLIENT_DEADLINE = 2.5
-"""Default seconds within which a gateway answers a request: one second on a line and one more for the repetition, and
-half a second less than its clients wait."""
+"""Default seconds within which a gateway answers a request: half a second less than its clients wait.
+
+They suffice for one second on a line and one more for the repetition.
+"""
 
 
 class MismatchPolicy(Enum):
-    """How a client treats a reply with another transaction identifier or unit than it asked: accept or drop.
+    """How a client treats a reply with another transaction identifier or unit than that of its request.
 
     Attributes:
-        STRICT: a foreign transaction is dropped and counted; a foreign unit is a broken reply.
-        AUTOMATIC: taken if exactly one request is in flight and all else fits; every timeout ends the connection.
-        IGNORE: taken for the one request in flight if function and length fit; every timeout ends the connection.
+        STRICT: a reply to another transaction is dropped and counted; a reply of another unit is a broken reply.
+        AUTOMATIC: accepted if exactly one request is in flight and all else fits; every timeout ends the connection.
+        IGNORE: accepted for the one request in flight if function and length fit; every timeout ends the connection.
     """
 
     STRICT = "strict"
@@ -33,8 +35,8 @@ class TransactionScope(Enum):
 
     Attributes:
         CONNECTION: the limit applies to each connection.
-        CLIENT: it applies to all connections of a client together: those of an event loop, or the blocking ones of the
-            process.
+        CLIENT: the limit applies to all connections of a client together: those of an event loop, or the blocking ones
+            of the process.
     """
 
     CONNECTION = "connection"
@@ -42,7 +44,7 @@ class TransactionScope(Enum):
 
 
 ONE_AT_A_TIME = On("mbap")
-"""Without transaction identifiers requests follow each other, and these options mean nothing."""
+"""Mark of options about transactions: they have an effect with MBAP alone, whose requests have identifiers."""
 ON_STREAMS = On("mbap tcp", "mbap tls")
 
 
@@ -134,16 +136,15 @@ class ClientParameters:
 
 
 LONGEST_HOLD = 86_400
-"""Seconds, one day; for longer use ``forever``."""
+"""Most seconds for the option ``hold``, one day; for longer there is ``forever``."""
 
 
 class Hold(Enum):
-    """Words that the option ``hold`` accepts beside seconds, for how long an unused connection stays open: ``forever``,
-    ``request``.
+    """Words that the option ``hold`` accepts beside seconds, for how long an unused connection stays open.
 
     Attributes:
         FOREVER: until its last user closes the link, as Messaging on TCP/IP V1.0b §4.2.1.1 advises.
-        REQUEST: until no request needs it; for devices that take one client and are shared between programs.
+        REQUEST: until no request needs it; for devices that accept one client and are shared between programs.
     """
 
     FOREVER = "forever"
@@ -151,11 +152,11 @@ class Hold(Enum):
 
 
 class LinkSelection(Enum):
-    """Which of several connections to one remote takes a request (Messaging on TCP/IP V1.0b §4.2.1.2).
+    """Which of several connections to one remote gets a request (Messaging on TCP/IP V1.0b §4.2.1.2).
 
     Attributes:
-        FIRST: the one whose link was made first.
-        OLDEST: the one that has been open longest.
+        FIRST: the connection whose link was made first.
+        OLDEST: the connection that has been open longest.
     """
 
     FIRST = "first"
@@ -212,7 +213,11 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """Return the rule with this name, by which a request's connection is chosen. Raises `ConfigError`."""
+    """Return the rule with this name for choosing a request's connection; None and rules are returned unchanged.
+
+    Raises:
+        ConfigError: there is no such rule.
+    """
     if name is None or isinstance(name, LinkSelection):
         return name
     try:

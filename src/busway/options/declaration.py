@@ -27,15 +27,19 @@ from ..errors import ConfigError
 from ..values.refusal import shown
 
 REQUIRED: Final = object()
-"""The default of an option that must be there: its class has none for it."""
+"""The default of an option that has none, and so must be given."""
 NONE: Final = "none"
-"""The text that means None for an option that may be None: files and URLs have no other word for it."""
+"""The text that means None for an option that may be None, in files and URLs."""
 
 
 @dataclass(frozen=True, slots=True)
 class Range:
-    """A range of allowed numbers; ``words`` replace the bounds in sentences, ``unit`` follows them. An end may be
-    infinite.
+    """Mark of an option that is a number: the range that it must lie in. An end may be infinite.
+
+    Attributes:
+        low, high: the ends, which are in the range.
+        unit: unit of the numbers, for messages.
+        words: text that replaces the ends in messages; empty for none.
     """
 
     low: float
@@ -43,10 +47,10 @@ class Range:
     unit: str = ""
     words: str = ""
     above: bool = False
-    """Whether ``low`` itself is out of range."""
+    """Whether ``low`` itself is out of the range."""
 
     def has(self, value: object) -> bool:
-        """Whether a number is in the range that the option allows."""
+        """Whether a value is a number in the range."""
         if not isinstance(value, int | float):
             return False
         return (self.low < value if self.above else self.low <= value) and value <= self.high
@@ -59,12 +63,12 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """A list of the numbers that an option may have."""
+    """Mark of an option that is a number: the numbers that it may be."""
 
     values: tuple[int, ...]
 
     def has(self, value: object) -> bool:
-        """Whether a number is one of those that the option allows."""
+        """Whether a value is one of the numbers."""
         return value in self.values
 
     def __str__(self) -> str:
@@ -76,8 +80,8 @@ class Name:
     """Mark of an option that is a text or list and must not be empty, such as the name of a user.
 
     Attributes:
-        words: what the text means, in words for errors.
-        pattern: a regular expression that the text must match.
+        words: what the text is, for errors: ``the name of a link``.
+        pattern: a regular expression that the whole text must match; empty for any text.
     """
 
     words: str
@@ -93,11 +97,11 @@ class Name:
 
 @dataclass(frozen=True, slots=True)
 class Strict:
-    """Mark of an option: what the preset ``strict`` sets it to, and the clause that requires it.
+    """Mark of an option: what the preset ``strict`` sets it to, and the clause that requires this.
 
     Attributes:
-        clause: the clause.
-        value: of an enum, the member's value.
+        clause: the clause of the specification: ``T19``.
+        value: what the preset sets; for an enum, the member's value.
         adaptable: whether another value may be given beside the preset.
     """
 
@@ -108,16 +112,23 @@ class Strict:
 
 @dataclass(frozen=True, slots=True)
 class ByFraming:
-    """Mark of an option whose default depends on the framing of the endpoint."""
+    """Mark of an option whose default depends on the framing of the endpoint.
+
+    Attributes:
+        defaults: the default by framing: ``mbap``, ``rtu``, ``ascii``.
+    """
 
     defaults: Mapping[str, Any]  # the type depends on the option
 
 
 class On:
-    """Mark of an option that says where it has an effect: role, framing and transport, all of which must fit.
+    """Mark of an option that says where it has an effect: places made of role, framing and transport.
 
     ``On("client", "server rtu")``: for every client, and for servers with RTU. Roles are ``client``, ``server`` and
     ``monitor``, which only listens to a line.
+
+    Args:
+        places: places, each as words separated by spaces, all of which must fit.
     """
 
     __slots__ = ("_places",)
@@ -126,11 +137,11 @@ class On:
         self._places = tuple(frozenset(place.split()) for place in places)
 
     def fits(self, role: str, framing: str, carrier: str) -> bool:
-        """Whether the option has an effect for a role (client, server) at an endpoint."""
+        """Whether the option has an effect for a role at an endpoint with this framing and transport."""
         return any(place <= {role, framing, carrier} for place in self._places)
 
     def fits_role(self, role: str) -> bool:
-        """Whether the option has an effect for a role at any kind of endpoint."""
+        """Whether the option has an effect for a role at some endpoint."""
         return any(not place & (ROLES - {role}) for place in self._places)
 
 
@@ -139,19 +150,20 @@ ROLES: Final = frozenset({"client", "server", "monitor"})
 
 @dataclass(frozen=True, slots=True)
 class Alias:
-    """Mark of an option: another name for it."""
+    """Mark of an option: another name that users may give it."""
 
     name: str
 
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """Type of options that are lists of numbers, ranges and words, written as in files: ``5``, ``"1-10"``, ``[1,
-    "7-9"]``.
+    """Type of options that are lists of numbers, ranges and words, written as in files.
+
+    They are written ``5``, ``"1-10"`` or ``[1, "7-9"]``.
 
     Attributes:
-        written: how it is written in the file.
-        written_as: its type there.
+        written: the value as the file has it.
+        written_as: type of ``written``.
     """
 
     written_as: ClassVar[Any] = int | str | list[int | str]
@@ -159,10 +171,11 @@ class Numbers:
 
 
 class Mark(Enum):
-    """Marks of an option that have no value: the mark itself says yes.
+    """Marks of an option that have no value.
 
     Attributes:
-        PER_CALL: each user of a shared link may choose another value; the rest belongs to the connection.
+        PER_CALL: each user of a shared link may choose another value; options without the mark belong to the
+            connection.
         FILE: the text is the path of a file.
     """
 
@@ -178,10 +191,10 @@ class Option:
         name: its name, in URLs, keywords and files.
         kinds: the types of its values; `NoneType` is not among them.
         is_optional: whether it may be None.
-        default: its default, where the framing does not say another.
+        default: its default; for framings in ``by_framing``, that default.
         help: what it means, in a sentence.
-        limits: the allowed values, beside the type.
-        strict: the value that the preset ``strict`` sets, with its clause.
+        limits: the allowed values, beside the type; None for all.
+        strict: the value that the preset ``strict`` sets, with its clause; None if the preset leaves it alone.
         by_framing: its defaults by framing.
         on: where it has an effect; all of them must fit.
         aliases: its other names.
@@ -202,12 +215,12 @@ class Option:
 
     @property
     def is_in_seconds(self) -> bool:
-        """Whether the numbers of the option are seconds."""
+        """Whether the numbers of the option are seconds, by its help."""
         return "seconds" in f"{self.help} {self.limits}"
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The words that are values of the option, those of its enums and literals."""
+        """The words that are values of the option: those of its enums and literals."""
         words = (get_args(kind) if get_origin(kind) is Literal else _members(kind) for kind in self.kinds)
         return tuple(word for each in words for word in each)
 
@@ -250,7 +263,7 @@ class Option:
 
 
 def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base
-    """Return the options that a parameter class declares, by name, in their order."""
+    """Return the options that a parameter class declares, by name, in the order of the declaration."""
     found = _DECLARED.get(kind)
     if found is None:
         found = _DECLARED[kind] = _declared(kind)
@@ -272,13 +285,24 @@ def _declared(kind: type[Any]) -> Mapping[str, Option]:
 
 
 def check(parameters: Any) -> None:
-    """Check every option of a parameter object. Raises `ConfigError` with the option as its key."""
+    """Check every option of a parameter object; for its ``__post_init__``.
+
+    Raises:
+        ConfigError: an option has an invalid value; the error has its name as key.
+    """
     for name, option in declared(type(parameters)).items():
         option.check(getattr(parameters, name))
 
 
 def option_of(name: str, hint: Any, default: object, on: tuple[On, ...] = ()) -> Option:  # hint: a type as annotated
-    """Return the option that an annotated field of a parameter class declares."""
+    """Return the option that an annotated field declares.
+
+    Args:
+        name: name of the field.
+        hint: its type, with the marks of this file.
+        default: its default; `REQUIRED` for none.
+        on: where its class has an effect.
+    """
     marks: tuple[Any, ...] = ()
     if get_origin(hint) is Annotated:
         hint, *rest = get_args(hint)

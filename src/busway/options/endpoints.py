@@ -26,7 +26,13 @@ from ..errors import ConfigError
 
 @dataclass(frozen=True, slots=True)
 class Scheme:
-    """A URL scheme, such as ``tcp``: the framing, the transport that carries it, and the default port."""
+    """A URL scheme, such as ``tcp``.
+
+    Attributes:
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+        carrier: the transport: ``tcp``, ``tls``, ``udp`` or ``serial``.
+        default_port: port of URLs that name none; None if they must name one, or have none.
+    """
 
     framing: str
     carrier: str
@@ -71,10 +77,10 @@ class Endpoint:
 
     Attributes:
         scheme: one of the keys of `SCHEMES`.
-        host: name or address; empty where the URL has none.
+        host: name or address; empty if the URL has none.
         port: 0…65535; 0 lets a listener choose a free one. None for serial lines.
         path: device path of a serial line; empty otherwise.
-        options: the query, each name once.
+        options: the options behind ``?``, by name, as texts.
     """
 
     scheme: str
@@ -85,12 +91,12 @@ class Endpoint:
 
     @property
     def framing(self) -> str:
-        """Framing that the scheme of the URL means: ``mbap``, ``rtu`` or ``ascii``."""
+        """The framing that the scheme of the URL means: ``mbap``, ``rtu`` or ``ascii``."""
         return SCHEMES[self.scheme].framing
 
     @property
     def carrier(self) -> str:
-        """Transport that the scheme of the URL means: ``tcp``, ``tls``, ``udp`` or ``serial``."""
+        """The transport that the scheme of the URL means: ``tcp``, ``tls``, ``udp`` or ``serial``."""
         return SCHEMES[self.scheme].carrier
 
     @property
@@ -109,13 +115,16 @@ class Endpoint:
 
 
 _LONGEST = 4096
-"""Longest invalid URL, in characters, that an error message shows whole."""
+"""Most characters of an invalid URL that an error message shows whole."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
-    """Parse a URL; an `Endpoint` is returned unchanged. Raises `ConfigError` that names the fault.
+    """Parse a URL; an IP address alone is ``tcp://``, and an `Endpoint` is returned unchanged.
 
-    An IP address alone is ``tcp://``.
+    The values of options are not checked.
+
+    Raises:
+        ConfigError: the text is no URL of an endpoint; the error suggests one if it can.
     """
     if isinstance(url, Endpoint):
         return url

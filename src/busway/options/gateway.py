@@ -45,7 +45,7 @@ class GatewayListenerParameters:
 
 @dataclass(frozen=True, slots=True)
 class RouteParameters:
-    """Options of a route: which requests it is for, what becomes of them, and how they are forwarded."""
+    """Options of a route: which requests it applies to, whether they are forwarded, and how."""
 
     name: Annotated[str, "what messages call it."] = ""
     listeners: Annotated[tuple[str, ...] | None, Name("at least one name"), "names of listeners; None: of all."] = None

@@ -9,7 +9,7 @@ from .declaration import ByFraming, On, Range, Strict, check
 
 @dataclass(frozen=True, slots=True)
 class SerialClientParameters:
-    """Options of a serial line's master in addition to `ClientParameters`."""
+    """Options of the master of a serial line, in addition to `ClientParameters`."""
 
     on: ClassVar[On] = On("client rtu", "client ascii")
 

@@ -2,9 +2,9 @@
 
 Knows the texts of addresses; asks no name server, which must not decide who may connect.
 
-1. ``::ffff:10.0.0.7`` is 10.0.0.7, in a list and as a host: it is how a socket for both families names an IPv4 client.
+1. ``::ffff:10.0.0.7`` is 10.0.0.7, in a list and as a host: a socket for both families gives IPv4 clients such names.
 2. A zone (``fe80::1%eth0``) in a list is part of what must fit; an entry without one fits in every zone.
-3. What is no address (the name of a serial line) is in no list.
+3. A text that is no address, such as the name of a serial line, is in no list.
 """
 
 import ipaddress
@@ -16,7 +16,7 @@ from ..values.refusal import shown
 
 _MEMO_LIMIT: Final = 1024
 _MAPPED: Final = 0xFFFF << 32
-"""``::ffff:0:0``, where the IPv4 addresses stand among the IPv6 ones (RFC 4291 §2.5.5.2)."""
+"""``::ffff:0:0``, the first of the IPv4 addresses among the IPv6 ones (RFC 4291 §2.5.5.2)."""
 _MAPPED_LENGTH: Final = 96
 
 
@@ -25,10 +25,13 @@ class Networks:
 
     Args:
         entries: texts such as ``10.0.0.7``, ``10.0.0.0/8``, ``fe80::/64``, ``fe80::1%eth0``.
-        key: the setting that they come from, for the sentence of an error.
+        key: name of the option with the entries, for errors.
+
+    Attributes:
+        entries: the entries as they were given.
 
     Raises:
-        ConfigError: an entry is no address or network, or has bits set beyond its length; names it.
+        ConfigError: an entry is no address or network, or has bits set beyond its length; the error names it.
     """
 
     __slots__ = ("_found", "_lengths", "entries")
@@ -54,7 +57,7 @@ class Networks:
         return isinstance(host, str) and self.find(host) is not None
 
     def find(self, host: str) -> str | None:
-        """The most specific entry that contains a numeric address, as it was written; None if none does."""
+        """Return the most specific entry that contains a numeric address, as it was written; None if none does."""
         found = self._found.get(host, "")
         if found != "":
             return found
@@ -97,7 +100,7 @@ class NetworkIndex:
     """Finds which of many sets of networks contain a host, without asking each of them.
 
     Args:
-        networks: the networks, each with its number.
+        networks: sets of networks, each with a number that the caller chooses.
     """
 
     __slots__ = ("_lengths",)
@@ -111,7 +114,7 @@ class NetworkIndex:
                     found.setdefault(network, []).append(number)
 
     def find(self, host: str) -> set[int]:
-        """The numbers of the networks that contain a numeric address; empty for other texts."""
+        """Return the numbers of the sets that contain a numeric address; empty for other texts."""
         try:
             version, address, zone = _number_of(host)
         except ValueError:
@@ -128,9 +131,9 @@ class NetworkIndex:
 
 
 def host_of_peer(peer: str) -> str:
-    """The host part of a peer's name, ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the whole text if it has no port.
+    """Return the host of a peer such as ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; other texts unchanged.
 
-    An IPv4-mapped address is given as the IPv4 address, so that one host has one name.
+    An IPv4-mapped address becomes the IPv4 address, so that one host has one name.
     """
     host, colon, port = peer.rpartition(":")
     if not colon or not port.isdecimal() or (":" in host and not host.startswith("[")):
@@ -157,7 +160,11 @@ def _number_of(host: str) -> tuple[int, int, str]:
 
 
 def _parsed(entry: str, key: str | None) -> tuple[int, int, int, str]:
-    """Return version, prefix length, network and zone of an entry such as ``10.0.0.0/8``."""
+    """Return version, prefix length, network and zone of an entry such as ``10.0.0.0/8``.
+
+    Raises:
+        ConfigError: the entry is no address or network.
+    """
     if not isinstance(entry, str):
         raise ConfigError(f"{shown(entry)} is no text such as '10.0.0.0/8'", key=key)
     text = entry.strip()

@@ -1,7 +1,7 @@
 """Which options a client, server or other part accepts, and the parameter objects built from given ones.
 
-Knows the parameter classes; knows no component. An option that has no effect with a scheme is refused there, because it
-would be believed to work.
+Knows the parameter classes; knows no component. An option that has no effect with a scheme is refused there, because
+users would believe that it works.
 """
 
 from collections.abc import Mapping
@@ -35,18 +35,18 @@ LINKS: Final[Kinds] = (
     SerialSettings,
     OpeningParameters,
 )
-"""The classes whose options a link may have; which of them, its scheme says."""
+"""Parameter classes with the options of links; which of them a link has depends on its scheme."""
 LISTENERS: Final[Kinds] = (FramingParameters, SerialSettings, OpeningParameters, TlsParameters)
-"""The same of a URL to listen on."""
+"""Parameter classes with the options that URLs to listen on may have."""
 MONITORS: Final[Kinds] = (FramingParameters, SerialSettings, OpeningParameters, SocketParameters)
-"""The same of a line that is only listened to."""
+"""Parameter classes with the options of lines that are only listened to."""
 SERVERS: Final[Kinds] = (UnitParameters, ServerParameters, ListenerParameters, SocketParameters)
-"""The classes whose options hold for a whole server."""
+"""Parameter classes with the options of a whole server."""
 
 
 @dataclass(frozen=True, slots=True)
 class Offer:
-    """The options that a part of busway, such as a link or a listener, accepts, by the parameter class that holds them.
+    """The options that a part of busway, such as a link or a listener, accepts, by the parameter class that has them.
 
     Attributes:
         kinds: the options of each class, by name.
@@ -58,8 +58,12 @@ class Offer:
 
     @classmethod
     def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "Offer":
-        """Return the options that have an effect at an endpoint, by role: ``client``, ``server`` or ``monitor`` (a
-        listener).
+        """Return the options that have an effect at an endpoint.
+
+        Args:
+            endpoint: the endpoint.
+            role: ``client``, ``server``, or ``monitor``, which only listens to a line.
+            kinds: the parameter classes to choose from.
         """
         words = (role, endpoint.framing, endpoint.carrier)
         found = {}
@@ -86,14 +90,14 @@ class Offer:
         return names | {OPTION} if names else names
 
     def chosen(self, given: Mapping[str, object], *, of: str = "") -> "ChosenOptions":
-        """Sort the options that a user gave by their parameter class; raises `ConfigError` for unknown names.
+        """Sort the options that a user gave by their parameter class, with those that a preset sets.
 
         Args:
-            given: values or their texts by name, ``preset`` among them or not.
+            given: values or their texts by name; ``preset`` may be among them.
             of: the part that has the options, for the message about an unknown one.
 
         Raises:
-            ConfigError: there is no such option, or it cannot have this value.
+            ConfigError: there is no such option or preset, or an option contradicts the preset.
         """
         values: dict[type[Any], dict[str, object]] = {kind: {} for kind in self.kinds}
         own_names = canonical(given)
@@ -107,7 +111,7 @@ class Offer:
 
 @dataclass(frozen=True, slots=True)
 class ChosenOptions:
-    """The options that a user gave, sorted by the parameter class that holds them.
+    """The options that a user gave, sorted by the parameter class that has them.
 
     Attributes:
         offer: the options that could be given.
@@ -118,11 +122,19 @@ class ChosenOptions:
     values: Mapping[type[Any], dict[str, object]]
 
     def build(self, kind: type[Parameters]) -> Parameters:
-        """Build the parameter object of a class from the given options; defaults for others. Raises `ConfigError`."""
+        """Return the parameter object of a class with the given options, and defaults for the others.
+
+        Raises:
+            ConfigError: an option has an invalid value; the error has its name as key.
+        """
         return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
 
     def serial_settings(self) -> SerialSettings | None:
-        """Build the settings of the serial line from the given options; None without a port. Raises `ConfigError`."""
+        """Return the settings of the serial line from the given options; None if the endpoint is no serial port.
+
+        Raises:
+            ConfigError: an option has an invalid value; the error has its name as key.
+        """
         given = self.values.get(SerialSettings)
         return None if given is None else SerialSettings.from_options(given, binary=self.offer.framing == "rtu")
 
@@ -143,13 +155,18 @@ def canonical(options: Mapping[str, object]) -> dict[str, object]:
 
 
 def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
-    """Return the options of a parameter class by name; with a role only those that have an effect for it."""
+    """Return the options of a parameter class by name.
+
+    Args:
+        role: ``client``, ``server`` or ``monitor``: only options that have an effect for it; empty for all.
+        kind: the parameter class.
+    """
     options = declared(kind).items()
     return {name: one for name, one in options if not role or all(on.fits_role(role) for on in one.on)}
 
 
 @cache
 def aliases() -> Mapping[str, str]:
-    """Return the alternative names of options of links, each with the option's own name."""
+    """Return the own name of an option of links by each of its alternative names."""
     options = (option for kind in LINKS for option in declared(kind).values())
     return {alias: option.name for option in options for alias in option.aliases}

@@ -4,7 +4,7 @@ Knows the characters of a line and the wires that switch its direction; knows no
 
 1. Even parity is the default (Serial Line V1.02 §2.5.1). Stop bits follow by rule, one with parity and two without, so
    that a character keeps its length; the option sets another number.
-2. A setting that has no effect beside the others is refused: it would be believed to work.
+2. A setting that has no effect beside the others is refused: users would believe that it works.
 """
 
 from collections.abc import Mapping
@@ -20,19 +20,21 @@ from .text import build_parameters
 
 LOWEST_BAUD = 50
 HIGHEST_BAUD = 12_000_000
-"""What the fastest USB adapters offer; the specification asks for 1200 to 115 200 and lets more be."""
+"""The highest rate of the fastest USB adapters; the specification asks for 1200 to 115 200 and permits more."""
 
 LONGEST_DIRECTION_DELAY = 1
-"""Seconds; the kernel's own mode takes 0.1 at most and says so when the port is opened."""
+"""Most seconds to wait at a switch of direction; the kernel's own mode permits 0.1, and refuses more at the opening."""
 _DIRECTION_DELAY = Range(0, LONGEST_DIRECTION_DELAY, "seconds")
 
 
 class Rs485(Word):
     """Values of the option ``rs485``: what switches the direction of an RS-485 driver.
 
-    OFF: the adapter does it itself, or the line is RS-232 or 4-wire. KERNEL: the port's driver, in its
-    RS-485 mode, which is exact. RTS: this program, by the RTS wire; the operating system's delays add to it.
-    AUTOMATIC: the kernel where the port has that mode, RTS otherwise.
+    Attributes:
+        OFF: the adapter does, or the line is RS-232 or 4-wire.
+        KERNEL: the port's driver, in its RS-485 mode, which is exact.
+        RTS: this program, by the RTS wire; the operating system's delays add to it.
+        AUTOMATIC: the kernel if the port has that mode, RTS otherwise.
     """
 
     OFF = "off"
@@ -90,12 +92,12 @@ class SerialSettings:
         """Build the settings of a serial line from options of a URL or keywords.
 
         Args:
-            options: names of the fields above, with values or their texts. Nothing else: an unknown name is refused.
+            options: values of the fields above, or their texts, by name; unknown names are refused.
             binary: whether the line carries bytes of any value, which need 8 data bits; a line of text takes 7 unless
                 told otherwise.
 
         Raises:
-            ConfigError: with the option at fault as its key. Nothing was opened.
+            ConfigError: an option is invalid; the error has its name as key. Nothing was opened.
         """
         settings = build_parameters(cls, options, framing="rtu" if binary else "ascii")
         if binary and settings.data_bits != 8:

@@ -1,14 +1,16 @@
 """Presets: named sets of options. ``strict`` meets every "must" of the specifications, which the defaults do not.
 
-``passive`` is for a client whose caller decides everything: nothing is repeated, suspended, delayed or recycled. Knows
-how a preset and options go together; what `strict` sets an option to is declared with the option (`Strict`).
+``passive`` is for a client whose caller decides everything: nothing is repeated, suspended, delayed or recycled.
+
+Knows how a preset and options go together; what ``strict`` sets an option to is declared with the option (`Strict`).
 
 1. A preset is chosen with ``preset="strict"``, or ``?preset=strict`` in a URL. It sets the options that say so and that
    the scheme has, and leaves all others alone.
 2. An option given beside the preset with another value is refused by name. Where a specification leaves the figure to
    the user it is *adaptable*: the preset supplies a default, and an explicit value replaces it.
-3. All that ``passive`` sets is adaptable. It is refused where there are no options of a link, so by every server.
-4. Defaults that meet their clause already are declared so too if an option could switch them off.
+3. All options that ``passive`` sets are adaptable. It is refused where there are no options of a link, so by every
+   server.
+4. Options whose default meets their clause are declared so too, if users could switch them off.
 """
 
 from collections.abc import Mapping
@@ -28,8 +30,11 @@ OPTION: Final = "preset"
 class Preset(Word):
     """The presets of options.
 
-    STANDARD: the defaults. STRICT: every "must" of the specifications. PASSIVE (clients only): no retries, no breaker,
-    no pause before the next attempt to connect, no recycled connections.
+    Attributes:
+        STANDARD: the defaults.
+        STRICT: every "must" of the specifications.
+        PASSIVE: clients only: no retries, no breaker, no pause before the next attempt to connect, no recycled
+            connections.
     """
 
     STANDARD = "standard"
@@ -38,7 +43,7 @@ class Preset(Word):
 
 
 SHORTEST_PAUSE: Final = 0.001
-"""Seconds after a failed attempt in which a link with the preset ``passive`` makes no other."""
+"""Seconds between two attempts to connect of a link with the preset ``passive``."""
 PASSIVE_SETTINGS: Final[Mapping[str, object]] = {
     "retries": 0,
     "write_retries": 0,
@@ -52,7 +57,7 @@ PASSIVE_SETTINGS: Final[Mapping[str, object]] = {
 }
 """What the preset ``passive`` sets; options that an endpoint does not have are left out."""
 _OF_LINKS: Final = "retries"
-"""An option that every link has, and no server."""
+"""Name of an option that every link has, and no server."""
 
 
 def preset_of(value: object) -> Preset:
@@ -69,7 +74,7 @@ def preset_of(value: object) -> Preset:
 
 
 def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, object]:
-    """Return options with ``preset`` replaced by what the preset sets; explicit options stay as they are.
+    """Return options with ``preset`` replaced by the options that the preset sets; given options stay as they are.
 
     Args:
         given: values by name, with or without ``preset``.
@@ -99,14 +104,14 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def strict_settings(options: Mapping[str, Option]) -> dict[str, Strict]:
-    """Return the values that the preset ``strict`` sets, by the name of the option."""
+    """Return what the preset ``strict`` sets, by name of the option, for those of the options that it sets."""
     return {name: option.strict for name, option in options.items() if option.strict is not None}
 
 
 def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, Strict]:
-    """Return the options for characters of a serial line that ``strict`` sets: data bits of ASCII, stop bits.
+    """Return the options for characters of a serial line that ``strict`` sets: data bits of ASCII, and stop bits.
 
-    The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only where given.
+    The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only if the user gives some.
     """
     found = {"data_bits": Strict("S12", 7)} if "upper_case_only" in options else {}
     if given.get("stop_bits") is not None:

@@ -9,28 +9,36 @@ from .declaration import Name, Range, Strict, check
 from .networks import Networks
 
 NO_NETWORKS: Final = Networks()
-"""An empty list: no priority hosts."""
+"""An empty set of networks, for no priority hosts."""
 _SLOTS = Range(1, 1_000_000)
 
 
 class Scope(Enum):
-    """Values of the option ``scope``: the limit of requests in progress holds per connection, or for
-    the whole server.
-    """
+    """Values of the option ``scope``: the limit of requests in progress is for each connection or the whole server."""
 
     CONNECTION = "connection"
     SERVER = "server"
 
 
 class UnitPolicy(Enum):
-    """Values of the option that says which unit identifiers a TCP server answers."""
+    """Values of the option ``unit_policy``: which unit identifiers a TCP server answers.
+
+    Attributes:
+        LISTED: those of its devices.
+        ANY: all of them, by its sole device.
+    """
 
     LISTED = "listed"
     ANY = "any"
 
 
 class UnlistedUnit(Enum):
-    """Values of the option that says how a server answers a request for a unit that it does not have."""
+    """Values of the option ``unlisted``: how a server answers a request for a unit that it does not have.
+
+    Attributes:
+        EXCEPTION: with exception 0B.
+        SILENCE: not at all.
+    """
 
     EXCEPTION = "exception"
     SILENCE = "silence"

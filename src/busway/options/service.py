@@ -9,7 +9,12 @@ from .text import host_and_port
 
 
 class OnFailure(Enum):
-    """Values of the option that says what a server does while its audit log cannot be written."""
+    """Values of the option ``on_failure``: what a server does while its audit log cannot be written.
+
+    Attributes:
+        SERVE: it goes on, counts and logs.
+        REFUSE: it answers writes with exception 04.
+    """
 
     SERVE = "serve"
     REFUSE = "refuse"

@@ -9,7 +9,7 @@ from ..points.point_rules import ReportRule
 from .declaration import Mark, Name, Range, check
 
 LONGEST_SECONDS: Final = 86_400.0
-"""How far away the expiry of a command may be."""
+"""Most seconds until a command expires."""
 
 
 @dataclass(frozen=True, slots=True)

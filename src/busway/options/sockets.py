@@ -6,11 +6,11 @@ from typing import Annotated, ClassVar
 from .declaration import On, Range, Strict, check
 
 MIN_SOCKET_BUFFER = 900
-"""Below this a request and its reply may not fit (Messaging on TCP/IP V1.0b §4.3.2)."""
+"""Fewest bytes of a socket buffer: below, a request and its reply may not fit (Messaging on TCP/IP V1.0b §4.3.2)."""
 _BUFFER = Range(MIN_SOCKET_BUFFER, 1 << 30, words=f"at least {MIN_SOCKET_BUFFER} bytes")
 _STREAMS = On("tcp", "tls")
 _DIALLED = On("client", "monitor tcp")
-"""Where a connection is opened, and not accepted."""
+"""Mark of options that concern the opening of a connection, not its acceptance."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,9 +77,10 @@ class SocketParameters:
     def effective_user_timeout(self) -> float | None:
         """The TCP user timeout to set, in seconds; None leaves it to the system.
 
-        Linux asks it, and not the number of lost probes, when a probe is due on an idle connection: with 30 s, two
-        probes of one second would end a half-open connection after 30 s. So it is over before the last probe's time is,
-        and an idle half-open connection ends within idle + interval × count whatever the user timeout.
+        Linux ends an idle connection by the user timeout, and not by the number of lost probes, when a probe is due:
+        with 30 s, two probes of one second would end a half-open connection after 30 s. So this timeout is over before
+        the last probe is, and an idle half-open connection ends within idle + interval × count whatever the option
+        ``user_timeout``.
         """
         if self.user_timeout is None or not self.keepalive:
             return self.user_timeout

@@ -24,7 +24,7 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
-    """Build the error for an unknown option: it suggests the nearest known option, or else lists all.
+    """Return the error for an unknown option: it suggests the nearest known option, or else lists all.
 
     Args:
         name: the unknown option.
@@ -46,14 +46,15 @@ def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigEr
 
 
 def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, framing: str = "") -> Parameters:
-    """Build a parameter object of the class ``kind`` from values or their texts. Raises `ConfigError` with the key.
-
-    An option that ``kind`` does not have is an error that lists the known ones.
+    """Build a parameter object of the class ``kind`` from values or their texts; defaults for the other options.
 
     Args:
         kind: a parameter class.
-        options: the options that are given.
-        framing: that of the endpoint, which some defaults depend on.
+        options: the given options, by name.
+        framing: framing of the endpoint, which some defaults depend on; empty for none.
+
+    Raises:
+        ConfigError: an option is invalid, or ``kind`` does not have it; the error has its name as key.
     """
     known = declared(kind)
     values = {name: one.by_framing[framing] for name, one in known.items() if framing in one.by_framing}
@@ -66,7 +67,11 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, f
 
 
 def option_value(option: Option, value: object) -> object:
-    """Convert an option's value, or its text, to the option's type. Raises `ConfigError` with the option as its key."""
+    """Convert an option's value, or its text, to the option's type; the range is not checked.
+
+    Raises:
+        ConfigError: the value has another type; the error has the option's name as key.
+    """
     if option.is_optional and (value is None or value == NONE):
         return None
     try:
@@ -79,7 +84,11 @@ def option_value(option: Option, value: object) -> object:
 
 
 def converted(name: str, value: object, kind: Any) -> object:  # a type
-    """Convert the value of an option, or its text, to a given type. Raises `ConfigError` with the option as its key."""
+    """Convert the value of an option, or its text, to a given type.
+
+    Raises:
+        ConfigError: the value has another type; the error has ``name`` as key.
+    """
     return _of_kinds(name, value, (kind,))
 
 
@@ -128,7 +137,7 @@ def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``pa
 
 
 def _texts(name: str, value: object) -> tuple[str, ...]:
-    """Return the list of texts that an option has; a single text is split at commas."""
+    """Return the list of texts that an option has; a single text is split at commas. Raises `ConfigError`."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)
@@ -156,7 +165,15 @@ def _words(kind: type) -> str:
 
 
 def host_and_port(text: str, key: str) -> tuple[str, int]:
-    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port; port 0 takes a free one. Raises `ConfigError`."""
+    """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port, 0…65535.
+
+    Args:
+        text: the address.
+        key: name of the option with the address, for errors.
+
+    Raises:
+        ConfigError: the text is no such address.
+    """
     host, colon, port = text.rpartition(":")
     is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))
     if not (colon and host.strip("[]") and is_bare and port.isascii() and port.isdigit()):

@@ -20,9 +20,9 @@ SUITES: Final = (
     "ECDHE-ECDSA-AES256-GCM-SHA384",
     "ECDHE-RSA-AES256-GCM-SHA384",
 )
-"""The suites of TLS 1.2, the preferred first. Those of TLS 1.3 all have AEAD and forward secrecy and are not chosen."""
+"""The allowed suites of TLS 1.2, the preferred first. Those of TLS 1.3 all have AEAD and forward secrecy."""
 NULL_SUITES: Final = ("NULL-SHA256",)
-"""Authenticated, but readable on the way (TLS_RSA_WITH_NULL_SHA256): only where they are named."""
+"""Suites that authenticate but do not encrypt (TLS_RSA_WITH_NULL_SHA256); used only if they are named."""
 
 
 class TlsVersion(Enum):
@@ -37,7 +37,7 @@ class Curve(Enum):
 
     P_256 = "P-256"
     ANY = "any"
-    """Whatever OpenSSL offers: X25519, P-256, X448, P-384, P-521 and finite fields."""
+    """All that OpenSSL has: X25519, P-256, X448, P-384, P-521 and finite fields."""
 
 
 class Verify(Enum):
@@ -45,7 +45,7 @@ class Verify(Enum):
 
     ALWAYS = "always"
     OFF_INSECURE = "off-insecure"
-    """Any host on the way can pose as the server. Each connection logs a warning."""
+    """Nothing is verified: any host on the way can pose as the server. Each connection logs a warning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +127,7 @@ class TlsParameters:
 
     @property
     def suites(self) -> tuple[str, ...]:
-        """The allowed cipher suites of TLS 1.2, by OpenSSL's names."""
+        """The cipher suites of TLS 1.2 that may be used, by OpenSSL's names, the preferred first."""
         if self.ciphers is None:
             return SUITES
         return tuple(one.strip().upper() for one in self.ciphers.replace(":", ",").split(",") if one.strip())
