@@ -32,7 +32,7 @@
 `read`             `busway read`: shows values of a device, once or repeatedly
 `read_points`      `busway read --points FILE`: reads the points of a device by name, in few requests
 `reloading`        SIGHUP while a service runs: its files are read again; on an error the old settings stay
-`replay`           `busway replay`: reports what was said and what was wrong in a capture file; writes a simulation
+`replay`           `busway replay`: reports conversations in a capture file and what was wrong; writes a simulation
 `sd_notify`        Tells systemd (sd_notify) that the program is ready, reloads, stops or is alive
 `scan`             `busway scan`: finds the units that answer on a serial line, or behind an address
 `serve`            `busway serve`: serves one or several devices, until Ctrl-C or SIGTERM

@@ -47,7 +47,19 @@ async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
 async def _open_page_at(
     at: str, stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None
 ) -> None:
-    """Serve the collector's web page at host and port until ``stack`` ends. Raises `LinkDown`, `ConfigError`."""
+    """Serve the collector's web page until ``stack`` closes, and print its address.
+
+    Args:
+        at: host and port; port 0 takes a free one.
+        stack: exit stack that stops the page.
+        collector: the running collector.
+        zone: the watched zone, for a collector of a fleet.
+
+    Raises:
+        LinkDown: the address is taken or cannot be bound.
+        ConfigError: the address is invalid.
+        MissingExtra: a package for pages is not installed.
+    """
     try:
         from ..apps.web.collector_page import CollectorPage
 

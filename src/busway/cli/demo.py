@@ -173,7 +173,12 @@ def _devices(plant: "Plant", url: str) -> "Server":
 
 
 async def _started(line: str, port: int) -> "Gateway":
-    """Start the demonstration's gateway on the wanted port, or on a free one."""
+    """Start and return the demonstration's gateway, on ``port`` of loopback or, if it is taken, on a free one.
+
+    Args:
+        line: URL of the upstream: the serial line, or the TCP server in its place.
+        port: the wanted port.
+    """
     from ..apps.gateway.gateway import Gateway
     from ..apps.gateway.settings import simple_plan
 

@@ -23,7 +23,7 @@ from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, Link
 
 
 class ExitCode(IntEnum):
-    """The exit codes that all commands of ``busway`` use."""
+    """The exit codes that all commands of ``busway`` use; the table of this file says what each means."""
 
     DONE = 0
     FAILED = 1

@@ -46,7 +46,7 @@ class PointRecord:
 
     @property
     def value(self) -> Any:  # what its type says
-        """The value of the point, with only as many digits as its registers distinguish."""
+        """The value of the point, floats with only as many digits as registers distinguish; None without a value."""
         value, point = self.reading.value, self.point
         if isinstance(value, float) and point.type.startswith("float") and not point.conversion.changes:
             return fewest_digits(value, 2 * point.width)

@@ -1,4 +1,4 @@
-"""``busway replay``: reports what was said and what was wrong in a capture file, and writes a simulation file of it.
+"""``busway replay``: reports conversations in a capture file and what was wrong, and writes a simulation file of it.
 
 The analysis is `busway.apps.replay`; here are the arguments, the report and the file. Packets are numbered as Wireshark
 numbers them.

@@ -72,7 +72,11 @@ def scan(
 
 
 def _units(text: str | None, endpoint: Endpoint) -> list[int]:
-    """Return the unit numbers that ``--units`` names, ascending. Unit 0 is broadcast on a serial line."""
+    """Return the unit identifiers that ``--units`` names, ascending; without it those that a scan asks by default.
+
+    Raises:
+        ConfigError: a unit is out of range, such as unit 0, the broadcast, on a serial line.
+    """
     if text is None:
         return units_to_ask(endpoint, None)
     low, high = (1, LAST_SERIAL_UNIT) if endpoint.framing != "mbap" else (0, 255)
@@ -126,7 +130,7 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 
 def _identity(found: FoundUnit) -> tuple[object, ...]:
-    """Return what identifies the device of a unit, equal for two units of one device."""
+    """Return a key that is equal for two units of one device: answer, identification and server id."""
     return found.answer, tuple(found.identification.items()), found.server_id
 
 

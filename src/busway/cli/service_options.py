@@ -90,7 +90,12 @@ def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: opti
 
 
 def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":
-    """Return a function that gives the access rules: those of ``--policy``, or else those of the configuration."""
+    """Return a function that returns the access rules for a configuration, called at the start and each reload.
+
+    Args:
+        policy: text of ``--policy``: a file, which is read at each call, or ``read-only``; None for the rules that the
+            configuration has.
+    """
     from ..apps.server.overrides import declared_rules
 
     if policy is None:

@@ -1,9 +1,9 @@
 """``busway sniff``: shows the traffic of a serial line. It listens and never sends.
 
-1. One line per frame: time, silence before it, unit, function, fields. What is damaged is shown with the reason, and a
-   request without a reply by itself.
-2. At the end – Ctrl-C, SIGTERM, ``--for`` – come the statistics, also where the connection has ended.
-3. A serial port that vanishes is waited for and opened again; where it is still gone at the end, the exit code says so.
+1. One line per frame: time, silence before it, unit, function, fields. Damaged bytes are shown with the reason, and a
+   request without a reply has a line of its own.
+2. The statistics come at the end: after Ctrl-C, SIGTERM or ``--for``, and if the connection has ended.
+3. A serial port that vanishes is waited for and opened again; if it is still gone at the end, the exit code says so.
 """
 
 import sys

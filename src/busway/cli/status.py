@@ -2,8 +2,8 @@
 
 1. Without an argument the running programs of this user are found: one is shown, several are listed.
 2. A status indicator is a word; on a terminal its colour repeats it (S19: steady is *on*, blinking is *flashing*).
-3. What the program tells is shown, also where it tells more than this command knows of: numbers that are zero and
-   texts that are empty are left out.
+3. All entries of the program's status are shown, also those that this command does not know; numbers that are zero and
+   empty texts are left out.
 """
 
 import sys
@@ -73,7 +73,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
-    """Return the status of each running program; print a warning for one that does not answer, and leave it out."""
+    """Yield the status of each running program; print a warning for one that does not answer, and leave it out."""
     from ..apps.control.client import ask
 
     for one in running:
@@ -99,7 +99,10 @@ def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
 
 
 def _watch(where: str | None, period: float, *, as_json: bool) -> None:
-    """Print the status of running programs repeatedly; failures after the first success are only printed."""
+    """Print the status of running programs every ``period`` seconds until a signal.
+
+    An error before the first answer is raised; later ones are printed, and watching goes on.
+    """
     with stop_flag() as stop:
         told = _ask(where)
         if as_json or not sys.stdout.isatty():

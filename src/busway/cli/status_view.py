@@ -298,7 +298,7 @@ def _flat(listener: JsonObject) -> JsonObject:
 
 
 def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
-    """Return rows for counters that are not zero; those of a class of hosts begin with its name."""
+    """Yield rows for counters that are not zero; those of a class of hosts begin with its name."""
     for name, count in counters.items():
         label = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(count, dict):

@@ -2,9 +2,9 @@
 
 Knows streams; knows no command.
 
-1. What stdout does not take ends the command: `OutputLostError`, or `ReaderGoneError` where the reader has gone.
-2. What stderr does not take is lost: there is no other place to report it.
-3. No character is too much for an encoding: one that it does not have is written as ``\\xe4`` or ``\\u2026``.
+1. A text that stdout does not take ends the command: `OutputLostError`, or `ReaderGoneError` if the reader has gone.
+2. A text that stderr does not take is lost: there is no other place to report it.
+3. A character that the encoding of a stream does not have is written as ``\\xe4`` or ``\\u2026``.
 4. A stream that is closed (``>&-``) is as the null device, so that no socket gets its number.
 """
 

@@ -1,7 +1,7 @@
 """Converts options given as text (URLs, command line) or keywords into fields of parameter classes.
 
-Knows the types that parameter classes use; knows no particular parameter. A type with a method ``parse`` is built by
-it from a list of texts.
+Knows the types that parameter classes use; knows no particular parameter. If a type has a method ``parse``, that method
+builds its values from a list of texts.
 """
 
 from collections.abc import Iterable, Mapping

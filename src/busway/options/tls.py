@@ -1,6 +1,7 @@
 """Options of Modbus/TCP Security: certificates, TLS versions, cipher suites and deadlines (port 802, ``tls://``).
 
-Knows names and ranges; opens no file and no connection, and does not load ``ssl``: every start of a program sees this.
+Knows names and ranges; opens no file and no connection, and does not load ``ssl``, because every program imports this
+file at its start.
 
 1. A peer is verified, unless `Verify.OFF_INSECURE` is asked for by that name.
 2. Only suites with ECDHE and AES-GCM can be chosen. A suite without encryption must be named by itself.

@@ -2,8 +2,8 @@
 
 Knows how declared fields become bytes and back; knows no particular function, no transport and no device.
 
-1. A subclass declares a code, perhaps a sub-code, and fields (`busway.pdu.fields`). When the class is made, its
-   constructor, ``encode`` and ``decode`` are compiled; nothing is interpreted per message.
+1. A subclass declares a code, perhaps a sub-code, and fields (`busway.pdu.fields`). Its constructor, ``encode``
+   and ``decode`` are compiled when one of them is first used; nothing is interpreted per message.
 2. An invalid message cannot be built: the constructor raises `InvalidRequest`. A received one that breaks a limit
    raises `MalformedPdu`, with the exception code that a server answers.
 3. Messages are frozen. Payloads stay bytes in wire order.

@@ -97,7 +97,7 @@ class Derivation:
 
     @property
     def is_empty(self) -> bool:
-        """Whether the device has no computed points."""
+        """Whether the device has neither running totals nor points with a formula."""
         return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:

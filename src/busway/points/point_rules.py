@@ -93,7 +93,11 @@ class WriteRule:
     off: int | None = None
 
     def check(self, value: float) -> None:
-        """Raise `InvalidRequest` if a value may not be written to the point."""
+        """Raise `InvalidRequest` if a value may not be written: it is out of range, or no whole number of steps.
+
+        Args:
+            value: the value in the unit of measure.
+        """
         low, high = self.minimum, self.maximum
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")

@@ -116,13 +116,13 @@ def parse_address(
     """Parse a data address in any notation, such as ``40001``, ``4x1`` or ``holding:0``, by the rules of this file.
 
     Args:
-        value: an offset, a text in one of the notations, or an `Address`, which is given back with the table filled in.
-        table: the table the caller means; None if the notation has to tell, or need not.
-        base: what the first item is called; None for each notation's own base.
+        value: an offset, a text in one of the notations, or an `Address`, which is returned with the table filled in.
+        table: the table that the caller means; None if the notation must name it, or it may stay open.
+        base: number of the first item, 0 or 1; None for each notation's own base.
 
     Raises:
-        InvalidRequest: not a notation, out of range, ambiguous, or another table than ``table``; the sentence shows
-            how to write what may be meant. Nothing was sent.
+        InvalidRequest: not a notation, out of range, ambiguous, or another table than ``table``; the message shows how
+            to write what may be meant. Nothing was sent.
     """
     if base not in (None, 0, 1):
         raise InvalidRequest(f"base is {shown(base)}, but items are counted from 0 or from 1")

@@ -19,7 +19,17 @@ from .refusal import shown, unfit
 
 
 class StringCodec:
-    """Converts registers to texts of up to ``length`` bytes, each in a field of ``registers`` registers, and back."""
+    """Converts registers to texts, and back; each text has a field of equally many registers.
+
+    Args:
+        name: name of the value type, for errors.
+        length: most bytes of a text.
+        encoding: ``ascii``, ``latin-1`` or ``utf-8``.
+        padding: ``nul`` or ``space``, which fills the rest of the field.
+        order: order of the bytes of a register.
+        half: ``low`` or ``high`` for one character in each register, in this byte; empty for two.
+        upper: whether small letters become capitals.
+    """
 
     def __init__(
         self,

@@ -30,7 +30,7 @@ Rules:
 
 1. A `ValueType` is compiled once and kept: frequent readers hold it or call `value_type` again.
 2. Bytes are in wire order, as in the messages: each register high byte first, unless the order says otherwise.
-3. What the caller gives and cannot be is `InvalidRequest`; what a device sent and cannot be is `BadReply`.
+3. A value of the caller that does not fit is `InvalidRequest`; bytes of a device that mean nothing are `BadReply`.
 """
 
 from collections.abc import Callable, Iterable

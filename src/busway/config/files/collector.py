@@ -9,9 +9,9 @@ Rules:
 1. A point is read in its own class, or else in that of its unit, or else in that of the device; a file with one class
    needs no names.
 2. A profile is a ready-made device, or the path of a device file with one unit; ``with`` sets its parameters.
-3. What a sink may say depends on its kind (`sinks`).
-4. Which samples the store keeps says the point, or else the device, or else the class of the point, or else the
-   collector; the first of them that has ``store_report``.
+3. Which keys a sink has depends on its kind (`sinks`).
+4. Which samples of a point the store keeps follows from ``store_report`` of the point, or else of the device, or else
+   of the point's class, or else of the collector.
 """
 
 import math

@@ -12,7 +12,7 @@ Rules:
 2. A point has an address, or a formula; a computed point holds nothing and is not written.
 3. A group is written once. Its points are named ``string.1.voltage`` … ``string.12.voltage``, and stand ``stride``
    items apart. Inside, names mean points of the same place in the group first, and then those around it.
-4. All that is wrong with a point is said, also where another of its keys is wrong already.
+4. All errors of a point are reported together, those between valid keys too.
 """
 
 import math

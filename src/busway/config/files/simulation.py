@@ -200,7 +200,7 @@ class SimulationFile(SystemFile, ParameterKeys):
     unit: Annotated[Sequence[SimulatedUnitSection], "the devices."] = NO_LIST
 
     def places(self) -> list[tuple[Path, str]]:
-        """Return the URLs to listen on, each with its path in the file."""
+        """Return the URLs to listen on, each with its path in the file; the default URL if the file names none."""
         return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:

@@ -1,14 +1,14 @@
 """Keys of configuration files: server, listeners, client, security, policy and units in one file.
 
-Knows what can be written and what goes together; knows no component (`busway.config` makes them). Every device file
-is a configuration file too.
+Knows what can be written and what goes together; knows no component (`busway.config` makes them). Every device file is
+a configuration file too.
 
 An example is in `docs/reference/configuration.md`.
 
 Rules:
 
-1. What belongs to one listener or link goes before what its section says for all, and that before the defaults.
-2. A key that has no effect in its place is refused: it would be believed to work.
+1. A key of one listener or link overrides that of the section for all of them, and that overrides the default.
+2. A key that has no effect in its place is refused: users would believe that it works.
 3. Paths are those of the system, or relative to the file's folder.
 """
 
