@@ -52,7 +52,7 @@ BAUD = 19_200
 LINE_TIMEOUT = 0.4
 """Seconds that the gateway waits for a reply of a device."""
 METER_DELAY = 0.15
-"""Seconds by which the slow device, the meter, delays its replies."""
+"""Seconds that the slow device, the meter, adds to the delay of its replies."""
 DEATH_AFTER, DEATH_LASTS, DEATH_EVERY = 3.0, 3.0, 8.0
 """Seconds: the failing device, the thermometer, is silent from the first on, for the second, again at every third."""
 

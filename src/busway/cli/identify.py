@@ -25,7 +25,7 @@ Examples:
 """
 
 Fact = tuple[str, str, bytes]
-"""One value by which a device identifies itself: function, name of the object, and its bytes."""
+"""One value that identifies a device: function, name of the object, and its bytes."""
 
 LEVELS: Final = ("extended", "regular", "basic")
 

@@ -208,7 +208,7 @@ def connections_line(state: JsonObject) -> str:
 
 
 def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
-    """Yield a row for each network interface by which other hosts reach a listener; loopback is left out.
+    """Yield a row for each network interface that other hosts can use to reach a listener; loopback is left out.
 
     The cells are endpoint, name, address, netmask and gateway.
     """

@@ -172,9 +172,12 @@ def _written(value: Parameter) -> str:
 
 
 def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
-    """Return the data of a file with parameters replaced, as a file that is not included.
+    """Return all data of a file, with parameters replaced by their values, while its units keep their numbers.
 
-    In a section with one unit number, ``unit`` is that number and ``index`` is 0.
+    In a ``[[unit]]`` with one number, the parameter ``unit`` is that number and ``index`` is 0.
+
+    Raises:
+        FileError: an expression is invalid, or a parameter does not exist.
     """
     data = filled.source.data
     rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())

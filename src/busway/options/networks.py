@@ -131,7 +131,7 @@ class NetworkIndex:
 
 
 def host_of_peer(peer: str) -> str:
-    """Return the host of a peer such as ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; other texts unchanged.
+    """Return the host of a peer such as ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the port may be missing.
 
     An IPv4-mapped address becomes the IPv4 address, so that one host has one name.
     """

@@ -286,7 +286,7 @@ class Request(Message):
         return tuple(found)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        """Return length and first bytes of the expected reply PDU, by which a client recognises the reply.
+        """Return length and first bytes of the expected reply PDU; a client recognises the reply by them.
 
         The length is `UNKNOWN_LENGTH` if it does not follow from the request.
         """

@@ -12,7 +12,7 @@ from ...errors import ConfigError
 from ..reading import read_named_text, read_text
 
 PREFIX: Final = "device:"
-"""Prefix by which a name in a file means a ready-made device: ``device:meter``."""
+"""Prefix of a name that means a ready-made device instead of a file: ``device:meter``."""
 
 DEVICES: Final = {
     "meter": "An energy meter for three phases: float32 values, uint32 counters.",
