@@ -39,8 +39,8 @@ SIDE_BY_SIDE := --numprocesses=$(JOBS) --maxprocesses=4 --dist=worksteal
 OTHER_TESTS := tests/browser tests/interop tests/load tests/network tests/packaging tests/soak
 UNIT_TESTS := -m "not (real_time or interop or packaging or soak)" $(SIDE_BY_SIDE) $(OTHER_TESTS:%=--ignore=%)
 
-# Tests in real time wait most of the time. Two at once, a file in one process, leave the machine mostly idle.
-TWO_AT_ONCE := --numprocesses=2 --dist=loadfile
+# Tests in real time wait most of the time. Three at once, a file in one process, leave half of two processors idle.
+THREE_AT_ONCE := --numprocesses=3 --dist=loadfile
 REAL_TIME_FILES = tests/browser tests/network $$(grep -rl --include='test_*.py' 'mark\.real_time' tests)
 ALONE_FILES = tests/load $$(grep -rl --include='test_*.py' 'mark\.alone' tests)
 
@@ -107,9 +107,9 @@ test-unit: $(VENV)/.installed-dev ## unit tests, side by side
 	@$(RUN)/python -m pytest $(UNIT_TESTS) $(PYTEST_FLAGS)
 
 .PHONY: test-real-time
-test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, two at once, some alone
+test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, three at once, some alone
 	@echo "== tests in real time"
-	@$(RUN)/python -m pytest -m "real_time and not (alone or interop or soak)" $(TWO_AT_ONCE) $(PYTEST_FLAGS) \
+	@$(RUN)/python -m pytest -m "real_time and not (alone or interop or soak)" $(THREE_AT_ONCE) $(PYTEST_FLAGS) \
 		$(REAL_TIME_FILES)
 	@echo "== tests in real time that measure delays"
 	@$(RUN)/python -m pytest -m "alone and not (interop or soak)" $(PYTEST_FLAGS) $(ALONE_FILES)
@@ -117,7 +117,7 @@ test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the sy
 .PHONY: test-interop
 test-interop: $(VENV)/.installed-dev peers ## tests against programs that are not ours
 	@echo "== interop tests"
-	@$(RUN)/python -m pytest -m "interop and not soak" $(TWO_AT_ONCE) tests/interop $(PYTEST_FLAGS)
+	@$(RUN)/python -m pytest -m "interop and not soak" $(THREE_AT_ONCE) tests/interop $(PYTEST_FLAGS)
 
 .PHONY: test-packaging
 test-packaging: $(VENV)/.installed-dev ## wheel and sdist, built, installed and used

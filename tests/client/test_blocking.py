@@ -82,7 +82,7 @@ def test_thread_that_waits_long_does_not_keep_others_from_their_replies_or_timeo
         busway.connect(server.endpoints[0], max_transactions=4, retries=0) as link,
     ):
         unit = link.unit(1)
-        long = Together(lambda: unit.read_holding_registers(1000, count=1, timeout=0.6))
+        long = Together(lambda: unit.read_holding_registers(1000, count=1, timeout=2.0))
         _until(lambda: link.counters.requests == 1)  # it leads now, and waits
         assert unit.read_holding_registers(5, count=1, timeout=AMPLE) == [5]
         begin = time.monotonic()
@@ -131,6 +131,26 @@ def test_call_beyond_the_bound_of_the_queue_is_refused() -> None:
             unit.read_holding_registers(2, count=1)
         assert all(isinstance(one, busway.NoReply) for one in (*first.join(), *waiting.join()))
         assert len(server.requests) == 1
+
+
+def test_a_call_that_finds_the_queue_full_is_not_cancelled_and_leaves_the_deadlines_of_others_alone() -> None:
+    gate = HeldReplies()
+    with (
+        busway.serve_in_thread(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server,
+        busway.connect(server.endpoints[0], queue=1, timeout=AMPLE, retries=0) as link,
+    ):
+        unit = link.unit(1)
+        first = Together(lambda: unit.read_holding_registers(1000, count=1, timeout=2.0))
+        _until(lambda: link.counters.requests == 1)
+        waiting = Together(lambda: unit.read_holding_registers(1, count=1, deadline=0.3))
+        _until(lambda: _queued(link) == 1)
+        with pytest.raises(busway.Overloaded):
+            unit.read_holding_registers(2, count=1, deadline=AMPLE)
+        assert link.counters.cancelled == 0
+        began = time.monotonic()
+        assert isinstance(waiting.join()[0], busway.NoReply)
+        assert time.monotonic() - began < 1.5  # by its deadline, and not when the first had its timeout
+        assert isinstance(first.join()[0], busway.NoReply)
 
 
 def _queued(link: busway.BlockingLink) -> int:

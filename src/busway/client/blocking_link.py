@@ -139,8 +139,13 @@ class BlockingLinkDriver:
                 self._look_at_idle_connection(self._connection, now)
             if self._connection is None or self._life.closed:
                 self._refuse_while_down(call, now)
+            connection = self._connection
+            adu = None if connection is None or connection.unsent else self.session.send_now(call, now)
+            if adu is None:
+                self.session.submit(call, now)
             try:
-                self._begin(call, now)
+                if connection is not None:
+                    self._begin(connection, adu, now)
                 leads = self._wait_for_turn(call)
             except BaseException:
                 self._cancel(call)
@@ -250,19 +255,15 @@ class BlockingLinkDriver:
 
     # Turns.
 
-    def _begin(self, call: Call, now: float) -> None:
-        """Send the requests of a new call at once if they need not wait; otherwise queue them and send what may go."""
-        connection = self._connection
-        adu = None if connection is None or connection.unsent else self.session.send_now(call, now)
-        if connection is not None and adu is not None:
+    def _begin(self, connection: BlockingConnection, adu: bytes | None, now: float) -> None:
+        """Send what a new call brings: its frames if it need not wait, otherwise what may leave of the queue."""
+        if adu is not None:
             if self._send(connection, adu, now):
                 self.last_used = now
             return
-        self.session.submit(call, now)
-        if connection is not None:
-            if self._line is not None:
-                self._look_at_line()
-            self._transmit(now)
+        if self._line is not None:
+            self._look_at_line()
+        self._transmit(now)
 
     def _wait_for_turn(self, call: Call) -> bool:
         """Wait until the call is complete (returns False), or until this thread must be the leader (returns True).
