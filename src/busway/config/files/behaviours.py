@@ -99,9 +99,7 @@ class SquareSection(BehaviourSection):
 
 
 class NoiseSection(BehaviourSection):
-    """Behaviour ``noise``: random values around a mean, uniform within ``spread``, or normal with it as standard
-    deviation.
-    """
+    """Behaviour ``noise``: random values around a mean, with a uniform or a normal distribution."""
 
     kind: Annotated[Literal["noise"], KIND]
     mean: Annotated[Number, "value in the middle."] = 0.0

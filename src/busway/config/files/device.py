@@ -122,9 +122,7 @@ OF_GROUP: Final = "its points, with the addresses of the first place."
 
 @with_options_of(*SERVERS, role="server")
 class ServerSection(OptionSection):
-    """``[server]``: options of the server for the file's devices; defaults are those of the options with the same
-    names.
-    """
+    """``[server]``: options of the server for the file's devices; keys that are left out have the options' defaults."""
 
     checked_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
 
