@@ -23,7 +23,7 @@ from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.server.connection_slots import Pool, PoolLimits, Pools
+from busway.server.connection_limits import Pool, PoolLimits, Pools
 from busway.server.device import Device
 from busway.server.local import DeviceResponder
 from busway.session.call import Call
@@ -103,7 +103,7 @@ class PoolMember:
 
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:
-    places: Pools[PoolMember] = Pools(PoolLimits(priority=1, other=1, priority_per_device=1))
+    places: Pools[PoolMember] = Pools(PoolLimits(priority=1, other=1, priority_per_host=1))
     marked, old, new = (
         PoolMember("10.0.0.1", is_priority=True),
         PoolMember("10.0.0.2"),
@@ -156,7 +156,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
         (
-            "busway.server.connection_slots",
+            "busway.server.connection_limits",
             {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"},
         ),
         ("busway.access.rates", {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"}),

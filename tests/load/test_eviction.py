@@ -77,7 +77,7 @@ async def test_hundreds_of_newcomers_move_no_marked_connection_and_no_answer_goe
         responder=_who_asks_what(chance),
         priority=[MARKED_HOST],
         max_priority_connections=MARKED,
-        max_priority_per_remote=MARKED,
+        max_priority_per_host=MARKED,
         max_connections=PLACES,
     )
     async with server:

@@ -267,7 +267,7 @@ def test_client_that_came_back_by_another_port_is_served_and_its_old_connection_
 
 
 @both_kinds
-@pytest.mark.parametrize("limit", [{"max_connections": 1}, {"max_per_remote": 1}], ids=str)
+@pytest.mark.parametrize("limit", [{"max_connections": 1}, {"max_per_host": 1}], ids=str)
 def test_client_that_came_back_takes_the_place_of_its_half_open_past_where_it_may_have_one(
     network: Network, via: str, limit: dict[str, int]
 ) -> None:

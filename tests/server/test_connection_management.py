@@ -13,11 +13,11 @@ from handlers import ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
-import busway.server.connection_slots
+import busway.server.connection_limits
 from busway.access.addresses import AddressList, HostAuthorizer
 from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
-from busway.server.connection_slots import Pool, PoolLimits
+from busway.server.connection_limits import Pool, PoolLimits
 from busway.server.listener import Listener
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
@@ -75,7 +75,7 @@ async def closed(*clients: Client) -> None:
 @pytest.mark.clause("T13")
 @pytest.mark.clause("T14")
 async def test_newcomers_push_out_strangers_and_never_a_marked_connection() -> None:
-    options = {"max_priority_connections": 2, "max_priority_per_remote": 2, "max_connections": 2}
+    options = {"max_priority_connections": 2, "max_priority_per_host": 2, "max_connections": 2}
     async with served(priority=[MARKED], **options) as server:
         marked = [await Client.of(server, MARKED) for _ in range(2)]
         for one in marked:
@@ -116,7 +116,7 @@ async def test_sixty_that_connect_and_close_push_nobody_off(ends: str) -> None:
 
 @pytest.mark.clause("T13")
 async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(busway.server.connection_slots, "SECONDS_TO_SPEAK", 0.0)
+    monkeypatch.setattr(busway.server.connection_limits, "SECONDS_TO_SPEAK", 0.0)
     async with served(max_connections=5) as server:
         client = await Client.of(server)
         await client.ask()
@@ -129,7 +129,7 @@ async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monk
 
 @pytest.mark.clause("T13")
 async def test_marked_newcomer_beyond_its_limit_is_accepted_and_takes_a_place_of_the_others() -> None:
-    options = {"max_priority_connections": 4, "max_priority_per_remote": 1, "max_connections": 1}
+    options = {"max_priority_connections": 4, "max_priority_per_host": 1, "max_connections": 1}
     async with served(priority=["127.0.0.2/32"], **options) as server:
         stranger = await Client.of(server)
         await stranger.ask()
@@ -163,7 +163,7 @@ async def test_who_may_not_connect_pushes_nobody_out() -> None:
 
 @pytest.mark.clause("T18")
 async def test_with_one_connection_for_each_address_the_newcomer_replaces_the_old_one() -> None:
-    async with served(max_per_remote=1) as server:
+    async with served(max_per_host=1) as server:
         other, old = await Client.of(server, "127.0.0.4"), await Client.of(server)
         for one in (other, old):
             await one.ask()
@@ -193,8 +193,8 @@ async def test_each_listener_has_its_own_places_unless_they_are_shared() -> None
 @pytest.mark.parametrize(
     ("options", "key"),
     [
-        ({"max_priority_connections": 2, "max_priority_per_remote": 3}, "max_priority_per_remote"),
-        ({"max_connections": 2, "max_per_remote": 3}, "max_per_remote"),
+        ({"max_priority_connections": 2, "max_priority_per_host": 3}, "max_priority_per_host"),
+        ({"max_connections": 2, "max_per_host": 3}, "max_per_host"),
         ({"max_priority_connections": 0, "priority": ["10.0.0.0/8"]}, "priority"),
         ({"priority": ["10.0.0.300"]}, "priority"),
         ({"header_timeout": 0}, "header_timeout"),
@@ -212,8 +212,7 @@ def test_limits_that_do_not_fit_are_refused_and_named(options: dict[str, Any], k
 
 def test_without_a_limit_of_its_own_a_device_may_have_half_of_the_priority_places() -> None:
     assert [
-        PoolLimits.of(ListenerParameters(max_priority_connections=places)).priority_per_device
-        for places in (0, 1, 2, 8)
+        PoolLimits.of(ListenerParameters(max_priority_connections=places)).priority_per_host for places in (0, 1, 2, 8)
     ] == [
         1,
         1,
@@ -246,7 +245,7 @@ async def test_evictions_under_load_touch_no_marked_connection_and_no_answer_rea
             finally:
                 client.writer.transport.abort()
 
-    options = {"max_priority_connections": 4, "max_priority_per_remote": 4, "max_connections": 6}
+    options = {"max_priority_connections": 4, "max_priority_per_host": 4, "max_connections": 6}
     async with served(units=None, responder=handler, priority=[MARKED], **options) as server:
         marked = [loop.create_task(ask_for_ever(server, MARKED, number, "marked")) for number in range(4)]
         await until(lambda: server.status().counters.priority.accepted == 4)

@@ -24,7 +24,7 @@ MEGABYTE = 1 << 20
 OPTIONS = {
     "priority": [MARKED],
     "max_priority_connections": WORKING,
-    "max_priority_per_remote": WORKING,
+    "max_priority_per_host": WORKING,
     "max_connections": PLACES,
     "header_timeout": 1.0,
     "frame_timeout": 2.0,

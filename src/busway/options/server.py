@@ -99,14 +99,12 @@ class ListenerParameters:
         "addresses and networks of the priority hosts. Their connections make room only for those of priority hosts.",
     ] = NO_NETWORKS
     max_priority_connections: Annotated[int, Range(0, 1_000_000), "connection slots for them."] = 8
-    max_priority_per_remote: Annotated[int | None, _SLOTS, "of these, slots for one device; None is half of them."] = (
-        None
-    )
+    max_priority_per_host: Annotated[int | None, _SLOTS, "of these, slots for one host; None is half of them."] = None
     max_connections: Annotated[
         int, _SLOTS, "slots for all others; the next new connection takes that of the oldest unused one."
     ] = 56
-    max_per_remote: Annotated[
-        int | None, _SLOTS, "of these, slots for one device; its next connection replaces its oldest. None for all."
+    max_per_host: Annotated[
+        int | None, _SLOTS, "of these, slots for one host; its next connection replaces its oldest. None for all."
     ] = None
     shared_slots: Annotated[
         bool,
@@ -166,8 +164,8 @@ class ListenerParameters:
     def __post_init__(self) -> None:
         check(self)
         for key, pool in (
-            ("max_priority_per_remote", "max_priority_connections"),
-            ("max_per_remote", "max_connections"),
+            ("max_priority_per_host", "max_priority_connections"),
+            ("max_per_host", "max_connections"),
         ):
             limit, slots = getattr(self, key), getattr(self, pool)
             if limit is not None and limit > slots:

@@ -22,9 +22,9 @@ class ServerOptions(TypedDict, total=False):
     backlog: int
     priority: Networks | list[str] | tuple[str, ...] | str
     max_priority_connections: int
-    max_priority_per_remote: int | None
+    max_priority_per_host: int | None
     max_connections: int
-    max_per_remote: int | None
+    max_per_host: int | None
     shared_slots: bool
     write_buffer: int
     write_timeout: float | None

@@ -143,7 +143,7 @@ def test_more_points_than_fit_on_a_screen_are_refused(plant: WatchedCollector) -
 
 
 def test_there_is_a_limit_to_viewers(plant: WatchedCollector, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(collector_stream, "CLIENTS", 1)
+    monkeypatch.setattr(collector_stream, "MOST_VIEWERS", 1)
     with stream_of(plant) as socket:
         socket.recv(timeout=20)
         with pytest.raises((InvalidStatus, ConnectionClosed)), stream_of(plant) as other:

@@ -9,9 +9,9 @@ from websockets.exceptions import ConnectionClosed
 from websockets.sync.client import connect
 
 import busway
-from busway.apps.web.connections import CLIENTS
+from busway.apps.web.connections import MOST_VIEWERS
 from busway.apps.web.simulation_messages import SimulationAnswer
-from busway.apps.web.simulation_stream import FRAMES_AT_ONCE, MOST_POINTS, Client, Wish
+from busway.apps.web.simulation_stream import FRAMES_AT_ONCE, MOST_POINTS, SimulationViewer, Wish
 
 MANY = "\n".join(f'[[unit.point]]\nname = "p{number}"\naddress = "holding:{number}"' for number in range(60))
 BUSY = f"[[unit]]\nunit = 1\n{MANY}\n"
@@ -137,7 +137,7 @@ def test_no_more_than_so_many_streams_are_served(plant):
     from websockets.exceptions import InvalidStatus
 
     with contextlib.ExitStack() as stack:
-        for _ in range(CLIENTS):
+        for _ in range(MOST_VIEWERS):
             collect(stack.enter_context(stream_of(plant)), lambda found: found["status"])
         with pytest.raises(InvalidStatus):
             stack.enter_context(stream_of(plant))
@@ -165,7 +165,7 @@ def _client(plant):
 
 async def test_a_point_that_changes_often_is_sent_once_as_it_is_now():
     async with watching(BUSY) as plant:
-        client = Client(plant.page.api)
+        client = SimulationViewer(plant.page.api)
         assert client.wish(Wish(points="all")) == ""
         assert len((await client.next())["points"]) == 60
         for value in range(1000):
@@ -177,7 +177,7 @@ async def test_a_point_that_changes_often_is_sent_once_as_it_is_now():
 
 async def test_a_client_that_takes_nothing_keeps_no_more_than_one_mark_per_point():
     async with watching(BUSY) as plant:
-        client = Client(plant.page.api)
+        client = SimulationViewer(plant.page.api)
         client.wish(Wish(points="all", traffic=True))
         connection = plant.page.traffic.line("rtu:///dev/none")
         for number in range(5000):
@@ -193,7 +193,7 @@ async def test_a_client_that_takes_nothing_keeps_no_more_than_one_mark_per_point
 
 async def test_more_points_than_anybody_looks_at_cannot_all_be_followed():
     async with watching(BUSY) as plant:
-        client = Client(plant.page.api)
+        client = SimulationViewer(plant.page.api)
         plant.page.api.order = plant.page.api.order * (MOST_POINTS // 60 + 1)
         assert str(MOST_POINTS) in client.wish(Wish(points="all"))
         assert client.wish(Wish(points=[0, MOST_POINTS])) == ""

@@ -94,12 +94,12 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
             "x.toml:5: listener[0].allow: '10.0.0.1/8' has bits set beyond",
         ),
         (
-            UNIT + '[[listener]]\nurl = "tcp://h"\nmax_per_remote = 99\n',
-            "x.toml:5: listener[0].max_per_remote: does not fit max_connections, which is 56",
+            UNIT + '[[listener]]\nurl = "tcp://h"\nmax_per_host = 99\n',
+            "x.toml:5: listener[0].max_per_host: does not fit max_connections, which is 56",
         ),
         (
-            UNIT + '[server]\nmax_per_remote = 9\n[[listener]]\nurl = "tcp://h"\nmax_connections = 5\n',
-            "x.toml:4: server.max_per_remote: does not fit max_connections, which is 5",
+            UNIT + '[server]\nmax_per_host = 9\n[[listener]]\nurl = "tcp://h"\nmax_connections = 5\n',
+            "x.toml:4: server.max_per_host: does not fit max_connections, which is 5",
         ),
         (UNIT + "[server]\nidle_timeout = 0\n", "x.toml:4: server.idle_timeout: must be 0.001…"),
         (UNIT + '[server]\nidle_timeout = "never"\n', "x.toml:4: server.idle_timeout: must be a number, not 'never'"),

@@ -7,7 +7,7 @@ Knows links; knows no request and no client beyond its name.
 2. A serial port is opened with the upstream, and again whenever it is lost: its operator learns what is wrong before a
    client does. A server on a network is connected at the first request.
 3. Reconnecting is that of every link: `busway.session.reconnect` says when, `busway.session.connection_life` what
-   becomes of open requests.
+   becomes of open requests. What a client is answered while an upstream is down: `upstream_exception_codes`.
 """
 
 import asyncio

@@ -33,7 +33,7 @@ from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
 from .access import BEARER_PROTOCOL, POLICY_VIOLATION, Caller, caller_of, current_caller
-from .connections import CLIENTS, PROTOCOL, SEND_SECONDS
+from .connections import MOST_VIEWERS, PROTOCOL, SEND_SECONDS
 from .live_values import LiveValues
 from .messages import Asked, plain_value
 
@@ -169,9 +169,9 @@ class CollectorStream:
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends; close it at once if there are `CLIENTS` already."""
-        if len(self._viewers) >= CLIENTS:
-            await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
+        """Serve the WebSocket of one open page until it ends; close it at once if there are `MOST_VIEWERS` already."""
+        if len(self._viewers) >= MOST_VIEWERS:
+            await socket.close(_TRY_AGAIN_LATER, f"there are {MOST_VIEWERS} already")
             return
         offered = socket.scope.get("subprotocols", [])
         shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)

@@ -32,7 +32,7 @@ from .access import CERTIFICATE_SUBJECT
 
 HEAD_SECONDS: Final = 5.0
 MOST: Final = 100
-CLIENTS: Final = 16
+MOST_VIEWERS: Final = 16
 """Most viewers that have a WebSocket (``/stream``) of one page at the same time."""
 SEND_SECONDS: Final = 20.0
 """Seconds in which a viewer must take a message; then its WebSocket is closed."""

@@ -1,14 +1,14 @@
 """``/stream`` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts.
 
-A client is one open page. Knows clients and what they subscribed to; knows no page.
+A viewer is one open page. Knows viewers and what they subscribed to; knows no page.
 
-1. A client sends what it wants (`Wish`), as often as it likes. It is first sent the present state of what it wants. So
+1. A viewer sends what it wants (`Wish`), as often as it likes. It is first sent the present state of what it wants. So
    after a lost connection it asks again, and misses nothing.
-2. A client is sent at most ten messages a second. A point that changed several times is sent once, with its present
+2. A viewer is sent at most ten messages a second. A point that changed several times is sent once, with its present
    value.
-3. Modbus frames come from the latest ones that are kept (`simulation_traffic`). Frames that come faster than a client
-   takes them are skipped and counted, so no queue grows. A client that takes nothing at all is closed.
-4. The simulation is watched only while there are clients.
+3. Modbus frames come from the latest ones that are kept (`simulation_traffic`). Frames that come faster than a viewer
+   takes them are skipped and counted, so no queue grows. A viewer that takes nothing at all is closed.
+4. The simulation is watched only while there are viewers.
 """
 
 import asyncio
@@ -23,17 +23,17 @@ from pydantic import Field, ValidationError
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
 from .access import BEARER_PROTOCOL
-from .connections import CLIENTS, PROTOCOL, SEND_SECONDS
+from .connections import MOST_VIEWERS, PROTOCOL, SEND_SECONDS
 from .messages import Asked, plain_value
 from .simulation_api import Api
 
 INTERVAL: Final = 0.1
-"""Least seconds between two messages to one client."""
+"""Least seconds between two messages to one viewer."""
 STATUS_INTERVAL: Final = 1.0
 POINTS_AT_ONCE: Final = 4000
 """Most points in one message; the others come with the next message."""
 MOST_POINTS: Final = 5000
-"""Most points that one client may follow. A page shows fewer; to follow all points of a large simulation would slow the
+"""Most points that one viewer may follow. A page shows fewer; to follow all points of a large simulation would slow the
 simulation down.
 """
 FRAMES_AT_ONCE: Final = 50
@@ -49,7 +49,7 @@ class Wish(Asked):
     Attributes:
         points: their numbers, as ``/api/points`` gives them, or ``all``.
         traffic: whether frames are wanted.
-        after: number of the last frame that the client has.
+        after: number of the last frame that the viewer has.
     """
 
     points: Literal["all"] | Annotated[list[Index], Field(max_length=MOST_POINTS)] | None = None
@@ -57,7 +57,7 @@ class Wish(Asked):
     after: Index | None = None
 
 
-class Client:
+class SimulationViewer:
     """One open page's WebSocket: what the page wants, and the changes that it was not sent yet.
 
     Attributes:
@@ -191,35 +191,35 @@ class Streams:
 
     def __init__(self, api: Api) -> None:
         self._api = api
-        self._clients: list[Client] = []
+        self._viewers: list[SimulationViewer] = []
         self._unwatch: list[Callable[[], object]] = []
         self._thread = 0
         self._loop: asyncio.AbstractEventLoop | None = None
 
     def __len__(self) -> int:
-        return len(self._clients)
+        return len(self._viewers)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends; close it at once if there are `CLIENTS` already."""
-        if len(self._clients) >= CLIENTS:
-            await socket.close(_TRY_AGAIN_LATER, f"there are {CLIENTS} already")
+        """Serve the WebSocket of one open page until it ends; close it at once if there are `MOST_VIEWERS` already."""
+        if len(self._viewers) >= MOST_VIEWERS:
+            await socket.close(_TRY_AGAIN_LATER, f"there are {MOST_VIEWERS} already")
             return
         offered = socket.scope.get("subprotocols", [])
         shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)
         await socket.accept(PROTOCOL if PROTOCOL in offered or shows_token else None)
-        client = Client(self._api)
-        self._join(client)
-        sender = asyncio.create_task(self._send(socket, client))
+        viewer = SimulationViewer(self._api)
+        self._join(viewer)
+        sender = asyncio.create_task(self._send(socket, viewer))
         try:
-            await self._receive(socket, client)
+            await self._receive(socket, viewer)
         except WebSocketDisconnect:
             pass
         finally:
-            self._leave(client)
+            self._leave(viewer)
             sender.cancel()
             await asyncio.gather(sender, return_exceptions=True)
 
-    async def _receive(self, socket: WebSocket, client: Client) -> None:
+    async def _receive(self, socket: WebSocket, viewer: SimulationViewer) -> None:
         while True:
             message = await socket.receive()
             if message["type"] == "websocket.disconnect":
@@ -229,16 +229,16 @@ class Streams:
                 await socket.close(_UNSUPPORTED, "what was sent is no text")
                 return
             try:
-                problem = client.wish(Wish.model_validate_json(text))
+                problem = viewer.wish(Wish.model_validate_json(text))
             except ValidationError:
                 problem = "invalid request; expected keys: points, traffic, after"
             if problem:
                 await socket.close(_UNSUPPORTED, problem)
                 return
 
-    async def _send(self, socket: WebSocket, client: Client) -> None:
+    async def _send(self, socket: WebSocket, viewer: SimulationViewer) -> None:
         while True:
-            text = json.dumps(await client.next(), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+            text = json.dumps(await viewer.next(), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
             try:
                 async with asyncio.timeout(SEND_SECONDS):
                     await socket.send_text(text)
@@ -251,9 +251,9 @@ class Streams:
 
     # Watching the simulation.
 
-    def _join(self, client: Client) -> None:
-        self._clients.append(client)
-        if len(self._clients) == 1:
+    def _join(self, viewer: SimulationViewer) -> None:
+        self._viewers.append(viewer)
+        if len(self._viewers) == 1:
             self._loop = asyncio.get_running_loop()
             self._thread = threading.get_ident()
             self._unwatch = [
@@ -262,9 +262,9 @@ class Streams:
                 self._api.board.watch(self._switched),
             ]
 
-    def _leave(self, client: Client) -> None:
-        self._clients.remove(client)
-        if not self._clients:
+    def _leave(self, viewer: SimulationViewer) -> None:
+        self._viewers.remove(viewer)
+        if not self._viewers:
             for unwatch in self._unwatch:
                 unwatch()
             self._unwatch = []
@@ -272,16 +272,16 @@ class Streams:
     def _changed(self, changes: Sequence[Any]) -> None:
         places = self._api.places
         indices = [places[change.key] for change in changes]
-        self._tell(lambda client: client.changed(indices))
+        self._tell(lambda viewer: viewer.changed(indices))
 
     def _passed(self) -> None:
-        self._tell(Client.passed)
+        self._tell(SimulationViewer.passed)
 
     def _switched(self) -> None:
-        self._tell(Client.switched)
+        self._tell(SimulationViewer.switched)
 
-    def _tell(self, say: Callable[[Client], None]) -> None:
-        """Call a function with each open page's `Client`, in the event loop's thread.
+    def _tell(self, say: Callable[[SimulationViewer], None]) -> None:
+        """Call a function with each open page's `SimulationViewer`, in the event loop's thread.
 
         From another thread, the call is only scheduled.
         """
@@ -290,6 +290,6 @@ class Streams:
         elif self._loop is not None and not self._loop.is_closed():
             self._loop.call_soon_threadsafe(self._say, say)
 
-    def _say(self, say: Callable[[Client], None]) -> None:
-        for client in self._clients:
-            say(client)
+    def _say(self, say: Callable[[SimulationViewer], None]) -> None:
+        for viewer in self._viewers:
+            say(viewer)

@@ -6,7 +6,7 @@
 `segment`             the SQLite file that samples are written to, and when it ends and the next begins
 `writer`              commits samples one after the other; survives a full disk
 `recovery`            closes what an earlier process left open, and records the time since as a gap
-`commit_thread`       the thread that commits for an event loop, every quarter of a second
+`commit_thread`       the thread that commits for an event loop, several times a second
 `sealing`             turns a segment that has ended into Parquet files
 `sealed_part`         writes the Parquet files of a segment; runs as a program of its own
 `kept_samples`        which samples are kept, where a rule says that not all of them are

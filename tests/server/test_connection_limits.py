@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.server.connection_slots import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
+from busway.server.connection_limits import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
 
 
 @dataclass(eq=False)
@@ -24,14 +24,14 @@ class Connection:
 
 
 def pools(
-    priority: int = 2, other: int = 2, priority_per_device: int = 2, per_device: int | None = None
+    priority: int = 2, other: int = 2, priority_per_host: int = 2, per_host: int | None = None
 ) -> Pools[Connection]:
-    return Pools(PoolLimits(priority, other, priority_per_device, per_device))
+    return Pools(PoolLimits(priority, other, priority_per_host, per_host))
 
 
 @pytest.mark.clause("T13")
 def test_marked_connections_take_priority_places_up_to_the_limit_of_their_device_and_then_others() -> None:
-    both = pools(priority=3, other=3, priority_per_device=2)
+    both = pools(priority=3, other=3, priority_per_host=2)
     own = [Connection("a", is_priority=True) for _ in range(3)]
     for one in own:
         assert both.admit(one).accepted
@@ -107,7 +107,7 @@ def test_newcomer_that_is_not_marked_is_refused_where_only_marked_ones_are_left(
 
 @pytest.mark.clause("T13")
 def test_marked_newcomer_among_marked_ones_replaces_the_oldest_of_its_own_device_beyond_the_priority_places() -> None:
-    both = pools(priority=1, other=2, priority_per_device=1)
+    both = pools(priority=1, other=2, priority_per_host=1)
     first, foreign, own = (
         Connection("a", is_priority=True),
         Connection("b", is_priority=True),
@@ -122,7 +122,7 @@ def test_marked_newcomer_among_marked_ones_replaces_the_oldest_of_its_own_device
 
 @pytest.mark.clause("T13")
 def test_priority_place_that_becomes_free_goes_to_the_oldest_marked_one_that_may_have_it() -> None:
-    both = pools(priority=2, other=3, priority_per_device=1)
+    both = pools(priority=2, other=3, priority_per_host=1)
     first, waiting, stranger, other = (
         Connection("a", is_priority=True),
         Connection("a", is_priority=True),
@@ -153,7 +153,7 @@ def test_connection_unused_longest_goes_first_and_busy_ones_stay_while_another_c
 
 @pytest.mark.clause("T18")
 def test_device_beyond_its_own_limit_replaces_its_oldest_connection_and_nobody_elses() -> None:
-    both = pools(other=9, per_device=1)
+    both = pools(other=9, per_host=1)
     other, old = Connection("y"), Connection("x", is_busy=True)
     both.admit(other)
     both.admit(old)
@@ -194,8 +194,8 @@ LIMITS = st.builds(
     PoolLimits,
     priority=st.integers(0, 4),
     other=st.integers(1, 5),
-    priority_per_device=st.integers(1, 3),
-    per_device=st.none() | st.integers(1, 3),
+    priority_per_host=st.integers(1, 3),
+    per_host=st.none() | st.integers(1, 3),
 )
 
 
@@ -225,7 +225,7 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
                 continue
             if candidate.is_priority and candidate.pool is Pool.PRIORITY:
                 assert gone is None
-            elif not candidate.is_priority and limits.per_device is not None and len(own) >= limits.per_device:
+            elif not candidate.is_priority and limits.per_host is not None and len(own) >= limits.per_host:
                 assert gone is own[0]
             elif was_full and expected is not None:
                 assert gone is expected
@@ -253,7 +253,7 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
         assert all(one.is_priority for one in in_priority)
         assert both.count(Pool.PRIORITY) == len(in_priority) <= limits.priority
         assert both.count(Pool.OTHER) == len(here) - len(in_priority) <= limits.other
-        assert max(Counter(one.host for one in in_priority).values(), default=0) <= limits.priority_per_device
-        if limits.per_device is not None:
+        assert max(Counter(one.host for one in in_priority).values(), default=0) <= limits.priority_per_host
+        if limits.per_host is not None:
             strangers = Counter(one.host for one in here if not one.is_priority)
-            assert max(strangers.values(), default=0) <= limits.per_device
+            assert max(strangers.values(), default=0) <= limits.per_host

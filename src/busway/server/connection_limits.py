@@ -75,14 +75,14 @@ class PoolLimits:
     Attributes:
         priority: slots of the priority pool.
         other: slots of the other pool.
-        priority_per_device: priority slots that one host may use.
-        per_device: slots of the other pool that one host without priority may use; None for no limit per host.
+        priority_per_host: priority slots that one host may use.
+        per_host: slots of the other pool that one host without priority may use; None for no limit per host.
     """
 
     priority: int
     other: int
-    priority_per_device: int
-    per_device: int | None = None
+    priority_per_host: int
+    per_host: int | None = None
 
     @classmethod
     def of(cls, parameters: ListenerParameters) -> "PoolLimits":
@@ -90,8 +90,8 @@ class PoolLimits:
         return cls(
             priority=parameters.max_priority_connections,
             other=parameters.max_connections,
-            priority_per_device=parameters.max_priority_per_remote or max(parameters.max_priority_connections // 2, 1),
-            per_device=parameters.max_per_remote,
+            priority_per_host=parameters.max_priority_per_host or max(parameters.max_priority_connections // 2, 1),
+            per_host=parameters.max_per_host,
         )
 
 
@@ -137,7 +137,7 @@ class Pools(Generic[One]):
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
-        evicted = self._of_same_device(candidate)
+        evicted = self._of_same_host(candidate)
         if evicted is None and len(self._other) >= self.limits.other:
             if candidate.has_ended:
                 return Admission(False)
@@ -162,12 +162,12 @@ class Pools(Generic[One]):
 
     # Who goes.
 
-    def _of_same_device(self, candidate: One) -> One | None:
+    def _of_same_host(self, candidate: One) -> One | None:
         """Return the oldest connection of a host that is at its limit, to be closed for a new connection of the host.
 
         None if the host is below its limit or is a priority host.
         """
-        limit = self.limits.per_device
+        limit = self.limits.per_host
         if limit is None or candidate.is_priority:
             return None
         own = self._of_device.get(candidate.host, {})
@@ -229,7 +229,7 @@ class Pools(Generic[One]):
 
     def _has_priority_place(self, host: str) -> bool:
         limits = self.limits
-        return len(self._priority) < limits.priority and self._priority_of[host] < limits.priority_per_device
+        return len(self._priority) < limits.priority and self._priority_of[host] < limits.priority_per_host
 
     def _prefer(self, member: One) -> None:
         member.pool = Pool.PRIORITY
