@@ -21,7 +21,6 @@ from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..framing.timing import SerialTiming
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
-from ..session.line_framing import line_framing
 from .trace import TRACE, StreamTrace, TraceLevel
 
 _log = logging.getLogger("busway.trace")
@@ -105,6 +104,8 @@ class LineTrace:
             clock: seconds, monotonic.
             make_timer: makes what calls a function after so many seconds.
         """
+        from ..session.line_framing import line_framing  # here: Modbus TCP does without it
+
         self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
         self._name = name
         self._functions = functions

@@ -28,11 +28,11 @@ from .counters import ServerCounters
 from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .responder_failures import report_failures
-from .rtu_over_tcp import FramedSession, Session
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .status_indicators import Diagnosis
 
 if TYPE_CHECKING:
+    from .rtu_over_tcp import Session
     from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
@@ -63,7 +63,7 @@ class ConnectedPeer(Protocol):
     sent: int
 
     @property
-    def session(self) -> Session | None:
+    def session(self) -> "Session | None":
         """The server session of this connection; None before it begins and after it ended."""
 
     @property
@@ -176,7 +176,7 @@ class ListenerContext:
         """Whether a host is a priority host of this listener."""
         return host in self.parameters.priority
 
-    def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
+    def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> "Session":
         """Create the session of a new connection.
 
         ``share``: most requests that one call processes (MBAP only); None: no limit.
@@ -185,6 +185,8 @@ class ListenerContext:
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
         if self.framing != "mbap":
+            from .rtu_over_tcp import FramedSession
+
             return FramedSession(
                 self.loop,
                 self._pipeline,
@@ -228,7 +230,7 @@ class ListenerContext:
             self._tapped_connections[connected_peer] = connection
             self._tap.connection_opened(connection)
 
-    def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
+    def connection_closed(self, connected_peer: ConnectedPeer, session: "Session") -> None:
         """Count an ended connection, add its requests and bytes to the totals, and tell the connection tap."""
         counters = self.counters
         counters.closed += 1
@@ -298,7 +300,7 @@ class ListenerContext:
         )
 
 
-def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: Session) -> None:
+def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: "Session") -> None:
     """Add the requests and bytes of one connection to ``counters``: at its end, or to a copy for a status."""
     counters.requests += session.requests
     counters.discarded_frames += session.discarded

@@ -56,7 +56,12 @@ class Section(BaseModel):
     """Base class of a table in a file: only declared keys, no conversion of values, frozen once read."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True, json_schema_extra=_describe
+        extra="forbid",
+        strict=True,
+        frozen=True,
+        arbitrary_types_allowed=True,
+        json_schema_extra=_describe,
+        defer_build=True,  # a file needs the checks of its own sections, not those of every kind of file
     )
 
     def __init_subclass__(cls, **kwargs: Any) -> None:  # Any: as pydantic has it
