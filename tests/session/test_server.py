@@ -176,7 +176,7 @@ def test_a_refusal_is_answered_with_its_code(code: int) -> None:
 
     peer = Peer(Scripted(refuse))
     assert peer.send(READ) == [bytes((0x83, code))]
-    assert peer.session.failures == []
+    assert not peer.session.failures
 
 
 @pytest.mark.clause("A20")

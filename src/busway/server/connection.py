@@ -407,5 +407,5 @@ class ServerConnection(asyncio.BufferedProtocol):
         begin_late_answers(deferred, management.loop, self._tasks, management.listener_context.late_answers)
 
     def _report(self, session: "Session") -> None:
-        failures, session.failures = session.failures, []
+        failures, session.failures = session.failures, ()
         self._management.listener_context.failed(self.peer, failures)
