@@ -1,6 +1,8 @@
 """The server's side of a TCP connection: order of checks, slots, late replies, silence, and any split of the stream."""
 
 import struct
+import sys
+import tracemalloc
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -94,6 +96,25 @@ class Peer:
 
 def later(context: RequestContext, request: AnyRequest) -> Outcome:
     return LATER
+
+
+def test_a_session_that_was_never_asked_keeps_no_containers() -> None:
+    pipeline, diagnostics, slots = RequestPipeline(Scripted()), LineDiagnostics(), TransactionSlots(16)
+    client = ClientIdentity()
+    late: list[bytes] = []
+    deliver = late.append
+
+    def session() -> TcpServerSession:
+        return TcpServerSession(pipeline, diagnostics=diagnostics, slots=slots, deliver=deliver, client=client)
+
+    first = session()
+    tracemalloc.start()
+    try:
+        kept = [session() for _ in range(1000)]
+        size = tracemalloc.get_traced_memory()[0] / len(kept)
+    finally:
+        tracemalloc.stop()
+    assert size < sys.getsizeof(first) + 32, size  # itself, its place in the list, and what the collector keeps of it
 
 
 # One request.

@@ -41,6 +41,15 @@ MUTATIONS = 200
 UNIT = "[[unit]]\nunit = 1\n"
 
 
+def test_a_section_that_no_file_has_costs_no_schema() -> None:
+    class Seldom(Section):
+        key: int
+
+    assert not Seldom.__pydantic_complete__
+    assert Seldom.model_validate({"key": 1}).key == 1
+    assert Seldom.__pydantic_complete__
+
+
 def problems_of(text: str) -> list[str]:
     """The sentences about a file that cannot be used."""
     with pytest.raises(FileError) as caught:
