@@ -262,6 +262,20 @@ def test_slots_may_be_shared_by_all_connections_of_a_server() -> None:
 
 
 @pytest.mark.clause("T27")
+def test_connections_that_are_given_the_same_limit_count_apart() -> None:
+    slots = TransactionSlots(1, of_each_connection=True)
+    one, two = Peer(Scripted(later), slots=slots), Peer(Scripted(later), slots=slots)
+    for _ in range(2):
+        assert one.send(READ, READ) == [b"\x83\x06"]
+        assert two.send(READ) == []
+        for peer in (one, two):
+            peer.session.close()
+            assert peer.session.waiting == 0
+        one, two = Peer(Scripted(later), slots=slots), Peer(Scripted(later), slots=slots)
+    assert slots.used == 0
+
+
+@pytest.mark.clause("T27")
 def test_a_slot_is_free_again_once_the_late_reply_has_left() -> None:
     handler = Scripted(later)
     peer = Peer(handler, slots=TransactionSlots(1))

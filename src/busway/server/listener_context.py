@@ -132,7 +132,9 @@ class ListenerContext:
         self.late_answers: set[asyncio.Task[None]] = set()
         self._units = units
         self._session_parameters = session_parameters
-        self._server_slots = slots
+        self._slots = slots
+        if session_parameters.scope is Scope.CONNECTION:
+            self._slots = TransactionSlots(session_parameters.max_transactions, of_each_connection=True)
         self._authorize = authorize
         self._repeats = Repeats()
         self._tap = tap
@@ -197,13 +199,10 @@ class ListenerContext:
                 attend=connected_peer.attend,
                 client=client,
             )
-        slots = self._server_slots
-        if self._session_parameters.scope is Scope.CONNECTION:
-            slots = TransactionSlots(self._session_parameters.max_transactions)
         return TcpServerSession(
             self._pipeline,
             diagnostics=self.diagnostics,
-            slots=slots,
+            slots=self._slots,
             deliver=connected_peer.deliver,
             deliver_together=connected_peer.deliver_together,
             client=client,

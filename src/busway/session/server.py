@@ -132,6 +132,7 @@ class TcpServerSession:
         self._forwarder = responder if isinstance(responder, ReadForwarder) else None
         self._reads = None
         if self._forwarder is not None:
+            self._slots = slots = slots.taken()
             self._reads = ForwardedReads(
                 self._fast.forwards,
                 client=self._client,
@@ -401,9 +402,11 @@ class TcpServerSession:
             context._finish = None
             diagnostics.kept_silent()
             return b""
-        slots.used += 1
         if self._waiting is None:
             self._waiting = set()
+            if self._forwarder is None:
+                self._slots = slots = slots.taken()
+        slots.used += 1
         self._waiting.add(context)
         if outcome is not LATER:
             self.deferred = (*self.deferred, Deferred(context, outcome))
