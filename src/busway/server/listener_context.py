@@ -32,7 +32,7 @@ from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .status_indicators import Diagnosis
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import Session
+    from .rtu_over_tcp import FramedSession, Session
     from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
@@ -135,6 +135,7 @@ class ListenerContext:
         self._slots = slots
         if session_parameters.scope is Scope.CONNECTION:
             self._slots = TransactionSlots(session_parameters.max_transactions, of_each_connection=True)
+        self._framed_session = None if self.framing == "mbap" else _framed_session()
         self._authorize = authorize
         self._repeats = Repeats()
         self._tap = tap
@@ -186,10 +187,8 @@ class ListenerContext:
         client = ClientIdentity(
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
-        if self.framing != "mbap":
-            from .rtu_over_tcp import FramedSession
-
-            return FramedSession(
+        if self._framed_session is not None:
+            return self._framed_session(
                 self.loop,
                 self._pipeline,
                 self._units,
@@ -297,6 +296,13 @@ class ListenerContext:
             interfaces=tuple(one for host in self.hosts for one in interfaces_with(host)),
             security=security,
         )
+
+
+def _framed_session() -> "type[FramedSession]":
+    """Return the class of sessions for RTU and ASCII frames, imported before the first client needs it."""
+    from .rtu_over_tcp import FramedSession
+
+    return FramedSession
 
 
 def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: "Session") -> None:
