@@ -8,7 +8,8 @@ from collections.abc import Callable
 from typing import Final
 
 from busway.codes import Table
-from busway.points import Conversion, Point, ReadDecoder
+from busway.points import Conversion, Point
+from busway.points.decoder import ReadDecoder
 from busway.values import value_type
 
 REGISTERS: Final = 120

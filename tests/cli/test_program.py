@@ -7,10 +7,12 @@ import subprocess
 import sys
 import threading
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
 
+import busway
 from busway import __version__
 from busway.cli.program import COMMANDS
 
@@ -62,12 +64,53 @@ def test_reading_loads_neither_pydantic_nor_rich_nor_an_event_loop(url: str) -> 
         f"sys.argv = ['busway', 'read', {url!r}, '4x1']\n"
         "try:\n    main()\n"
         "except SystemExit as end:\n    assert end.code == 0\n"
-        "heavy = ('pydantic', 'rich', 'asyncio', 'busway.server')\n"
+        "heavy = ('pydantic', 'rich', 'asyncio', 'ssl', 'http', 'email', 'encodings.idna', 'busway.server',\n"
+        "         'busway.apps', 'busway.config.files', 'busway.framing.rtu', 'busway.points')\n"
         "print(json.dumps([name for name in heavy if name in sys.modules]))\n"
     )
     ended = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=30, check=True)
     assert ended.stdout.splitlines()[0] == "4x1  0  0000"
     assert json.loads(ended.stdout.splitlines()[1]) == []
+
+
+NOT_SERVED = (
+    "busway.access.audit_log", "busway.apps.collector", "busway.apps.control.client", "busway.apps.gateway",
+    "busway.apps.simulator", "busway.client.link", "busway.config.files.collector", "busway.config.files.gateway",
+    "busway.config.files.simulation", "busway.config.profiles", "busway.faults", "busway.framing.ascii",
+    "busway.framing.rtu", "busway.observe.capture", "busway.observe.http_connection", "busway.observe.metrics",
+    "busway.points.decoder", "busway.server.line", "busway.server.udp", "busway.session.client",
+    "busway.session.serial_server", "busway.transport.serial.connection", "busway.transport.tls", "cryptography",
+    "ctypes", "html", "http.client", "http.server", "prometheus_client", "rich", "serialx",
+)  # fmt: skip
+"""What a server of a file over TCP does not use."""
+NOT_WITHOUT_CONTROL = ("busway.apps.control.service", "busway.observe.http", "http", "socketserver")
+"""What beside that a server without a control socket does not use."""
+
+
+@pytest.mark.parametrize("control", [True, False])
+def test_serving_loads_only_what_it_uses(tmp_path: Path, control: bool) -> None:
+    (tmp_path / "plant.toml").write_text("[[unit]]\nunit = 1\nholding_registers = 10\n")
+    arguments = ["serve", str(tmp_path / "plant.toml"), "--listen", "tcp://127.0.0.1:0"]
+    arguments += ["--control", str(tmp_path / "control.sock") if control else "off"]
+    unused = NOT_SERVED if control else (*NOT_SERVED, *NOT_WITHOUT_CONTROL)
+    program = (
+        "import sys\n"
+        "from busway.cli import main\n"
+        f"sys.argv = {['busway', *arguments]!r}\n"
+        "try:\n    main()\n"
+        "except SystemExit as end:\n    assert end.code == 0, end.code\n"
+        f"print([name for name in {unused!r} if name in sys.modules])\n"
+    )
+    process = subprocess.Popen([sys.executable, "-c", program], stdout=subprocess.PIPE, text=True)
+    assert process.stdout is not None
+    with process:
+        url = process.stdout.readline().strip()
+        assert url.startswith("tcp://127.0.0.1:")
+        with busway.connect(url) as link:
+            assert link.unit(1).read("4x1") == 0
+        process.send_signal(signal.SIGTERM)
+        told, _ = process.communicate(timeout=60)
+    assert told == "[]\n"
 
 
 def test_data_goes_to_stdout_and_diagnostics_to_stderr(url: str) -> None:

@@ -11,16 +11,8 @@ from control_sockets import connected, exchange, received
 from waiting import wait_until
 
 from busway.errors import LinkDown
-from busway.observe.http import (
-    BODY_LIMIT,
-    HEAD_LIMIT,
-    HttpLimits,
-    HttpRequest,
-    HttpResponse,
-    HttpService,
-    bind_tcp,
-    bound_name,
-)
+from busway.observe.http import HttpLimits, HttpService, bind_tcp, bound_name
+from busway.observe.http_messages import BODY_LIMIT, HEAD_LIMIT, HttpRequest, HttpResponse
 
 hanging: list[HttpRequest] = []
 """Requests of /hang, once they are there."""

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from busway.codes import Table
 from busway.errors import InvalidRequest
-from busway.points import Conversion, Linear, Point, Quality, ReadDecoder, Reason, decode_point
+from busway.points import Conversion, Linear, Point, Quality, Reason
+from busway.points.decoder import ReadDecoder, decode_point
 from busway.values import ORDERS, value_type
 
 HOLDING = Table.HOLDING_REGISTERS

@@ -3,7 +3,8 @@
 import pytest
 
 from busway.codes import Table
-from busway.points import Accumulator, Conversion, Derivation, Point, Quality, Reading, Reason
+from busway.points import Conversion, Point, Quality, Reading, Reason
+from busway.points.derived import Accumulator, Derivation
 from busway.values import value_type
 
 HOLDING = Table.HOLDING_REGISTERS

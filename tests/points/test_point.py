@@ -6,7 +6,8 @@ import pytest
 
 from busway.codes import Table
 from busway.errors import InvalidRequest
-from busway.points import AlarmRule, Conversion, Point, ReportRule, WriteRule, decode_point
+from busway.points import AlarmRule, Conversion, Point, ReportRule, WriteRule
+from busway.points.decoder import decode_point
 from busway.values import value_type
 
 HOLDING = Table.HOLDING_REGISTERS

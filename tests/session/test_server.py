@@ -1,6 +1,8 @@
 """The server's side of a TCP connection: order of checks, slots, late replies, silence, and any split of the stream."""
 
 import struct
+import sys
+import tracemalloc
 from collections.abc import Awaitable, Callable
 from typing import Any
 
@@ -96,6 +98,25 @@ def later(context: RequestContext, request: AnyRequest) -> Outcome:
     return LATER
 
 
+def test_a_session_that_was_never_asked_keeps_no_containers() -> None:
+    pipeline, diagnostics, slots = RequestPipeline(Scripted()), LineDiagnostics(), TransactionSlots(16)
+    client = ClientIdentity()
+    late: list[bytes] = []
+    deliver = late.append
+
+    def session() -> TcpServerSession:
+        return TcpServerSession(pipeline, diagnostics=diagnostics, slots=slots, deliver=deliver, client=client)
+
+    first = session()
+    tracemalloc.start()
+    try:
+        kept = [session() for _ in range(1000)]
+        size = tracemalloc.get_traced_memory()[0] / len(kept)
+    finally:
+        tracemalloc.stop()
+    assert size < sys.getsizeof(first) + 32, size  # itself, its place in the list, and what the collector keeps of it
+
+
 # One request.
 
 
@@ -176,7 +197,7 @@ def test_a_refusal_is_answered_with_its_code(code: int) -> None:
 
     peer = Peer(Scripted(refuse))
     assert peer.send(READ) == [bytes((0x83, code))]
-    assert peer.session.failures == []
+    assert not peer.session.failures
 
 
 @pytest.mark.clause("A20")
@@ -238,6 +259,20 @@ def test_slots_may_be_shared_by_all_connections_of_a_server() -> None:
     one.session.close()
     assert slots.used == 0
     assert two.send(READ) == []
+
+
+@pytest.mark.clause("T27")
+def test_connections_that_are_given_the_same_limit_count_apart() -> None:
+    slots = TransactionSlots(1, of_each_connection=True)
+    one, two = Peer(Scripted(later), slots=slots), Peer(Scripted(later), slots=slots)
+    for _ in range(2):
+        assert one.send(READ, READ) == [b"\x83\x06"]
+        assert two.send(READ) == []
+        for peer in (one, two):
+            peer.session.close()
+            assert peer.session.waiting == 0
+        one, two = Peer(Scripted(later), slots=slots), Peer(Scripted(later), slots=slots)
+    assert slots.used == 0
 
 
 @pytest.mark.clause("T27")

@@ -21,7 +21,7 @@ from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import replace
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
 from ..options.networks import host_of_peer
@@ -31,13 +31,15 @@ from ..pdu.general import ExceptionResponse
 from ..pdu.message import Request
 from ..session.responder import ClientIdentity, Judged, Refusal, Replaced, RequestContext, ServedUnit
 from ..values.printable import printable
-from .audit_log import AuditLog
 from .fast_path_rights import bind
 from .question import Asker, Question
 from .rates import Rates
 from .repeats import Repeats, so_often
 from .rule_evaluation import Decision, Rights
 from .rules import Policy, Rule
+
+if TYPE_CHECKING:
+    from .audit_log import AuditLog
 
 _log = logging.getLogger("busway.policy")
 
@@ -56,7 +58,7 @@ class PolicyRights:
 
     __slots__ = ("_audit", "rights")
 
-    def __init__(self, rights: Rights, audit: AuditLog | None) -> None:
+    def __init__(self, rights: Rights, audit: "AuditLog | None") -> None:
         self.rights: Rights = rights
         self._audit = audit
 
@@ -108,7 +110,7 @@ class PolicyAuthorizer:
     def __init__(
         self,
         policy: Policy,
-        audit: AuditLog | None = None,
+        audit: "AuditLog | None" = None,
         *,
         rates: dict[str, Rates] | None = None,
         clock: Callable[[], float] = time.monotonic,
@@ -284,7 +286,7 @@ def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
     return decision if is_named and not decision.allowed and not decision.needs_current else None
 
 
-def _rights_of(asker: Asker, in_force: _InForce, audit: AuditLog | None) -> PolicyRights:
+def _rights_of(asker: Asker, in_force: _InForce, audit: "AuditLog | None") -> PolicyRights:
     found = in_force.of_askers.get(asker)
     if found is not None:
         return found

@@ -18,7 +18,7 @@ no session.
 import struct
 from bisect import bisect_right
 from collections.abc import Callable, Sequence
-from typing import Final, cast
+from typing import TYPE_CHECKING, Final, cast
 
 from ..codes import Table
 from ..pdu.fast_answers import Answer, Block, DirectModel, ExchangingBlock, Requester
@@ -26,18 +26,20 @@ from ..pdu.fields import FixedField
 from ..pdu.message import Request, Touch
 from ..session.responder import ServedUnit
 from .audit_line import DONE, done_line, who_text
-from .audit_log import AuditLog
 from .notation import Range
 from .question import counts_as_write
 from .rule_evaluation import Rights, UnitAccess, Zone, ranges_of
 from .rules import EVERYWHERE
+
+if TYPE_CHECKING:
+    from .audit_log import AuditLog
 
 _unpack_address = struct.Struct(">H").unpack_from
 _unpack_two = struct.Struct(">HH").unpack_from
 
 
 def bind(
-    rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: AuditLog | None = None
+    rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: "AuditLog | None" = None
 ) -> Answer | None:
     """Return a function that answers requests with one function code from their bytes, within the rights of clients.
 
@@ -239,7 +241,7 @@ _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 
 
 def _audited(
-    kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: AuditLog
+    kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: "AuditLog"
 ) -> Answer | None:
     """Return the function that answers writes from bytes: it checks addresses and limits, and appends an audit line.
 

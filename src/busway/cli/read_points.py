@@ -16,7 +16,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ..codes import ExceptionCode
 from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
-from ..points import Derivation, Point, Quality, ReadDecoder, Reading, Reason
+from ..points import Point, Quality, Reading, Reason
+from ..points.decoder import ReadDecoder
+from ..points.derived import Derivation
 from ..points.quality import exception_reason, reason_text
 from ..values import format_address
 from .exits import ExitCode, exit_code_of

@@ -13,7 +13,6 @@ from ..framing.timing import Parity, SerialTiming
 from ..options.ports import SerialSettings
 from ..session.call import Call, FreeSlots
 from ..session.client import TcpClientSession
-from ..session.line_framing import line_framing
 from ..session.reconnect import Reconnect
 from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
@@ -126,6 +125,8 @@ def client_session_for(
         if settings.breaker is not None:
             session.watch_units(Breakers(settings.breaker, random.random))
         return session
+    from ..session.line_framing import line_framing  # here: Modbus TCP does without it
+
     line = settings.line
     port = line.port
     framing = line_framing(

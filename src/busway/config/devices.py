@@ -13,7 +13,6 @@ from ..server.device import Device
 from .device_writes import judge_writes
 from .files.device import DeviceFile, TableSection, UnitSection
 from .files.points import PointSection
-from .files.simulation import SimulatedUnitSection
 
 
 def build_units(file: DeviceFile) -> dict[int, Device]:
@@ -25,7 +24,7 @@ def build_device(section: UnitSection) -> Device:
     """Build the device of one unit of a device file, with the initial values of its points."""
     # Any: arguments of different types
     options: dict[str, Any] = {
-        table.value: _cells(section.table(table), section.points_in(table), _hole(section, table)) for table in Table
+        table.value: _cells(section.table(table), section.points_in(table), section.hole(table)) for table in Table
     }
     if section.server_id is not None:
         options["server_id"] = section.server_id
@@ -59,11 +58,6 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
     with device.lock:
         held = device.peek(point.table, point.place.offset, form.registers) or b""
         device.write(point.place, list(struct.unpack(f">{form.registers}H", form.merge(raw, held))))
-
-
-def _hole(section: UnitSection, table: Table) -> int | None:
-    """Return the value that is read between the points of a table; None if such reads are refused."""
-    return section.holes.value(table) if isinstance(section, SimulatedUnitSection) else None
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:

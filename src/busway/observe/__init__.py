@@ -6,6 +6,8 @@
 `capture_headers`   Builds the headers around Modbus bytes in capture files
 `dissect`           Explains a frame from an unknown source: framing, direction and every field, also of broken frames
 `http`              HTTP service for the status and metrics of a program, in threads beside the program's event loop
+`http_connection`   One connection of the HTTP service: reads its request, and sends the response
+`http_messages`     Request and response of the HTTP service, and the error that it answers by a status
 `line_trace`        Trace of RTU and ASCII traffic: log lines, and packets in a capture file
 `pairing`           Pairs the frames heard on a serial line: which reply answers which request, which is missing
 `pcapng`            Writes capture files in the pcapng format, which Wireshark and tshark read

@@ -1,7 +1,8 @@
 """HTTP service for the status and metrics of a program, in threads beside the program's event loop.
 
 Knows the limits of one connection and of all; knows nothing of the resources: a function of its owner answers
-requests. The standard library's `ThreadingHTTPServer` parses them. That server has no limits, so this file sets them:
+requests, and `http_connection` parses them. The standard library's `ThreadingMixIn` has no limits, so this file sets
+them:
 
 1. One request per connection, then the connection is closed. No keep-alive, no chunked bodies, no redirects.
 2. Head, body, time and number of connections are limited. One connection too many closes the oldest that has not sent
@@ -15,74 +16,23 @@ import os
 import socket
 import threading
 import time
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
-from http import HTTPStatus
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
-from typing import Any, Final, NoReturn, cast
+from collections.abc import Callable
+from dataclasses import dataclass
+from socketserver import BaseRequestHandler, TCPServer, ThreadingMixIn
+from typing import Any, Final
 
 from ..errors import LinkDown
 from ..transport.descriptors import is_reserved
 from ..transport.tcp import network_kind
+from .http_messages import HttpRequest, HttpResponse
 
 _log = logging.getLogger("busway.http")
 
-HEAD_LIMIT: Final = 8192
-"""Most bytes of request line and headers."""
-BODY_LIMIT: Final = 4096
-"""Most bytes of a request's body; no resource here needs a larger one."""
 _BACKLOG: Final = 128
 _LOG_PAUSE: Final = 60.0
 """Seconds between two log lines about requests that failed."""
 _TURN: Final = 0.1
 """Seconds between two checks for connections whose time is over."""
-_SINGLE: Final = ("host", "content-length", "authorization")
-"""Headers that must not stand twice: it would be unclear which one counts."""
-
-
-class HttpError(Exception):
-    """Error that the HTTP service answers with a status code and a sentence.
-
-    Args:
-        status: HTTP status code, such as 404.
-        sentence: body of the response.
-    """
-
-    def __init__(self, status: int, sentence: str) -> None:
-        super().__init__(sentence)
-        self.status = status
-
-
-@dataclass(frozen=True, slots=True)
-class HttpRequest:
-    """A request that the HTTP service has received.
-
-    Attributes:
-        method: ``GET``, ``POST``, …
-        path: path of the resource, without the query.
-        headers: value of each header, by name in lower case.
-        body: at most `BODY_LIMIT` bytes.
-    """
-
-    method: str
-    path: str
-    headers: Mapping[str, str] = field(default_factory=dict)
-    body: bytes = b""
-
-
-@dataclass(frozen=True, slots=True)
-class HttpResponse:
-    """A response that the HTTP service sends.
-
-    Attributes:
-        body: the bytes of the body.
-        content_type: type of the body.
-        status: HTTP status code, 200 for success.
-    """
-
-    body: bytes
-    content_type: str = "text/plain; charset=utf-8"
-    status: int = 200
 
 
 @dataclass(frozen=True, slots=True)
@@ -100,7 +50,7 @@ class HttpLimits:
     connections: int = 16
 
 
-class HttpService(ThreadingHTTPServer):
+class HttpService(ThreadingMixIn, TCPServer):
     """HTTP service on one listening socket, from `start` to `stop`. Each connection has a thread.
 
     Args:
@@ -121,7 +71,7 @@ class HttpService(ThreadingHTTPServer):
         limits: HttpLimits | None = None,
         name: str = "busway http",
     ) -> None:
-        super().__init__(("", 0), _Connection, bind_and_activate=False)
+        super().__init__(("", 0), BaseRequestHandler, bind_and_activate=False)
         self.socket.close()
         self.socket = bound
         bound.settimeout(_TURN)  # a peer that has gone between select and accept must not block the thread
@@ -171,12 +121,20 @@ class HttpService(ThreadingHTTPServer):
         if len(self._deadlines) >= most:
             silent = list(self._unheard)
             if not silent or len(self._deadlines) >= 2 * most:
-                _drained(request, b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\n\r\n")
+                from .http_connection import drain
+
+                drain(request, b"HTTP/1.1 503 Service Unavailable\r\nConnection: close\r\n\r\n")
                 return False
             self._cut(silent[0])
         self._deadlines[request] = time.monotonic() + self._limits.request_seconds
         self._unheard[request] = None
         return True
+
+    def finish_request(self, request: Any, client_address: Any) -> None:
+        """Answer the request of an HTTP connection, in its thread."""
+        from .http_connection import HttpConnection  # here: most programs are never asked
+
+        HttpConnection(request, client_address, self)
 
     def service_actions(self) -> None:
         """Close the HTTP connections whose time is over; called every tenth of a second."""
@@ -203,114 +161,6 @@ class HttpService(ThreadingHTTPServer):
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)
-
-
-def _drained(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes of a response, and discard what was received: unread bytes would reset the connection."""
-    with contextlib.suppress(OSError):
-        accepted.setblocking(False)
-        accepted.send(last)
-        accepted.recv(2 * HEAD_LIMIT)
-
-
-class _Connection(BaseHTTPRequestHandler):
-    """Handler of one HTTP connection: reads its request and writes the response."""
-
-    protocol_version = "HTTP/1.1"
-    wbufsize = -1  # head and body leave together
-    server: HttpService
-
-    def handle(self) -> None:
-        """Receive the request and send the response; a peer that disconnected or is too slow gets none."""
-        with contextlib.suppress(OSError, EOFError):
-            self._send(self._response())
-            _drained(self.connection)
-
-    def finish(self) -> None:
-        """Send the part of the response that is still buffered."""
-        with contextlib.suppress(OSError):
-            super().finish()
-
-    def _response(self) -> HttpResponse:
-        try:
-            request = self._request()
-            self.server.heard(self.connection)
-            return self.server.answer(request)
-        except HttpError as error:
-            return HttpResponse(f"{error}\n".encode(), status=error.status)
-        except (OSError, EOFError):
-            raise
-        except Exception:
-            self.server.handle_error(self.connection, self.client_address)
-            return HttpResponse(b"the request failed; the log says why\n", status=HTTPStatus.INTERNAL_SERVER_ERROR)
-
-    def _request(self) -> HttpRequest:
-        """Read the HTTP request. Raises `HttpError` if it is malformed or too large, `EOFError` if it is incomplete."""
-        received, head = self.rfile, _Head(self.rfile)
-        self.raw_requestline = head.readline()
-        self.rfile = cast("Any", head)  # Any: of which the standard library reads lines, and does no more
-        try:
-            self.parse_request()  # which calls send_error
-        finally:
-            self.rfile = received
-        if self.request_version == "HTTP/0.9" or not self.path.startswith("/"):
-            raise HttpError(HTTPStatus.BAD_REQUEST, "the first line is no HTTP request")
-        if self.headers.defects or any(len(self.headers.get_all(name, ())) > 1 for name in _SINGLE):
-            raise HttpError(HTTPStatus.BAD_REQUEST, "a header is malformed, or stands twice")
-        headers = {name.lower(): value.strip() for name, value in self.headers.items()}
-        return HttpRequest(self.command, self.path.partition("?")[0], headers, self._body(headers))
-
-    def _body(self, headers: Mapping[str, str]) -> bytes:
-        if "transfer-encoding" in headers:
-            raise HttpError(HTTPStatus.LENGTH_REQUIRED, "a body needs a Content-Length")
-        length = headers.get("content-length", "0")
-        if not (length.isascii() and length.isdigit()) or len(length) > 9:
-            raise HttpError(HTTPStatus.BAD_REQUEST, "the Content-Length is not a number")
-        if int(length) > BODY_LIMIT:
-            raise HttpError(HTTPStatus.REQUEST_ENTITY_TOO_LARGE, f"the body exceeds {BODY_LIMIT} bytes")
-        body = self.rfile.read(int(length))
-        if len(body) < int(length):
-            raise EOFError
-        return body
-
-    def _send(self, response: HttpResponse) -> None:
-        self.request_version = self.protocol_version  # also where the request was too malformed to have one
-        self.send_response_only(response.status)
-        self.send_header("Content-Type", response.content_type)
-        self.send_header("Content-Length", str(len(response.body)))
-        self.send_header("Cache-Control", "no-store")
-        self.send_header("X-Content-Type-Options", "nosniff")
-        self.send_header("Connection", "close")
-        self.end_headers()
-        self.wfile.write(response.body)
-        self.wfile.flush()
-
-    def send_error(self, code: int, message: str | None = None, explain: str | None = None) -> NoReturn:
-        """Raise `HttpError`; called by the standard library for a request that it cannot parse."""
-        raise HttpError(code, message or HTTPStatus(code).phrase)
-
-
-class _Head:
-    """Reads the first lines of an HTTP request (its head), together at most `HEAD_LIMIT` bytes."""
-
-    def __init__(self, received: Any) -> None:  # Any: any buffered reader
-        self._received = received
-        self._left = HEAD_LIMIT
-
-    def readline(self, limit: int = -1) -> bytes:
-        """Return the next line of a request's head.
-
-        Raises:
-            HttpError: the head is too long.
-            EOFError: the connection ended inside a line.
-        """
-        line: bytes = self._received.readline(self._left + 1)
-        self._left -= len(line)
-        if self._left < 0:
-            raise HttpError(HTTPStatus.REQUEST_HEADER_FIELDS_TOO_LARGE, f"the head exceeds {HEAD_LIMIT} bytes")
-        if not line.endswith(b"\n"):
-            raise EOFError
-        return line
 
 
 def bind_tcp(host: str, port: int) -> socket.socket:

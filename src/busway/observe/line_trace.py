@@ -21,7 +21,6 @@ from ..framing.received import Damaged, Direction, Received, SerialFrame
 from ..framing.timing import SerialTiming
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
-from ..session.line_framing import line_framing
 from .trace import TRACE, StreamTrace, TraceLevel
 
 _log = logging.getLogger("busway.trace")
@@ -109,6 +108,8 @@ class LineTrace:
             clock: returns the time in seconds, monotonic.
             make_timer: returns a timer that calls a function after so many seconds.
         """
+        from ..session.line_framing import line_framing  # here: Modbus TCP does without it
+
         self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
         self._name = name
         self._functions = functions

@@ -15,30 +15,25 @@ Where it is decided: the reason why a value is not good: `decoder` for a reply (
 `busway.cli.read_points` where points are read once. Good, uncertain or bad follows from the reason alone: `quality`.
 What raw number and unit mean: `conversion`. Whether a value may be written: `point_rules`. What a formula may contain:
 `expression`. When a counter has rolled over: `derived`.
+
+What describes a point is imported from here; `decoder` and `derived` by those that read.
 """
 
 from .conversion import Conversion, Linear
-from .decoder import DecodedRead, ReadDecoder, decode_point
-from .derived import Accumulator, Derivation
 from .point import Point
 from .point_rules import AlarmRule, ItemRange, ReadRules, ReportRule, WriteRule
 from .quality import Quality, Reading, Reason
 
 __all__ = [
-    "Accumulator",
     "AlarmRule",
     "Conversion",
-    "DecodedRead",
-    "Derivation",
     "ItemRange",
     "Linear",
     "Point",
     "Quality",
-    "ReadDecoder",
     "ReadRules",
     "Reading",
     "Reason",
     "ReportRule",
     "WriteRule",
-    "decode_point",
 ]

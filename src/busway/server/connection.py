@@ -13,7 +13,7 @@ Knows when bytes arrive and leave; knows nothing of their meaning.
 
 import asyncio
 import time
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
@@ -23,8 +23,10 @@ from .connection_limits import Pool
 from .connection_management import ConnectionManagement
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
-from .rtu_over_tcp import Session
 from .status import ServedConnectionState
+
+if TYPE_CHECKING:
+    from .rtu_over_tcp import Session
 
 _USUAL_REQUEST: Final = 12
 """Bytes of a read request."""
@@ -155,7 +157,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         if session.spent > 1 or nbytes > _MANY_BYTES:
             self._look_at_share(session, nbytes)
 
-    def _finish(self, session: Session, size: int) -> None:
+    def _finish(self, session: "Session", size: int) -> None:
         """Finish the handling of received bytes: start late replies and timeouts, report failures of responders."""
         if session.deferred:
             self._start_waiting(session)
@@ -204,7 +206,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     # Turns.
 
-    def _must_wait(self, session: Session, nbytes: int) -> bool:
+    def _must_wait(self, session: "Session", nbytes: int) -> bool:
         """Whether received requests must be queued because other connections wait for their turn."""
         if self.is_priority or not (self.is_greedy or not self._management.turns.has_time):
             return False
@@ -213,7 +215,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.is_greedy = nbytes == len(self._window)
         return True
 
-    def _look_at_share(self, session: Session, nbytes: int) -> None:
+    def _look_at_share(self, session: "Session", nbytes: int) -> None:
         """Queue the connection for another turn if it has used up its share of this turn of the event loop."""
         session.spent = 0
         self._management.turns.worked()
@@ -397,13 +399,13 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._trace = trace_for(self._management.framing, self.peer, is_server=True, carrier=self._transport)
         return self._trace
 
-    def _start_waiting(self, session: Session) -> None:
+    def _start_waiting(self, session: "Session") -> None:
         deferred, session.deferred = session.deferred, []
         if self._tasks is None:
             self._tasks = set()
         management = self._management
         begin_late_answers(deferred, management.loop, self._tasks, management.listener_context.late_answers)
 
-    def _report(self, session: Session) -> None:
-        failures, session.failures = session.failures, []
+    def _report(self, session: "Session") -> None:
+        failures, session.failures = session.failures, ()
         self._management.listener_context.failed(self.peer, failures)

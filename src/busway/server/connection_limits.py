@@ -17,10 +17,11 @@ Pure: knows who is connected and since when unused; closes nothing, logs nothing
    a client that has restarted replaces the connection it left behind (§4.2.2).
 """
 
-from collections import Counter, deque
+from collections import Counter, OrderedDict
 from dataclasses import dataclass
 from enum import Enum
 from itertools import islice
+from operator import itemgetter
 from typing import Final, Generic, Protocol, TypeVar
 
 from ..options.server import ListenerParameters
@@ -115,12 +116,11 @@ class Pools(Generic[One]):
         self.limits = limits
         self._priority: dict[One, None] = {}
         self._priority_of: Counter[str] = Counter()
-        self._other: dict[One, int] = {}  # in the order they came, with the number of each
-        self._numbered: dict[int, One] = {}
-        self._of_device: dict[str, dict[One, None]] = {}  # of those in the other pool of hosts without priority
+        self._other: dict[One, None] = {}  # in the order they came
+        # Of those in the other pool of hosts without priority, if these have a limit.
+        self._of_device: dict[str, dict[One, None]] = {}
         self._silent: dict[One, None] = {}  # of those, the ones that had said nothing, in the order they came
-        self._by_use: deque[tuple[float, int]] = deque()  # the longest unused first, as they stood once
-        self._next_number = 0
+        self._by_use: OrderedDict[One, float] = OrderedDict()  # the longest unused first, as they stood once
 
     def __len__(self) -> int:
         return len(self._priority) + len(self._other)
@@ -194,25 +194,25 @@ class Pools(Generic[One]):
         if found is None:
             # Sorted once for many new connections: what has not been used since then stands in its order still, and all
             # others have been used later. A storm of new connections costs a step for each, not a look at all.
-            self._by_use = deque(
-                sorted((member.last_used, number) for member, number in self._other.items() if not member.is_priority)
-            )
+            without_priority = ((member, member.last_used) for member in self._other if not member.is_priority)
+            self._by_use = OrderedDict(sorted(without_priority, key=itemgetter(1)))
             found = self._first_idle()
         return found or next((member for member in self._other if not member.is_priority), None)
 
     def _first_idle(self) -> One | None:
-        busy: list[tuple[float, int]] = []
+        busy: list[tuple[One, float]] = []
         found = None
         while self._by_use and found is None:
-            used, number = self._by_use.popleft()
-            member = self._numbered.get(number)
-            if member is None or member.last_used != used:
+            member, used = self._by_use.popitem(last=False)
+            if member.last_used != used:
                 continue
             if member.is_busy:
-                busy.append((used, number))
+                busy.append((member, used))
             else:
                 found = member
-        self._by_use.extendleft(reversed(busy))
+        for member, used in reversed(busy):
+            self._by_use[member] = used
+            self._by_use.move_to_end(member, last=False)
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
@@ -238,15 +238,15 @@ class Pools(Generic[One]):
 
     def _take(self, member: One) -> None:
         member.pool = Pool.OTHER
-        self._other[member] = self._next_number
-        self._numbered[self._next_number] = member
-        self._next_number += 1
+        self._other[member] = None
         if not member.is_priority:
-            self._of_device.setdefault(member.host, {})[member] = None
+            if self.limits.per_device is not None:
+                self._of_device.setdefault(member.host, {})[member] = None
             self._silent[member] = None
 
     def _remove(self, member: One) -> None:
-        del self._numbered[self._other.pop(member)]
+        del self._other[member]
+        self._by_use.pop(member, None)
         self._silent.pop(member, None)
         own = self._of_device.get(member.host)
         if own is not None and not member.is_priority:

@@ -15,7 +15,7 @@ import asyncio
 import logging
 import time
 from dataclasses import replace
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 from ..access.rates import Rates
 from ..options.server import ListenerParameters
@@ -26,10 +26,12 @@ from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
-from .rtu_over_tcp import Session
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .status_indicators import Diagnosis
 from .turns import Turns
+
+if TYPE_CHECKING:
+    from .rtu_over_tcp import Session
 
 _log = logging.getLogger("busway.server")
 
@@ -175,7 +177,7 @@ class ConnectionManagement:
             configure(socket, parameters)
         return True
 
-    def admit(self, connection: ManagedConnection) -> Session | None:
+    def admit(self, connection: ManagedConnection) -> "Session | None":
         """Give a new connection a slot, and return its server session; None if no slot is free or can be freed."""
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
@@ -213,7 +215,7 @@ class ConnectionManagement:
         self._connections.pop(connection, None)
         connection.abort()
 
-    def leave(self, connection: ManagedConnection, session: Session, error: Exception | None) -> None:
+    def leave(self, connection: ManagedConnection, session: "Session", error: Exception | None) -> None:
         """Remove a connection that has ended and free its slot."""
         self.pools.leave(connection)
         self._connections.pop(connection, None)
@@ -259,7 +261,7 @@ class ConnectionManagement:
         """Stop the write timeout of a connection, because its client reads its replies again."""
         self._deadlines.taken(connection)
 
-    def charge(self, connection: ManagedConnection, session: Session) -> None:
+    def charge(self, connection: ManagedConnection, session: "Session") -> None:
         """Count the new requests of a connection against its host's rate.
 
         Above the rate, pause reading from the connection.

@@ -28,11 +28,11 @@ from .counters import ServerCounters
 from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .responder_failures import report_failures
-from .rtu_over_tcp import FramedSession, Session
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .status_indicators import Diagnosis
 
 if TYPE_CHECKING:
+    from .rtu_over_tcp import FramedSession, Session
     from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
@@ -63,7 +63,7 @@ class ConnectedPeer(Protocol):
     sent: int
 
     @property
-    def session(self) -> Session | None:
+    def session(self) -> "Session | None":
         """The server session of this connection; None before it begins and after it ended."""
 
     @property
@@ -132,7 +132,10 @@ class ListenerContext:
         self.late_answers: set[asyncio.Task[None]] = set()
         self._units = units
         self._session_parameters = session_parameters
-        self._server_slots = slots
+        self._slots = slots
+        if session_parameters.scope is Scope.CONNECTION:
+            self._slots = TransactionSlots(session_parameters.max_transactions, of_each_connection=True)
+        self._framed_session = None if self.framing == "mbap" else _framed_session()
         self._authorize = authorize
         self._repeats = Repeats()
         self._tap = tap
@@ -176,7 +179,7 @@ class ListenerContext:
         """Whether a host is a priority host of this listener."""
         return host in self.parameters.priority
 
-    def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> Session:
+    def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> "Session":
         """Create the session of a new connection.
 
         ``share``: most requests that one call processes (MBAP only); None: no limit.
@@ -184,8 +187,8 @@ class ListenerContext:
         client = ClientIdentity(
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
         )
-        if self.framing != "mbap":
-            return FramedSession(
+        if self._framed_session is not None:
+            return self._framed_session(
                 self.loop,
                 self._pipeline,
                 self._units,
@@ -195,13 +198,10 @@ class ListenerContext:
                 attend=connected_peer.attend,
                 client=client,
             )
-        slots = self._server_slots
-        if self._session_parameters.scope is Scope.CONNECTION:
-            slots = TransactionSlots(self._session_parameters.max_transactions)
         return TcpServerSession(
             self._pipeline,
             diagnostics=self.diagnostics,
-            slots=slots,
+            slots=self._slots,
             deliver=connected_peer.deliver,
             deliver_together=connected_peer.deliver_together,
             client=client,
@@ -228,7 +228,7 @@ class ListenerContext:
             self._tapped_connections[connected_peer] = connection
             self._tap.connection_opened(connection)
 
-    def connection_closed(self, connected_peer: ConnectedPeer, session: Session) -> None:
+    def connection_closed(self, connected_peer: ConnectedPeer, session: "Session") -> None:
         """Count an ended connection, add its requests and bytes to the totals, and tell the connection tap."""
         counters = self.counters
         counters.closed += 1
@@ -298,7 +298,14 @@ class ListenerContext:
         )
 
 
-def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: Session) -> None:
+def _framed_session() -> "type[FramedSession]":
+    """Return the class of sessions for RTU and ASCII frames, imported before the first client needs it."""
+    from .rtu_over_tcp import FramedSession
+
+    return FramedSession
+
+
+def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: "Session") -> None:
     """Add the requests and bytes of one connection to ``counters``: at its end, or to a copy for a status."""
     counters.requests += session.requests
     counters.discarded_frames += session.discarded

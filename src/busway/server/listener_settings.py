@@ -6,10 +6,10 @@ declared in `busway.options`.
 
 from collections.abc import Container
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 from ..access.addresses import HostAuthorizer
 from ..framing.echo import Echo
-from ..framing.frame_direction import LineRole
 from ..framing.timing import SerialTiming
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint
@@ -20,8 +20,10 @@ from ..options.server import ListenerParameters
 from ..options.text import build_parameters
 from ..options.tls import TlsParameters
 from ..pdu.functions import FunctionTable
-from ..session.line_framing import LineFraming, line_framing
 from .listener import Listener
+
+if TYPE_CHECKING:
+    from ..session.line_framing import LineFraming
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,13 +55,16 @@ class ListenerSettings:
 
     def line_framing(
         self, units: Container[int], functions: FunctionTable, *, started: float | None = None
-    ) -> LineFraming:
+    ) -> "LineFraming":
         """Return the RTU or ASCII framing of one port or connection of a server.
 
         Raises `ConfigError` for wrong options.
 
         ``started`` is when the port was opened, in the clock of its frames; None if the line is known to be idle.
         """
+        from ..framing.frame_direction import LineRole
+        from ..session.line_framing import line_framing
+
         port = self.port
         timing = SerialTiming.of_network() if port is None else port.timing
         return line_framing(

@@ -1,11 +1,12 @@
 """Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial.
 
-Knows the kinds of listeners and what they are made of; keeps none.
+Knows the kinds of listeners and what they are made of; keeps none. Each kind is imported when one is opened.
 """
 
 import asyncio
 import logging
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 from ..access.addresses import HostAuthorizer, both
 from ..codes import LAST_SERIAL_UNIT
@@ -22,12 +23,14 @@ from .connection_limits import PoolLimits, Pools
 from .connection_management import ConnectionManagement, ManagedConnection
 from .connection_tap import ConnectionTap
 from .counters import ServerCounters
-from .line import SerialListener
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
 from .tcp import TcpListener
 from .turns import Turns
-from .udp import UdpListener
+
+if TYPE_CHECKING:
+    from .line import SerialListener
+    from .udp import UdpListener
 
 _log = logging.getLogger("busway.server")
 
@@ -94,14 +97,18 @@ class Opening:
             return None
         return listener
 
-    async def datagrams(self, settings: ListenerSettings) -> UdpListener:
+    async def datagrams(self, settings: ListenerSettings) -> "UdpListener":
         """Open a UDP listener. Raises `OSError`, `ConfigError`."""
+        from .udp import UdpListener
+
         listener = UdpListener(self._listener_context(settings), self.sockets)
         await listener.open()
         return listener
 
-    async def line(self, settings: ListenerSettings) -> SerialListener:
+    async def line(self, settings: ListenerSettings) -> "SerialListener":
         """Open a listener on a serial port; an absent port is waited for. Raises `LinkDown`, `ConfigError`."""
+        from .line import SerialListener
+
         line = SerialListener(
             self.loop,
             settings,

@@ -10,7 +10,7 @@ Knows a session and a clock; knows no connection: `ServerConnection` drives it l
 
 import asyncio
 import time
-from collections.abc import Callable, Container
+from collections.abc import Callable, Container, Sequence
 from typing import Final
 
 from ..session.diagnostics import LineDiagnostics
@@ -114,13 +114,13 @@ class FramedSession:
         self._session.deferred = value
 
     @property
-    def failures(self) -> list[ResponderFailure]:
+    def failures(self) -> Sequence[ResponderFailure]:
         """Exceptions raised by responders, which the connection must log."""
         return self._session.failures
 
     @failures.setter
-    def failures(self, value: list[ResponderFailure]) -> None:
-        self._session.failures = value
+    def failures(self, value: Sequence[ResponderFailure]) -> None:
+        self._session.failures = list(value)
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
         """Process the first ``size`` bytes of ``buffer``; returns the replies to send, in order.

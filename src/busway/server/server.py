@@ -27,7 +27,6 @@ from .connection_management import ConnectionManagement
 from .connection_tap import ConnectionTap
 from .counters import ServerCounters
 from .exposure import warn_of_exposure
-from .line import SerialListener
 from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
 from .open_files import raise_open_file_limit
@@ -35,13 +34,14 @@ from .opening import Opening, serial_units
 from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
-from .udp import UdpListener
 
 if TYPE_CHECKING:
     from ..access.audit_log import AuditLog
     from ..access.authorizer import PolicyAuthorizer
     from ..access.rules import Policy
     from ..options.tls import TlsParameters
+    from .line import SerialListener
+    from .udp import UdpListener
 
 _STOP_SECONDS: Final = 0.5
 

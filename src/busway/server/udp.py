@@ -304,7 +304,7 @@ class _Peer:
             context = self._listener_context
             begin_late_answers(deferred, context.loop, self._tasks, context.late_answers)
         if session.failures:
-            failures, session.failures = session.failures, []
+            failures, session.failures = session.failures, ()
             self._listener_context.failed(self.peer, failures)
 
     def deliver(self, adu: bytes) -> None:

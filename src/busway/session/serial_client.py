@@ -22,7 +22,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import Enum
 from functools import partial
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode
 from ..errors import (
@@ -43,9 +43,11 @@ from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
 from .late_replies import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
-from .line_framing import LineFraming
 from .retries import CallTracker, ClientCounters, function_of
 from .unit_breaker import Breakers
+
+if TYPE_CHECKING:
+    from .line_framing import LineFraming
 
 OWED_FOR: Final = 2.0
 """Multiple of the timeout after which even a unit that breaks the order of replies has replied (rule 5 of
@@ -148,7 +150,7 @@ class SerialClientSession:
         self,
         parameters: ClientParameters,
         *,
-        framing: LineFraming,
+        framing: "LineFraming",
         jitter: Callable[[], float],
         serial: SerialClientParameters | None = None,
         breaker: BreakerParameters | None = None,

@@ -126,13 +126,13 @@ class TcpServerSession:
         self._slots = slots
         self._deliver = deliver
         self._share = _NO_SHARE if share is None else share
-        self._buffer = StreamBuffer()
         self._generation = pipeline.generation
         self._fast = pipeline.fast_path(self._client)
         responder = pipeline.responder
         self._forwarder = responder if isinstance(responder, ReadForwarder) else None
         self._reads = None
         if self._forwarder is not None:
+            self._slots = slots = slots.taken()
             self._reads = ForwardedReads(
                 self._fast.forwards,
                 client=self._client,
@@ -141,11 +141,12 @@ class TcpServerSession:
                 deliver=deliver_together or self._deliver_each,
                 observed_by=pipeline if pipeline.observers else None,
             )
-        # Made at the first deferred request: most connections never have one, and a set costs 216 bytes.
+        # Made when they are needed: most connections never have a deferred request or half a frame.
+        self._buffer: StreamBuffer | None = None
         self._waiting: set[RequestContext] | None = None
         self.broken: str = ""
-        self.deferred: Sequence[Deferred] = ()  # no list of 56 bytes in each idle connection
-        self.failures: list[ResponderFailure] = []
+        self.deferred: Sequence[Deferred] = ()  # no lists of 56 bytes in each idle connection
+        self.failures: Sequence[ResponderFailure] = ()
         self.unfinished: int = 0
         self.requests: int = 0
         self.discarded: int = 0
@@ -167,8 +168,7 @@ class TcpServerSession:
         if self.broken:
             return []
         if self.unfinished:
-            buffer, size = self._buffer.join(buffer, size)
-            self.unfinished = 0
+            buffer, size = self._joined(buffer, size)
         pipeline = self._pipeline
         if self._generation != pipeline.generation:
             self._renew_fast_path()
@@ -295,15 +295,22 @@ class TcpServerSession:
             if length not in _LENGTHS:
                 self.broken = impossible_length(length)
         if at < size and not self.broken:
+            if self._buffer is None:
+                self._buffer = StreamBuffer()
             self._buffer.keep(buffer, at, size)
             self.unfinished = size - at
         return out
 
+    def _joined(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
+        """Return the kept beginning of a frame followed by the first ``size`` bytes of ``buffer``, and their length."""
+        assert self._buffer is not None  # since something is unfinished
+        self.unfinished = 0
+        return self._buffer.join(buffer, size)
+
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
         """Keep the first ``size`` bytes of ``buffer`` unprocessed, in ``rest``, until `go_on` is called."""
         if self.unfinished:
-            buffer, size = self._buffer.join(buffer, size)
-            self.unfinished = 0
+            buffer, size = self._joined(buffer, size)
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
@@ -378,7 +385,10 @@ class TcpServerSession:
         if slots.used >= slots.limit and not diagnostics.listen_only:
             self.refused_busy += 1
             return self._encode(context, ExceptionResponse(function, ExceptionCode.SERVER_DEVICE_BUSY))
-        outcome = self._pipeline.answer(context, pdu, self.failures)
+        failures: list[ResponderFailure] = []
+        outcome = self._pipeline.answer(context, pdu, failures)
+        if failures:
+            self.failures = (*self.failures, *failures)
         if isinstance(outcome, Forwarding):
             for target, asked in outcome.asks:
                 target.ask(outcome, ALONE, (asked,))
@@ -392,9 +402,11 @@ class TcpServerSession:
             context._finish = None
             diagnostics.kept_silent()
             return b""
-        slots.used += 1
         if self._waiting is None:
             self._waiting = set()
+            if self._forwarder is None:
+                self._slots = slots = slots.taken()
+        slots.used += 1
         self._waiting.add(context)
         if outcome is not LATER:
             self.deferred = (*self.deferred, Deferred(context, outcome))

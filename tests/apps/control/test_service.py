@@ -20,7 +20,7 @@ import busway
 from busway.apps.control import Control, Running, UnixAddress, ask, find_running, open_control
 from busway.apps.control.client import find_one
 from busway.errors import ConfigError, LinkDown, NoReply
-from busway.observe.http import HttpRequest, HttpResponse
+from busway.observe.http_messages import HttpRequest, HttpResponse
 
 LOOPBACK = "127.0.0.1:0"
 

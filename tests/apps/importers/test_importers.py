@@ -15,7 +15,8 @@ from busway.apps.importers.sunspec import read_sunspec
 from busway.apps.importers.telegraf import read_telegraf
 from busway.config.files.device import parse_device_file
 from busway.errors import ConfigError
-from busway.points import Point, decode_point
+from busway.points import Point
+from busway.points.decoder import decode_point
 
 TELEGRAF = """
 [agent]

@@ -7,7 +7,8 @@ from busway.config.devices import build_device
 from busway.config.files.device import UnitSection, item_range, parse_device_file
 from busway.config.files.file_error import FileError
 from busway.errors import InvalidRequest
-from busway.points import AlarmRule, ItemRange, Point, ReportRule, decode_point
+from busway.points import AlarmRule, ItemRange, Point, ReportRule
+from busway.points.decoder import decode_point
 
 UNIT = "[[unit]]\nunit = 1\n"
 POINT = UNIT + '[[unit.point]]\nname = "a"\naddress = "4x1"\n'

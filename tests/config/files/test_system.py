@@ -41,6 +41,20 @@ MUTATIONS = 200
 UNIT = "[[unit]]\nunit = 1\n"
 
 
+def test_a_section_that_no_file_has_costs_no_schema() -> None:
+    class Seldom(Section):
+        key: int
+
+    assert not Seldom.__pydantic_complete__
+    assert Seldom.model_validate({"key": 1}).key == 1
+    assert Seldom.__pydantic_complete__
+
+
+def test_sections_that_a_file_leaves_out_are_one_object_in_all_units() -> None:
+    units = parse_configuration("[[unit]]\nunit = 1\ncoils = 1\n[[unit]]\nunit = 2\ncoils = 1\n", "two.toml").file.unit
+    assert units[0].read is units[1].read
+
+
 def problems_of(text: str) -> list[str]:
     """The sentences about a file that cannot be used."""
     with pytest.raises(FileError) as caught:

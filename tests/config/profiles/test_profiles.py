@@ -19,7 +19,8 @@ from busway.cli.read_points import PointReader
 from busway.config.profiles import DEVICES, ready_made
 from busway.config.profiles.loading import load_profile
 from busway.errors import ConfigError
-from busway.points import Quality, decode_point
+from busway.points import Quality
+from busway.points.decoder import decode_point
 from busway.values import parse_address
 
 REAL = tuple(DEVICES)[5:]

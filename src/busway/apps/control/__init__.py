@@ -8,16 +8,20 @@ turns a status into JSON.
 2. The status is collected in the event loop of the program, and sent by another thread.
 """
 
-from .addresses import (
-    ControlAddress,
-    LoopbackAddress,
-    UnixAddress,
-    control_directories,
-    control_directory,
-    parse_control_address,
-)
-from .client import Running, ask, find_one, find_running
-from .service import Control, Reloadable, Resettable, Subject, open_control
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from .addresses import (
+        ControlAddress,
+        LoopbackAddress,
+        UnixAddress,
+        control_directories,
+        control_directory,
+        parse_control_address,
+    )
+    from .client import Running, ask, find_one, find_running
+    from .service import Control, Reloadable, Resettable, Subject, open_control
 
 __all__ = [
     "Control",
@@ -36,3 +40,28 @@ __all__ = [
     "open_control",
     "parse_control_address",
 ]
+
+_HOME = {
+    "Control": "service",
+    "ControlAddress": "addresses",
+    "LoopbackAddress": "addresses",
+    "Reloadable": "service",
+    "Resettable": "service",
+    "Running": "client",
+    "Subject": "service",
+    "UnixAddress": "addresses",
+    "ask": "client",
+    "control_directories": "addresses",
+    "control_directory": "addresses",
+    "find_one": "client",
+    "find_running": "client",
+    "open_control": "service",
+    "parse_control_address": "addresses",
+}
+
+
+def __getattr__(name: str) -> Any:  # any public name; imported at need, so that a server loads no client
+    module = _HOME.get(name)
+    if module is None:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f".{module}", __name__), name)

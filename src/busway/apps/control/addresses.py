@@ -17,12 +17,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from ipaddress import ip_address
 from pathlib import Path
+from typing import Final
 
 from ...errors import ConfigError
 from ...options.text import host_and_port
 
 HAS_UNIX_SOCKETS = hasattr(socket, "AF_UNIX")
 KEY = "control"
+OFF: Final = "off"
+"""Said instead of an address: there is no control socket."""
 SOCKET_SUFFIX = ".sock"
 TOKEN_SUFFIX = ".json"
 

@@ -24,9 +24,10 @@ from types import TracebackType
 from typing import Any, Final, Protocol, Self, runtime_checkable
 
 from ...errors import ConfigError, LinkDown, ModbusError
-from ...observe.http import HttpError, HttpLimits, HttpRequest, HttpResponse, HttpService
+from ...observe.http import HttpLimits, HttpService
+from ...observe.http_messages import HttpError, HttpRequest, HttpResponse
 from ...version import __version__
-from .addresses import ControlAddress, UnixAddress, control_directory, is_loopback, parse_control_address
+from .addresses import OFF, ControlAddress, UnixAddress, control_directory, is_loopback, parse_control_address
 from .control_socket import Bound, bind_default, bind_loopback, bind_unix, same_user
 from .json_status import plain
 
@@ -36,7 +37,6 @@ GATHER_SECONDS: Final = 2.0
 RELOAD_SECONDS: Final = 30.0
 """Time limit of a reload, which reads files and certificates."""
 _JSON: Final = "application/json"
-OFF: Final = "off"
 
 
 class Subject(Protocol):

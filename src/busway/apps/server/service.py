@@ -10,6 +10,7 @@ from contextlib import AsyncExitStack
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from ..control.addresses import OFF
 from .access_in_force import AccessInForce
 from .interfaces import DeclaredServer, RunningServer
 from .overrides import Overrides
@@ -66,8 +67,6 @@ class Service:
         await self._stack.aclose()
 
     async def _start(self, stack: AsyncExitStack) -> None:
-        from ..control.service import OFF, open_control
-
         configuration, overrides, access = self.configuration, self._overrides, self._access
         listeners = access.listeners(configuration)
         options: dict[str, Any] = {"authorize": access.allow_list}  # as `busway.serve` takes them
@@ -93,6 +92,10 @@ class Service:
             access.replace_policy(server, access.rules)
         is_on = configuration.file.control_parameters.enabled
         at = overrides.control or (configuration.control if is_on else OFF)
+        if at == OFF:
+            return
+        from ..control.service import open_control  # here: it brings an HTTP service
+
         await stack.enter_async_context(
             open_control(
                 server,

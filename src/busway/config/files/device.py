@@ -447,6 +447,10 @@ class UnitSection(WholeSection):
         """The points of the unit that are in tables: all but the computed ones."""
         return tuple(each for each in self.placed if not each.section.is_computed)
 
+    def hole(self, table: Table) -> int | None:
+        """Return the value that is read between the points of a table; None if such reads are refused."""
+        return None
+
     def points_in(self, table: Table) -> list[PointSection]:
         """Return the points of the unit that are in one table."""
         return [each.section for each in self.stored if each.section.table is table]

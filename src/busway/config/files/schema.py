@@ -19,7 +19,7 @@ from functools import reduce
 from inspect import get_annotations
 from operator import or_
 from types import MappingProxyType, NoneType, UnionType
-from typing import Annotated, Any, ClassVar, Final, TypeVar, Union, get_args, get_origin
+from typing import Annotated, Any, ClassVar, Final, Self, TypeVar, Union, get_args, get_origin
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 from pydantic_core import PydanticUndefined
@@ -56,7 +56,12 @@ class Section(BaseModel):
     """Base class of a table in a file: only declared keys, no conversion of values, frozen once read."""
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
-        extra="forbid", strict=True, frozen=True, arbitrary_types_allowed=True, json_schema_extra=_describe
+        extra="forbid",
+        strict=True,
+        frozen=True,
+        arbitrary_types_allowed=True,
+        json_schema_extra=_describe,
+        defer_build=True,  # a file needs the checks of its own sections, not those of every kind of file
     )
 
     def __init_subclass__(cls, **kwargs: Any) -> None:  # Any: as pydantic has it
@@ -66,6 +71,9 @@ class Section(BaseModel):
             if any(isinstance(mark, Range | OneOf | Name) for mark in getattr(hint, "__metadata__", ())):
                 own[name] = Annotated[hint, AfterValidator(_limited(option_of(name, hint, None)))]
         cls.__annotations__ = own
+
+    def __deepcopy__(self, memo: dict[int, Any] | None = None) -> Self:  # Any: as pydantic has it
+        return self  # it is frozen; pydantic would copy the defaults of a section for each section of a file
 
 
 def _limited(option: Option) -> Callable[[object], object]:

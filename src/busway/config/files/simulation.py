@@ -137,6 +137,10 @@ class SimulatedUnitSection(UnitSection):
         "declared has none.",
     ] = HolesSection()
 
+    def hole(self, table: Table) -> int | None:
+        """Return the value that is read between the points of a table; None if such reads are refused."""
+        return self.holes.value(table)
+
 
 Parameter = int | float | bool | str
 """Type of the value of a file's parameter."""

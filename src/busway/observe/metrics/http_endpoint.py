@@ -19,7 +19,8 @@ from ...errors import MissingExtra
 from ...options.text import host_and_port
 from ...pdu.functions import FunctionTable
 from ...session.pipeline import RequestObserver
-from ..http import HttpError, HttpRequest, HttpResponse, HttpService, bind_tcp, bound_name
+from ..http import HttpService, bind_tcp, bound_name
+from ..http_messages import HttpError, HttpRequest, HttpResponse
 from .observer import Classify, ClassifyByPriority, MetricsObserver, classify_by_listener
 from .request_tally import RequestTally
 

@@ -66,7 +66,7 @@ class EpollStream(asyncio.Transport):
         self._events = 0  # what is watched for; 0: not watched
         self._unsent: bytearray | None = None  # made when it is needed: most connections never need it
         self._high = _USUAL_HIGH
-        self._low = _USUAL_HIGH // 4
+        self._low: int | None = None  # a quarter of it; a number would be an object of each connection
         self._is_plain = True  # a write can go straight to the socket
         self._is_full = False  # the protocol was asked to pause writing
         self._paused = False
@@ -198,7 +198,7 @@ class EpollStream(asyncio.Transport):
             self._force_close(error)
             return
         del self._unsent[:sent]
-        if self._is_full and len(self._unsent) <= self._low:
+        if self._is_full and len(self._unsent) <= self._low_limit():
             self._is_full = False
             self._call("resume_writing")  # which may write
         if self._unsent or self._lost:
@@ -236,7 +236,10 @@ class EpollStream(asyncio.Transport):
 
     def get_write_buffer_limits(self) -> tuple[int, int]:
         """The low and the high limit of the write buffer, in bytes."""
-        return self._low, self._high
+        return self._low_limit(), self._high
+
+    def _low_limit(self) -> int:
+        return self._high // 4 if self._low is None else self._low
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         """Set the limits of the write buffer in bytes: above ``high`` the protocol is paused, at ``low`` resumed.
@@ -246,10 +249,9 @@ class EpollStream(asyncio.Transport):
         """
         if high is None:
             high = _USUAL_HIGH if low is None else 4 * low
-        if low is None:
-            low = high // 4
-        if not high >= low >= 0:
-            raise ValueError(f"high ({high!r}) must be >= low ({low!r}) must be >= 0")
+        lower = high // 4 if low is None else low
+        if not high >= lower >= 0:
+            raise ValueError(f"high ({high!r}) must be >= low ({lower!r}) must be >= 0")
         self._high, self._low = high, low
         self._ask_to_pause()
 

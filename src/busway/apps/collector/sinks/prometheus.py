@@ -17,7 +17,8 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
-from ....observe.http import HttpRequest, HttpResponse, HttpService, bind_tcp
+from ....observe.http import HttpService, bind_tcp
+from ....observe.http_messages import HttpRequest, HttpResponse
 from ....options.text import host_and_port
 from ..alarms.events import RaisedAlarm
 from ..samples import NANOSECONDS, PointGroup, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
