@@ -17,6 +17,7 @@ from contextlib import aclosing
 from typing import Final
 
 from ...errors import ConfigError
+from ..collector.task_errors import first_error
 from .coordinator import (
     SNAPSHOT_BEGINS,
     SNAPSHOT_ENDS,
@@ -101,12 +102,14 @@ class MemberDriver:
         """Follow the shared table, and take, renew and release shards (groups of links), until cancelled.
 
         Raises:
-            ExceptionGroup: with a `ConfigError`: the table can never be read, such as for want of rights.
+            ConfigError: the table can never be read, such as for want of rights.
         """
         try:
             async with asyncio.TaskGroup() as tasks:
                 tasks.create_task(self._watch())
                 tasks.create_task(self._take_turns())
+        except ExceptionGroup as group:
+            raise first_error(group) from None
         finally:
             for task in self._asking:
                 task.cancel()
