@@ -2,13 +2,14 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Iterator
+from collections.abc import AsyncGenerator, AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 from fleet_devices import FleetDevice, plant
 from foreign_servers import ForeignServer, PostgresqlServer, nats_cluster, nats_server
+from waiting import until
 
 from busway.apps.fleet.control_entries import (
     CONFIGURATION,
@@ -45,6 +46,23 @@ class Backend:
     def __init__(self, url: str, server: ForeignServer | None, options: CoordinatorOptions) -> None:
         self.url, self.server, self.options = url, server, options
         self.zone = "hall"
+
+    def stop(self) -> None:
+        """Make the table unusable until `start`; what was confirmed stays."""
+        if self.server is not None:
+            self.server.stop()
+        else:
+            file = Path(self.url.removeprefix("local:")) / f"{self.zone}.fleet"
+            file.rename(file.with_suffix(".aside"))
+            file.mkdir()
+
+    def start(self) -> None:
+        if self.server is not None:
+            self.server.start()
+        else:
+            file = Path(self.url.removeprefix("local:")) / f"{self.zone}.fleet"
+            file.rmdir()
+            file.with_suffix(".aside").rename(file)
 
     @contextlib.asynccontextmanager
     async def opened(self, zone: str | None = None) -> AsyncIterator[Coordinator]:
@@ -258,19 +276,23 @@ async def test_who_joins_a_zone_with_other_figures_is_refused_by_name(backend: B
             await refuse_other_figures(one, 8, LeaseTimes(ttl=30.0))
 
 
-async def test_what_was_confirmed_survives_a_restart_and_the_watch_goes_on(served: Backend) -> None:
-    assert served.server is not None
-    async with served.opened() as one:
+async def test_what_was_confirmed_survives_an_outage_and_the_watch_goes_on_and_tells_both(
+    backend: Backend, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level("WARNING")
+    async with backend.opened() as one:
         revision = await one.create("lease.0001", b"a")
         async with contextlib.aclosing(one.watch()) as entries:
             assert [(await anext(entries)).value, await anext(entries)] == [b"a", SNAPSHOT_ENDS]
-            served.server.stop()
+            backend.stop()
             with pytest.raises((CoordinatorDown, OutcomeUnknown)):
                 await one.replace("lease.0001", b"b", revision)
-            served.server.start()
+            assert await anext(entries) is SNAPSHOT_BEGINS
+            again = asyncio.create_task(_after_marks(entries))
+            await until(lambda: "the table of the zone cannot be followed" in caplog.text)
+            backend.start()
             async with asyncio.timeout(30):
-                assert await anext(entries) is SNAPSHOT_BEGINS
-                assert (await anext(entries)).revision == revision
+                assert (await again).revision == revision
                 assert await anext(entries) is SNAPSHOT_ENDS
                 while True:
                     try:
@@ -279,6 +301,16 @@ async def test_what_was_confirmed_survives_a_restart_and_the_watch_goes_on(serve
                     except (CoordinatorDown, OutcomeUnknown):
                         await asyncio.sleep(0.1)
                 assert (await anext(entries)).revision == changed
+        assert caplog.text.count("the table of the zone cannot be followed") == 1
+        assert caplog.text.count("the table of the zone is followed again") == 1
+
+
+async def _after_marks(entries: AsyncGenerator[Entry, None]) -> Entry:
+    """The next entry of a watch that has begun again, perhaps several times."""
+    async for entry in entries:
+        if entry is not SNAPSHOT_BEGINS:
+            return entry
+    raise AssertionError("the watch has ended")
 
 
 async def test_a_database_that_does_not_sync_is_refused_by_name() -> None:

@@ -3,7 +3,7 @@
 import asyncio
 import contextlib
 import time
-from collections.abc import AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator
 from pathlib import Path
 
 import pytest
@@ -13,8 +13,9 @@ from waiting import until
 import busway
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import Reason
-from busway.apps.fleet.coordinator import CoordinatorDown
+from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
+from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OwnershipLog
@@ -93,6 +94,33 @@ async def test_a_collector_of_which_a_part_has_ended_says_so_and_another_takes_i
 
 async def _breaks() -> None:
     raise RuntimeError("it cannot be")
+
+
+class NoRights(LocalCoordinator):
+    """A table that this collector may never read as a whole."""
+
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        if not prefix:
+            raise ConfigError("the credentials do not permit to read the zone hall", key="coordinator")
+        async for entry in super().watch(prefix):
+            yield entry
+
+
+async def test_a_collector_that_may_not_read_the_table_says_so_in_the_words_of_that_error(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    coordinator = await asyncio.to_thread(NoRights, tmp_path / "zone", "hall")
+    try:
+        async with devices_of(1) as devices:
+            configuration = parsed(tmp_path, "one", devices)
+            async with FleetCollector(configuration, coordinator, "one", host="one", shards=8, times=TIMES) as one:
+                await until(lambda: bool(one.problem))
+                assert "busway fleet member has ended: coordinator: the credentials do not permit" in one.problem
+        (line,) = [each for each in caplog.messages if "collector one owns nothing" in each]
+        assert "the credentials do not permit to read the zone hall" in line
+        assert "TaskGroup" not in line
+    finally:
+        await coordinator.close()
 
 
 async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(

@@ -172,3 +172,44 @@ async def test_last_values_are_on_a_subject_of_the_device(fleet: Made) -> None:
                 found += [content] if "count" in content["points"] else []
         assert found[0]["time"] < found[1]["time"]
         assert found[0]["points"]["count"]["value"] < found[1]["points"]["count"]["value"]
+
+
+class Faltering:
+    """A client of which one function fails by a defect the first time, as one of TLS whose transport has ended."""
+
+    def __init__(self, client: Any, name: str) -> None:
+        self._client, self._name = client, name
+
+    def __getattr__(self, name: str) -> Any:
+        if name == self._name:
+            self._name = ""
+            raise AttributeError("the transport has no attribute 'write'")
+        return getattr(self._client, name)
+
+
+async def test_live_values_go_on_after_a_defect_of_the_client(
+    fleet: Made, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("busway.apps.fleet.live_subjects.PAUSE", 0.01)
+    async with fleet() as zone:
+        came: asyncio.Queue[Any] = asyncio.Queue()
+        await zone.client.subscribe("busway.hall.live.*", cb=came.put)
+        async with (
+            zone.collector("one") as (one, _),
+            zone.table("hall") as table,
+            LiveSubjects(one.collector, Faltering(table.client, "publish"), "hall"),
+            asyncio.timeout(60),
+        ):
+            await came.get()
+    assert "live values cannot be sent; it is tried again" in caplog.text
+
+
+async def test_commands_are_taken_after_a_defect_of_the_client(
+    fleet: Made, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("busway.apps.fleet.fleet_commands.LISTEN_AGAIN", 0.01)
+    async with fleet() as zone, zone.table("hall") as table:
+        made = FleetCollector(load_collector(zone.file("one")), table, "one", host="one", shards=8, times=TIMES)
+        async with made, FleetCommands(made, Faltering(table.client, "subscribe"), "hall"):
+            assert (await zone.ask("link-0", key="k1", value=7))["state"] == "done"
+    assert "not all links of this collector take commands; it is tried again" in caplog.text

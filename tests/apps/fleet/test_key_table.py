@@ -244,3 +244,27 @@ async def test_a_table_that_showed_revisions_too_high_and_is_read_anew_can_be_ch
         await until(lambda: bool(keys._seen), 10)
         assert await keys.claim(opened("k")) is None
     assert shared.entries[slot_of("k")].revision == first + 1
+
+
+async def test_a_watch_that_ends_by_an_error_is_begun_again_and_shows_what_others_took_meanwhile(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    shared = Shared()
+
+    class EndsOnce(MemoryTable):
+        watched = 0
+
+        async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+            self.watched += 1
+            if self.watched == 1:
+                yield SNAPSHOT_ENDS
+                raise RuntimeError("the protocol is in a state that it cannot have")
+            async for entry in super().watch(prefix):
+                yield entry
+
+    async with KeyTable(MemoryTable(shared), "west") as west, KeyTable(EndsOnce(shared), "east") as east:
+        assert await west.claim(opened("k1")) is None
+        found = await east.claim(opened("k1"))
+        assert found is not None
+        assert found.state is CommandState.UNKNOWN
+    assert "the table of the zone cannot be followed; it is read anew" in caplog.text

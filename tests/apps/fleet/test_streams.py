@@ -2,7 +2,7 @@
 
 import asyncio
 import contextlib
-from collections.abc import AsyncIterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 from pathlib import Path
 
 import pytest
@@ -13,12 +13,14 @@ from waiting import until
 import busway
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.coordinator import CoordinatorDown
+from busway.apps.fleet.coordinator import CoordinatorDown, Entry
+from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
+from busway.errors import ConfigError
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
@@ -44,6 +46,22 @@ class KeepingSink:
 
     async def close(self) -> None:
         pass
+
+
+class NoRights(LocalCoordinator):
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        raise ConfigError("the credentials do not permit to read the zone hall", key="coordinator")
+        yield
+
+
+async def test_a_sink_that_may_not_read_the_table_ends_by_that_error(tmp_path: Path) -> None:
+    table = await asyncio.to_thread(NoRights, tmp_path, "hall")
+    try:
+        async with asyncio.timeout(60):
+            with pytest.raises(ConfigError, match="do not permit to read the zone hall"):
+                await StreamSink(None, table, "hall", "history", KeepingSink()).run()
+    finally:
+        await table.close()
 
 
 @contextlib.asynccontextmanager

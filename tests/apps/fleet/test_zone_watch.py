@@ -1,19 +1,23 @@
 """A watch of a zone: who lives by this process's clock, and the times in which shards had no owner."""
 
+import asyncio
+from collections.abc import AsyncGenerator
 from pathlib import Path
 
 import pytest
 from fleet_devices import TIMES, devices_of, parsed
 from waiting import until
 
-from busway.apps.fleet.coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Entry
+from busway.apps.fleet.coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
+from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_metrics import fleet_families
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 from busway.apps.fleet.records import LeaseHole, LeaseRecord, MemberRecord
 from busway.apps.fleet.streams import SinkCursors
 from busway.apps.fleet.zone_watch import OwnershipHole, ZoneWatch
+from busway.errors import ConfigError
 
 
 class Zone:
@@ -89,6 +93,67 @@ def test_what_was_shown_with_a_revision_that_was_too_high_is_replaced_when_the_t
     assert zone.watch.status().leases["0001"].owner == "west"
     zone.watch.take(Entry("lease.0001", east, 50))
     assert zone.watch.status().leases["0001"].owner == "west"
+
+
+async def test_a_configuration_that_cannot_be_read_does_not_end_the_watch_of_owners(tmp_path: Path) -> None:
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        async with ZoneWatch(coordinator) as watch:
+            await coordinator.create("control.configuration", b"not one")
+            first = await coordinator.create("lease.0001", LeaseRecord("west", "run", True, 0, 0.1, None).encode())
+            await until(lambda: "lease.0001" in watch._entries)
+            hole = LeaseHole("west", True, 103.0, 119.0)
+            taken = LeaseRecord("east", "run", True, 0, 0.1, None, hole=hole).encode()
+            second = await coordinator.replace("lease.0001", taken, first)
+            await until(watch.holes)
+            assert [(each.after, each.epoch) for each in watch.holes()] == [("east", Epoch(1, second))]
+            with pytest.raises(ConfigError, match="cannot be read"):
+                watch.status()
+    finally:
+        await coordinator.close()
+
+
+class Breaking(LocalCoordinator):
+    """A table whose first watch ends by an error after it has shown all."""
+
+    error: Exception | None = None
+
+    async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
+        async for entry in super().watch(prefix):
+            yield entry
+            if entry is SNAPSHOT_ENDS and self.error is not None:
+                error, self.error = self.error, None
+                raise error
+
+
+@pytest.mark.parametrize("error", [RuntimeError("it cannot be"), CoordinatorDown("it is away")], ids=repr)
+async def test_a_watch_that_ends_by_an_error_is_logged_and_begun_again(
+    tmp_path: Path, error: Exception, caplog: pytest.LogCaptureFixture
+) -> None:
+    coordinator = await asyncio.to_thread(Breaking, tmp_path, "hall")
+    coordinator.error = error
+    try:
+        async with ZoneWatch(coordinator) as watch:
+            await until(lambda: coordinator.error is None and not watch.is_complete)
+            await until(lambda: watch.is_complete)
+            await coordinator.create("member.west", MemberRecord("west", "r", "box", 1).encode())
+            await until(lambda: "west" in watch.status().members)
+        assert "the table of the zone cannot be followed; it is read anew" in caplog.text
+    finally:
+        await coordinator.close()
+
+
+async def test_a_table_that_can_never_be_read_is_told_and_nothing_of_it_counts_as_known(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    coordinator = await asyncio.to_thread(Breaking, tmp_path, "hall")
+    coordinator.error = ConfigError("the credentials do not permit it", key="coordinator")
+    try:
+        async with ZoneWatch(coordinator) as watch:
+            await until(lambda: "the status of the zone is not known: its table cannot be followed" in caplog.text)
+            assert not watch.is_complete
+    finally:
+        await coordinator.close()
 
 
 @pytest.mark.real_time

@@ -28,6 +28,7 @@
 `sinks`           Sinks: other systems that get the samples of a store
 `alarms`          Alarms of points: limits and states, with delay, hysteresis, acknowledgement and a journal
 `dashboards`      Dashboards for Grafana: one for the collector's page for Prometheus
+`task_errors`     Errors with which tasks end: the error inside a group of errors, and the line in the log
 `maintenance`     Devices in maintenance, which are not polled: which, since when, who began it, and why
 ================  =====================================================================================================
 

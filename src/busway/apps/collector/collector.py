@@ -60,6 +60,7 @@ from .store.commit_thread import Committer, StoreStatus
 from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
+from .task_errors import first_error, log_defect
 
 CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
@@ -186,7 +187,7 @@ class Collector:
                 self._start_link(name, self.configuration)
             self._readers.begin()
             self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
-            self._upkeep.add_done_callback(_log_defect)
+            self._upkeep.add_done_callback(log_defect)
             self._receive_commands()
             unless_started.pop_all()
 
@@ -295,7 +296,7 @@ class Collector:
                 name, made, self.commands, lambda: self.configuration, plant=self._plant, others=self._others
             )
             task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
-            task.add_done_callback(_log_defect)
+            task.add_done_callback(log_defect)
             self._receivers.append(receiver)
             self._receiving.append(task)
 
@@ -671,7 +672,7 @@ class Collector:
             if row is not None:
                 poller.pause(device.name, paused=True, since=row.begin)
         task = asyncio.create_task(poller.run(), name=f"busway collector link {name}")
-        task.add_done_callback(_log_defect)
+        task.add_done_callback(log_defect)
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
 
     async def _finish_link(self, name: str) -> None:
@@ -692,9 +693,12 @@ class Collector:
     # Upkeep.
 
     async def _keep_up(self) -> None:
-        async with asyncio.TaskGroup() as tasks:  # the clock does not wait for the disk
-            tasks.create_task(self._follow_clock())
-            tasks.create_task(self._write_files())
+        try:
+            async with asyncio.TaskGroup() as tasks:  # the clock does not wait for the disk
+                tasks.create_task(self._follow_clock())
+                tasks.create_task(self._write_files())
+        except ExceptionGroup as group:
+            raise first_error(group) from None
 
     async def _follow_clock(self) -> None:
         while True:
@@ -800,11 +804,6 @@ def _renamed(
 
 
 async def _ended(task: "asyncio.Task[None]") -> None:
-    """Cancel a task and wait for its end. Its error is not raised: `_log_defect` has logged it."""
+    """Cancel a task and wait for its end. Its error is not raised: `log_defect` has logged it."""
     task.cancel()
     await asyncio.wait([task])
-
-
-def _log_defect(task: "asyncio.Task[None]") -> None:
-    if not task.cancelled() and task.exception() is not None:
-        _log.error("%s ended unexpectedly", task.get_name(), exc_info=task.exception())

@@ -8,8 +8,9 @@ Knows no engine. The backends in `coordinators` keep these rules, which one set 
    was confirmed is never lost, and of two that expect the same revision one is refused.
 3. Where the answer is missing, `OutcomeUnknown` says so: the change was made, or was not, or is made later.
 4. A watch gives every entry that exists, then `SNAPSHOT_ENDS`, then changes. It may leave out values that were replaced
-   meanwhile, but never goes back in the revisions of a key. After a lost connection it begins again by itself, with
-   `SNAPSHOT_BEGINS`; where what it had shown was wrong, revisions may be lower from there on.
+   meanwhile, but never goes back in the revisions of a key. After a lost connection, or any other error of the engine,
+   it begins again by itself, with `SNAPSHOT_BEGINS`, as often as needed; where what it had shown was wrong, revisions
+   may be lower from there on. The log has a line when this begins, and one when all entries were shown again.
 5. No entry expires: an engine's wall clock decides nothing about leases.
 """
 

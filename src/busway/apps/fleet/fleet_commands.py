@@ -28,6 +28,7 @@ from ..collector.commands.audit import command_line
 from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks
 from ..collector.sinks.nats import subject_token
+from ..collector.task_errors import log_defect
 from .coordinators.nats import asked
 from .fleet_collector import FleetCollector
 from .lease_driver import end_tasks
@@ -36,6 +37,8 @@ from .streams import make_audit_stream
 LONGEST_REQUEST: Final = 64 * 1024
 START_SECONDS: Final = 30.0
 """Seconds for which a server that does not answer is asked for the stream of audit lines."""
+LISTEN_AGAIN: Final = 5.0
+"""Seconds after which subscribing is tried again after a defect."""
 LONGEST_WAIT: Final = 60.0
 ANSWER_SECONDS: Final = 15.0
 """Seconds to wait for the answer beyond the time of a command that was passed on: the value is read back before."""
@@ -142,13 +145,18 @@ class FleetCommands:
         await self._listen(())
         await self._messages.__aexit__(kind, error, trace)
         self._has_ended = True
-        await asyncio.gather(*self._publishing)
+        await asyncio.gather(*self._publishing, return_exceptions=True)  # `log_defect` has logged them
 
     async def _follow(self) -> None:
         while True:
             await self._changed.wait()
             self._changed.clear()
-            await self._listen(self._fleet.links)
+            try:
+                await self._listen(self._fleet.links)
+            except Exception:  # a defect of a client library: else commands for links that come later would be lost
+                _log.exception("not all links of this collector take commands; it is tried again")
+                await asyncio.sleep(LISTEN_AGAIN)
+                self._changed.set()
 
     async def _listen(self, links: Iterable[str]) -> None:
         """Subscribe to the subjects of these links, and unsubscribe from those of all others."""
@@ -234,6 +242,7 @@ class FleetCommands:
         if not self._has_ended:
             task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")
             self._publishing.add(task)
+            task.add_done_callback(log_defect)
             task.add_done_callback(self._publishing.discard)
 
     async def _publish_audit(self, result: CommandResult) -> None:

@@ -116,6 +116,11 @@ def _running(found: dict[str, Entry]) -> set[str]:
     return {key for key, record in members.items() if record is not None and not record.gone}
 
 
+def generation_of(found: Mapping[str, Entry]) -> int:
+    """Return the generation number of a zone, from the entries of its table by key."""
+    return decode_generation(found[GENERATION].value) if GENERATION in found else 1
+
+
 def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
     """Return the status of a zone, computed from the entries of its table.
 
@@ -126,7 +131,7 @@ def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
     Raises:
         ConfigError: the zone's configuration in the table cannot be read.
     """
-    generation = decode_generation(found[GENERATION].value) if GENERATION in found else 1
+    generation = generation_of(found)
     leases: dict[str, LeaseRecord] = {}
     for key, entry in sorted(found.items()):
         lease = decode_lease(entry.value) if key.startswith(LEASES) else None

@@ -6,17 +6,18 @@ Knows tasks and the clock; which changes are proposed, and what follows from an 
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
 2. After an error of the coordinator the outcome of a change is not known, and the driver goes on.
 3. If following the table ends by an error that a client library should not raise, the error is logged, and the table is
-   followed again.
+   followed again (`keep_following`, for all who follow it).
 """
 
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from contextlib import aclosing
 from typing import Final
 
 from ...errors import ConfigError
+from ..collector.task_errors import first_error, log_defect
 from .coordinator import (
     SNAPSHOT_BEGINS,
     SNAPSHOT_ENDS,
@@ -55,6 +56,30 @@ def end_if_cancelled() -> None:
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
+
+
+async def keep_following(follow: Callable[[], Awaitable[None]], begin_anew: Callable[[], None]) -> None:
+    """Follow the shared table until cancelled: after an unexpected error, which is logged, it is followed again.
+
+    Args:
+        follow: follows the table; ends only by an error.
+        begin_anew: called after each error: what is known is not known to be right until the table is shown again.
+
+    Raises:
+        ConfigError: the table can never be read.
+    """
+    while True:
+        try:
+            await follow()
+        except ConfigError:
+            raise
+        except Exception:  # a defect of a client library: else what is known would be stale for good
+            _log.exception("the table of the zone cannot be followed; it is read anew")
+        except asyncio.CancelledError:
+            end_if_cancelled()
+            _log.error("following the table of the zone was cancelled, though not by this collector; it is read anew")
+        begin_anew()
+        await asyncio.sleep(WATCH_AGAIN)
 
 
 class MemberDriver:
@@ -101,12 +126,14 @@ class MemberDriver:
         """Follow the shared table, and take, renew and release shards (groups of links), until cancelled.
 
         Raises:
-            ExceptionGroup: with a `ConfigError`: the table can never be read, such as for want of rights.
+            ConfigError: the table can never be read, such as for want of rights.
         """
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(self._watch())
+                tasks.create_task(keep_following(self._follow_table, self.member.begin_snapshot))
                 tasks.create_task(self._take_turns())
+        except ExceptionGroup as group:
+            raise first_error(group) from None
         finally:
             for task in self._asking:
                 task.cancel()
@@ -133,22 +160,6 @@ class MemberDriver:
             return False
         return True
 
-    async def _watch(self) -> None:
-        while True:
-            try:
-                await self._follow_table()
-            except ConfigError:
-                raise
-            except Exception:  # a defect of a client library: else this collector would own nothing for good
-                _log.exception("the table of the zone cannot be followed; it is read anew")
-            except asyncio.CancelledError:
-                end_if_cancelled()
-                _log.error(
-                    "following the table of the zone was cancelled, though not by this collector; it is read anew"
-                )
-            self.member.begin_snapshot()
-            await asyncio.sleep(WATCH_AGAIN)
-
     async def _follow_table(self) -> None:
         async with aclosing(self._coordinator.watch()) as entries:
             async for entry in entries:
@@ -167,8 +178,9 @@ class MemberDriver:
             self._set_wall_clock()
             self.member.behind = self._behind()
             for proposal in self.member.turn(self._now()):
-                task = asyncio.create_task(self._ask(proposal))
+                task = asyncio.create_task(self._ask(proposal), name=f"busway fleet change of {proposal.key}")
                 self._asking.add(task)
+                task.add_done_callback(log_defect)
                 task.add_done_callback(self._asking.discard)
             for event in self.member.events():
                 self._told(event)
@@ -218,5 +230,8 @@ class MemberDriver:
         except Exception as error:  # a defect of a client library: else its key would stay open for good
             _log.exception("the coordinator fails in an unexpected way")
             self._error = f"{type(error).__name__}: {error}"
+        except asyncio.CancelledError:
+            end_if_cancelled()
+            self._failed("the request was cancelled, though not by this collector")
         self.member.outcome(proposal, result, self._now())
         self.wake()

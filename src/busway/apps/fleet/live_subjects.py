@@ -11,6 +11,7 @@ stream.
 
 import asyncio
 import json
+import logging
 from importlib import import_module
 from types import TracebackType
 from typing import Any, Final, Self
@@ -22,7 +23,10 @@ from ..collector.store.writer import Commit
 from .lease_driver import end_tasks
 
 SEND_EVERY: Final = 0.2
+PAUSE: Final = 15.0
+"""Seconds without live values after a defect."""
 _MILLION: Final = 1_000_000
+_log = logging.getLogger("busway.fleet")
 
 
 class LiveSubjects:
@@ -70,6 +74,9 @@ class LiveSubjects:
                     )
             except (errors.Error, OSError):
                 continue  # the next ones come soon
+            except Exception:  # a defect, whatever it is: later values are sent all the same
+                _log.exception("live values cannot be sent; it is tried again")
+                await asyncio.sleep(PAUSE)
 
 
 def encoded_batch(batch: SampleBatch) -> bytes:

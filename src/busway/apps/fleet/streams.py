@@ -34,7 +34,7 @@ from .coordinator import (
 )
 from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
-from .lease_driver import end_if_cancelled, end_tasks
+from .lease_driver import end_if_cancelled, end_tasks, keep_following
 from .messages import SampleMessage, UnreadableMessage, decode_message
 from .outbox import StreamDown
 
@@ -224,7 +224,11 @@ class NatsStream:
         return self._cursors.kept(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
-        """Follow the positions of all sinks in the shared table until cancelled; `kept` answers from them."""
+        """Follow the positions of all sinks in the shared table until cancelled; `kept` answers from them.
+
+        Raises:
+            ConfigError: the table can never be read.
+        """
         await self._cursors.watch(coordinator)
 
 
@@ -303,14 +307,21 @@ class CursorBook:
         Args:
             coordinator: the coordinator of the zone.
             told: called in the event loop each time that all existing entries are known.
+
+        Raises:
+            ConfigError: the table can never be read.
         """
-        async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
-            async for entry in entries:
-                if entry is SNAPSHOT_BEGINS:
-                    self.begin_snapshot()
-                elif entry is SNAPSHOT_ENDS:
-                    told()
-                self.take(entry)
+
+        async def follow() -> None:
+            async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
+                async for entry in entries:
+                    if entry is SNAPSHOT_BEGINS:
+                        self.begin_snapshot()
+                    elif entry is SNAPSHOT_ENDS:
+                        told()
+                    self.take(entry)
+
+        await keep_following(follow, self.begin_snapshot)
 
 
 @dataclass(frozen=True, slots=True)
@@ -478,15 +489,18 @@ class StreamSink:
         """Pass samples on to the sink until cancelled. After a failure it is tried again every half second.
 
         Raises:
-            ConfigError: the stream cannot be created or used.
+            ConfigError: the stream cannot be created or used, or the table of the zone can never be read.
         """
         nats = import_module("nats")
         known = asyncio.Event()
-        watch = asyncio.create_task(self._book.watch(self._coordinator, known.set))
+        watch = asyncio.create_task(self._book.watch(self._coordinator, known.set), name="busway fleet cursors")
+        watch.add_done_callback(lambda _: known.set())
         try:
             await known.wait()
             self._progress = SinkProgress(self._book.of(self._name)[0])
             while True:
+                if watch.done():
+                    watch.result()
                 try:
                     await self._write_cursors()  # collectors wait for this sink before any sample reaches it
                     await self._hand_on()

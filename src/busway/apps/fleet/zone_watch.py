@@ -9,6 +9,7 @@ Knows entries of the coordinator; asks no collector.
 
 import asyncio
 import json
+import logging
 from collections import deque
 from collections.abc import Callable
 from contextlib import aclosing
@@ -16,15 +17,17 @@ from dataclasses import dataclass
 from types import TracebackType
 from typing import Final, Self
 
+from ...errors import ConfigError
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
-from .fleet_status import ZoneStatus, status_of
-from .lease_driver import boot_time, end_tasks
+from .fleet_status import ZoneStatus, generation_of, status_of
+from .lease_driver import boot_time, end_tasks, keep_following
 from .lease_times import Epoch, LeaseTimes
 from .records import LEASES, MEMBERS, LeaseRecord, decode_lease
 
 CURSORS: Final = "cursor."
 MOST_HOLES: Final = 200
 """Most holes that are remembered; older ones are in the stores of the collectors."""
+_log = logging.getLogger("busway.fleet")
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,11 +136,18 @@ class ZoneWatch:
     def _note_hole(self, entry: Entry, lease: LeaseRecord | None) -> None:
         if lease is None or lease.hole is None or not lease.held or lease.count:
             return  # a renewal, a release
-        epoch = lease.epoch_at(entry.revision, status_of(self._entries, set()).generation)
+        epoch = lease.epoch_at(entry.revision, generation_of(self._entries))
         hole, shard = lease.hole, entry.key.removeprefix(LEASES)
         self._holes.append(OwnershipHole(shard, hole.before, lease.owner, hole.was_silent, hole.begin, hole.end, epoch))
 
     async def _follow(self) -> None:
+        try:
+            await keep_following(self._follow_table, lambda: self.take(SNAPSHOT_BEGINS))
+        except ConfigError as error:
+            self.take(SNAPSHOT_BEGINS)
+            _log.error("the status of the zone is not known: its table cannot be followed: %s", error)
+
+    async def _follow_table(self) -> None:
         async with aclosing(self._coordinator.watch()) as entries:
             async for entry in entries:
                 self.take(entry)

@@ -9,6 +9,7 @@ import json
 import logging
 import os
 import random
+import sqlite3
 import sys
 import time
 from collections.abc import AsyncGenerator
@@ -19,7 +20,6 @@ from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.store.writer import Commit
 from busway.apps.fleet.coordinator import Coordinator, CoordinatorDown, Entry, OutcomeUnknown
 from busway.apps.fleet.coordinators import local, open_coordinator
-from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import LeaseTimes
@@ -73,13 +73,13 @@ def mutate(name: str) -> None:
     if name == "no deadline":
         LeaseTimes.deadline = lambda self, asked: float("inf")  # type: ignore[method-assign]
     elif name == "no compare-and-set":
-        honest = LocalCoordinator._changed
+        honest = local._changed
 
-        def careless(self: LocalCoordinator, key: str, value: bytes, revision: int | None) -> int:
-            row = self._database.execute("SELECT revision FROM entries WHERE key = ?", (key,)).fetchone()
-            return honest(self, key, value, None if row is None else int(row[0]))
+        def careless(database: sqlite3.Connection, key: str, value: bytes, revision: int | None) -> int:
+            row = database.execute("SELECT revision FROM entries WHERE key = ?", (key,)).fetchone()
+            return honest(database, key, value, None if row is None else int(row[0]))
 
-        LocalCoordinator._changed = careless  # type: ignore[method-assign]
+        local._changed = careless
         local.LOOK_EVERY = 1.0  # type: ignore[misc]  # a slow watch, which harms nothing where changes compare
 
 

@@ -44,6 +44,7 @@ from ..coordinator import (
 from ..server_rights import in_domain
 from ..shards import checked_name
 from .opening import CoordinatorOptions, hidden_secrets
+from .outages import OutageLog
 
 OLDEST: Final = (2, 9, 0)
 HEARTBEAT: Final = 1.0
@@ -442,6 +443,7 @@ class NatsCoordinator:
         self._jetstream = client.jetstream(timeout=answer, domain=domain)
         self._keys = in_domain(f"$KV.{bucket}.", domain) if domain else f"$KV.{bucket}."
         self._watches: set[_Watch] = set()
+        self._outages = OutageLog()
         self._at_leader = False
 
     async def create(self, key: str, value: bytes) -> int:
@@ -511,6 +513,7 @@ class NatsCoordinator:
             subscription, pending = await self._consume(watch)
             complete_at = time.monotonic() + QUIET
             if not pending:
+                self._outages.complete()
                 yield SNAPSHOT_ENDS
             follows = 1
             while not watch.messages.empty() or watch.is_right():
@@ -533,13 +536,18 @@ class NatsCoordinator:
                         complete_at = 0.0
                 if pending and time.monotonic() >= complete_at:
                     pending = 0
+                    self._outages.complete()
                     yield SNAPSHOT_ENDS
             _log.warning(
                 "the servers of NATS do not agree on the table of the zone (%s): it is read anew where the leader is",
                 watch.differs,
             )
             self._at_leader = True
-        except (nats.errors.Error, errors.Error, OSError, TimeoutError):
+        except TimeoutError as error:
+            self._outages.lost(self.client.cause or str(error) or f"the server is silent for {QUIET:g} s")
+            return
+        except (nats.errors.Error, errors.Error, OSError) as error:
+            self._outages.lost(self.client.cause or self.client.words(error))
             return
         finally:
             self._watches.discard(watch)

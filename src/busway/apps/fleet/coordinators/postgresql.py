@@ -29,6 +29,7 @@ from ..coordinator import (
 )
 from ..shards import checked_name
 from .opening import CoordinatorOptions, hidden_secrets
+from .outages import OutageLog
 
 COMPARE_EVERY: Final = 2.0
 OLDEST: Final = 120_000
@@ -87,6 +88,7 @@ class PostgresqlCoordinator:
         self._secrets = hidden_secrets(url, options)
         self._channel = _channel(zone)
         self._pool: Any = None
+        self._outages = OutageLog()
 
     def _words(self, error: Exception) -> str:
         return self._secrets.hide(error) or type(error).__name__
@@ -219,11 +221,13 @@ class PostgresqlCoordinator:
                         yield entry
                 if not is_complete:
                     is_complete = True
+                    self._outages.complete()
                     yield SNAPSHOT_ENDS
                 with contextlib.suppress(TimeoutError):
                     async with asyncio.timeout(max(0.0, compared + COMPARE_EVERY - loop.time())):
                         await wake.wait()
-        except _errors(pg):
+        except _errors(pg) as error:
+            self._outages.lost(self._words(error))
             return
         finally:
             if connection is not None:

@@ -1,0 +1,31 @@
+"""Tells in the log when the watches of a coordinator cannot follow its table, and when they follow it again.
+
+Knows no engine. One outage is told once, however many watches and tries it ends.
+"""
+
+import logging
+
+_log = logging.getLogger("busway.fleet")
+
+
+class OutageLog:
+    """Logs each time in which the shared table cannot be followed: one line at its begin, and one at its end."""
+
+    def __init__(self) -> None:
+        self._is_lost = False
+
+    def lost(self, reason: str) -> None:
+        """Note that a watch cannot follow the table; logged unless the outage is known already.
+
+        Args:
+            reason: what the engine says, without secrets.
+        """
+        if not self._is_lost:
+            _log.warning("the table of the zone cannot be followed, and is tried again: %s", reason)
+        self._is_lost = True
+
+    def complete(self) -> None:
+        """Note that a watch has shown all entries of the table; logged if an outage ends by that."""
+        if self._is_lost:
+            _log.warning("the table of the zone is followed again")
+        self._is_lost = False
