@@ -19,7 +19,8 @@ from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
-from busway.errors import ConfigError
+from busway.errors import ConfigError, LinkDown, NoReply
+from busway.pdu.read_items import ReadHoldingRegisters
 
 LINKS = 8
 
@@ -112,6 +113,45 @@ async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(
         reads = [device.reads for device in devices]
         await asyncio.sleep(0.5)
         assert [device.reads for device in devices] == reads, "absence is the claim: nothing is sent in half a second"
+
+
+async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has_lapsed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[int] = []
+
+    async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(ConnectionError):
+            while await reader.read(300):
+                frames.append(time.time_ns())
+        writer.close()
+
+    server = await asyncio.start_server(silent, "127.0.0.1", 0)
+    line = FleetDevice("line", server.sockets[0].getsockname()[1])
+    text = plant(tmp_path / "one", [line]).replace("tcp://", "rtu+tcp://")
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        configuration = parse_collector(text, "one.toml")
+        async with FleetCollector(configuration, coordinator, "one", host="box", shards=1, times=TIMES) as one:
+            await until(lambda: one.links and one.collector._links)
+            link = one.collector._links["line"].poller.link
+
+            async def asked() -> object:
+                (outcome,) = await link.run(1, [ReadHoldingRegisters(0, 1)], {"timeout": 0.5, "retries": 0})
+                return outcome
+
+            assert isinstance(await asked(), NoReply)
+            waiting = asyncio.create_task(asked())  # the unit owes a reply: what was permitted waits on the line
+            await asyncio.sleep(0.05)
+            assert one._permitted["line"] > frames[-1]
+            monkeypatch.setattr(one.member, "may_begin", lambda *_: False)
+            sent = len(frames)
+            assert isinstance(await waiting, LinkDown)
+            await asyncio.sleep(1.0)
+            assert len(frames) == sent, "absence is the claim: what was kept back is not sent"
+    finally:
+        server.close()
+        await coordinator.close()
 
 
 async def test_who_takes_links_from_a_silent_owner_records_the_gap_since_its_last_renewal(tmp_path: Path) -> None:

@@ -19,12 +19,13 @@ import time
 from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
 from ...access.audit_log import AuditLog
-from ...client.aio import AsyncLink, open_link
+from ...client.aio import AsyncLink, open_link, send_only_while
 from ...errors import ConfigError
 from ...points.point import Point
 from .alarms.collected import CollectorAlarms
@@ -100,6 +101,7 @@ class Collector:
         configuration: CollectorConfiguration,
         *,
         permit: Callable[[str], None] | None = None,
+        may_send: Callable[[str], bool] | None = None,
         claims: KeyClaims | None = None,
         plant: Callable[[], CollectorConfiguration] | None = None,
         others: OtherOwners | None = None,
@@ -110,6 +112,8 @@ class Collector:
             configuration: the contents of its file.
             permit: called with the name of a link right before each of its transactions, reads and writes; an error
                 that it raises (a `LinkDown`) is that of the transaction, of which nothing is sent then.
+            may_send: called with the name of a link right before each of its frames leaves, which may be seconds later
+                on a line; where it returns False, the connection is reset instead. None where all may leave.
             claims: takes the keys of write commands for all collectors of a fleet; None for a collector that works
                 alone.
             plant: gives the configuration of a whole fleet, of which ``configuration`` is the part that this collector
@@ -117,7 +121,7 @@ class Collector:
             others: the other collectors of a fleet, for messages with commands; None for a collector that works alone.
         """
         self.configuration: CollectorConfiguration = configuration
-        self._permit, self._claims = permit, claims
+        self._permit, self._may_send, self._claims = permit, may_send, claims
         self._plant, self._others = plant, others
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
@@ -562,6 +566,8 @@ class Collector:
         loop = asyncio.get_running_loop()
         assert self._committer is not None
         link = open_link(configuration.links[name].url, **configuration.links[name].options)
+        if self._may_send is not None:
+            send_only_while(link, partial(self._may_send, name))
         numbered = settings.endpoint.framing == "mbap"
         schedule = LinkSchedule(
             settings.parameters.timeout, batch=settings.parameters.max_transactions if numbered else 1

@@ -4,8 +4,9 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 
 1. A link begins after its epoch is on disk. It stops before its shard is handed on: what runs ends, what was taken is
    committed, and only then is the lease released.
-2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take. A
-   lease that lapses therefore ends polling at once, whatever else waits.
+2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take, and
+   again when each of its frames leaves: on a line that may be seconds later. A lease that lapses therefore ends
+   polling at once, whatever else waits.
 3. Changes of ownership are applied one after the other, all that have come together as one.
 4. The store has an interval for each time in which a link was not owned: from its end here until it is owned again.
    Who takes a link from an owner that fell silent records the time since that one's last renewal: samples that the
@@ -21,6 +22,7 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 
 import asyncio
 import logging
+import math
 import random
 import secrets
 import sqlite3
@@ -47,7 +49,14 @@ from .lease_holder import FleetMember, ShardEvent, Step
 from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_log import OwnershipLog
-from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted, with_short_user_timeout
+from .plant import (
+    costs_by_link,
+    longest_after_sending,
+    longest_transaction,
+    refuse_slow_links,
+    restricted,
+    with_short_user_timeout,
+)
 from .shards import checked_name, links_by_shard
 
 LOOK_AGAIN: Final = 1.0
@@ -161,6 +170,7 @@ class FleetCollector:
             collector = Collector(
                 restricted(self._configuration, ()),
                 permit=self._permit,
+                may_send=self._may_send,
                 claims=self._keys,
                 plant=lambda: self._configuration,
                 others=self._others,
@@ -262,6 +272,7 @@ class FleetCollector:
         self._links_of = links_by_shard(((link, hosts.get(link, ())) for link in configuration.links), self._shards)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
         self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
+        self._worst_sent = {link: longest_after_sending(configuration, link) for link in configuration.links}
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
     def _tell_costs(self) -> None:
@@ -350,6 +361,10 @@ class FleetCollector:
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
         self._permitted[link] = time.time_ns()
+
+    def _may_send(self, link: str) -> bool:
+        """Whether a frame of a link that leaves now can no longer reach the device when the lease ends (rule 2)."""
+        return self.member.may_begin(self.shard_of(link), self._now(), self._worst_sent.get(link, math.inf))
 
     def _told(self, event: ShardEvent) -> None:
         self._waiting.append(event)

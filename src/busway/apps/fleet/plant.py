@@ -49,14 +49,23 @@ def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
     """Return how long a transaction may take, from its permission until none of it can reach the device.
 
-    It may have to connect first, and the system repeats what is not acknowledged; a poller repeats nothing. A gateway
-    that keeps requests in a queue of its own adds to this: its longest wait belongs to the guard of the leases.
+    It may have to connect first; a poller repeats nothing. What a line waits before its frame leaves is not counted:
+    permission is asked again then, with `longest_after_sending`.
     """
     settings = configuration.links[link].settings
-    offered, timeout = options_of(settings.endpoint), settings.parameters.timeout
-    connecting = settings.sockets.connect_timeout if "connect_timeout" in offered else 0.0
-    repeating = settings.sockets.effective_user_timeout if "user_timeout" in offered else 0.0
-    return connecting + max(timeout, float("inf") if repeating is None else repeating)
+    connecting = settings.sockets.connect_timeout if "connect_timeout" in options_of(settings.endpoint) else 0.0
+    return connecting + longest_after_sending(configuration, link)
+
+
+def longest_after_sending(configuration: CollectorConfiguration, link: str) -> float:
+    """Return how long a transaction may take from the sending of its frame until none of it can reach the device.
+
+    The system repeats what is not acknowledged. A gateway that keeps requests in a queue of its own adds to this: its
+    longest wait belongs to the guard of the leases.
+    """
+    settings = configuration.links[link].settings
+    repeating = settings.sockets.effective_user_timeout if "user_timeout" in options_of(settings.endpoint) else 0.0
+    return max(settings.parameters.timeout, float("inf") if repeating is None else repeating)
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
