@@ -227,3 +227,27 @@ async def test_links_whose_transactions_outlast_a_lease_are_refused_by_name(tmp_
             FleetCollector(parse_collector(text, "x.toml"), coordinator, "one", host="box")
     finally:
         await coordinator.close()
+
+
+async def test_a_link_is_polled_by_its_hosts_alone_and_by_the_second_where_the_first_has_ended(tmp_path: Path) -> None:
+    async def started(stack: contextlib.AsyncExitStack, host: str) -> FleetCollector:
+        coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+        stack.push_async_callback(coordinator.close)
+        options = 'timeout = 0.5\nconnect_timeout = 0.5\nhosts = ["first", "second"]'
+        configuration = parse_collector(plant(tmp_path / host, devices, options), f"{host}.toml")
+        return await stack.enter_async_context(
+            FleetCollector(configuration, coordinator, host, host=host, shards=LINKS, times=TIMES)
+        )
+
+    async with devices_of(1) as devices, contextlib.AsyncExitStack() as stack:
+        other = await started(stack, "other")
+        async with contextlib.AsyncExitStack() as first_only:
+            first = await started(first_only, "first")
+            second = await started(stack, "second")
+            await until(lambda: devices[0].reads > 3 and first.links == {"link-0"}, 60)
+            assert not second.links
+        await until(lambda: second.links == {"link-0"}, 60)
+        reads = devices[0].reads
+        await until(lambda: devices[0].reads > reads, 60)
+        assert not other.links
+        assert not other.member.owned

@@ -43,6 +43,7 @@ from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
+from .coordinators.local import LocalCoordinator
 from .key_table import KeyTable
 from .lease_driver import MemberDriver, boot_time, end_tasks
 from .lease_holder import FleetMember, ShardEvent, Step
@@ -51,13 +52,16 @@ from .outbox import Outbox, SampleStream
 from .ownership_log import OwnershipLog
 from .plant import (
     costs_by_link,
+    links_of_shards,
     longest_after_sending,
     longest_transaction,
+    refuse_ports_of_any_host,
     refuse_slow_links,
+    refuse_two_owners,
     restricted,
     with_short_user_timeout,
 )
-from .shards import checked_name, links_by_shard
+from .shards import checked_name
 
 LOOK_AGAIN: Final = 1.0
 """Seconds after which a link that seems to have no owner is looked at again: its new owner may not be shown yet."""
@@ -78,7 +82,8 @@ class FleetCollector:
         name: of this collector, the only one of its name in the zone.
         host: the name of this machine, for links that only some hosts can reach.
         shards: how many the zone has, 1…1024; the same for all collectors.
-        hosts: by link, the hosts that can reach it, the preferred one first; links that are missing all can reach.
+        hosts: by link, the hosts that can reach it, the preferred one first; links that are missing as the
+            configuration says.
         times: the lengths of the leases; the same for all collectors.
         capacity: this collector's share of the work, relative to the others.
         stream: gets its samples; None if they stay in its own store.
@@ -124,6 +129,9 @@ class FleetCollector:
         times = times or LeaseTimes()
         configuration = with_short_user_timeout(configuration)
         refuse_slow_links(configuration, times)
+        refuse_two_owners(configuration)
+        if not isinstance(coordinator, LocalCoordinator) and not hosts:
+            refuse_ports_of_any_host(configuration)
         self._now = now
         self._stream = stream
         self._coordinator, self._shards, self._hosts = coordinator, shards, dict(hosts or {})
@@ -267,9 +275,8 @@ class FleetCollector:
         return self._shard_of.get(link, "none")
 
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
-        hosts = self._hosts
         self._configuration = configuration
-        self._links_of = links_by_shard(((link, hosts.get(link, ())) for link in configuration.links), self._shards)
+        self._links_of = links_of_shards(configuration, self._shards, self._hosts)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
         self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
         self._worst_sent = {link: longest_after_sending(configuration, link) for link in configuration.links}
@@ -296,6 +303,8 @@ class FleetCollector:
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
+            if not isinstance(self._coordinator, LocalCoordinator) and not self._hosts:
+                refuse_ports_of_any_host(newer)
             if self._stream is not None:
                 refuse_what_needs_a_store(newer)
             sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
