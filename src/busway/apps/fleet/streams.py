@@ -101,12 +101,7 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
         await found_or_made(client, config.evolve(num_replicas=1), options.source)
         there = api.ExternalStream(api=f"$JS.{options.source}.API", deliver=None)
         config = config.evolve(subjects=None, sources=[api.StreamSource(name=config.name, external=there)])
-    found = await found_or_made(client, config)
-    if (found.num_replicas or 1) < options.replicas:
-        raise ConfigError(
-            f"the stream {config.name} has {found.num_replicas} replicas, and {options.replicas} are asked for",
-            key="replicas",
-        )
+    await found_or_made(client, config)
     return str(config.name)
 
 
@@ -135,9 +130,20 @@ async def found_or_made(client: Any, config: Any, domain: str | None = None) -> 
         domain: of an edge site that is asked through the centre; None for the server itself.
 
     Raises:
-        ConfigError: it cannot be created or used.
+        ConfigError: it cannot be created or used, or has fewer replicas than are asked for.
         StreamDown: the server does not answer, or not yet.
     """
+    found = await _found_or_made(client, config, domain)
+    if (found.num_replicas or 1) < (config.num_replicas or 1):
+        raise ConfigError(
+            f"the stream {config.name} has {found.num_replicas} replicas, and {config.num_replicas} are asked for: "
+            f"'nats stream edit {config.name} --replicas {config.num_replicas}', or ask for fewer",
+            key="replicas",
+        )
+    return found
+
+
+async def _found_or_made(client: Any, config: Any, domain: str | None) -> Any:
     nats, errors = import_module("nats"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=10.0, domain=domain)
     calls = f"$JS.{domain}.API.STREAM" if domain else "$JS.API.STREAM"

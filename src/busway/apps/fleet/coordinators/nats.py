@@ -71,11 +71,13 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
     bucket = f"busway-{checked_name(zone, 'zone')}"
     client = await connect_nats(url, options)
     try:
-        await find_bucket(client, bucket, options)
+        info = await find_bucket(client, bucket, options)
     except BaseException:
         await client.close()
         raise
-    return NatsCoordinator(client, bucket, options.answer, options.domain)
+    table = NatsCoordinator(client, bucket, options.answer, options.domain)
+    table.replicas, table.is_clustered = int(info.config.num_replicas or 1), info.cluster is not None
+    return table
 
 
 async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
@@ -238,8 +240,10 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
     return context
 
 
-async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
-    """Find or create a key-value bucket. Raises `ConfigError`, `CoordinatorDown`."""
+async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> Any:  # nats-py's own
+    """Find or create a key-value bucket; returns what the server says of it. Raises `ConfigError`,
+    `CoordinatorDown`.
+    """
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=4 * options.answer, domain=options.domain)
     stream = f"KV_{bucket}"
@@ -300,6 +304,7 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
         )
     if info.config.storage != api.StorageType.FILE:
         raise ConfigError(f"the bucket {bucket} is kept in memory only: delete it, and it is made anew", key="bucket")
+    return info
 
 
 class _Watch:
@@ -369,10 +374,14 @@ class NatsCoordinator:
 
     Attributes:
         client: the connection, for the streams of the same collector.
+        replicas: servers that keep each entry.
+        is_clustered: whether the server belongs to a cluster.
     """
 
     def __init__(self, client: Any, bucket: str, answer: float, domain: str | None = None) -> None:
         self.client: Any = client
+        self.replicas: int = 1
+        self.is_clustered: bool = False
         self._bucket, self._answer = bucket, answer
         self._jetstream = client.jetstream(timeout=answer, domain=domain)
         self._keys = in_domain(f"$KV.{bucket}.", domain) if domain else f"$KV.{bucket}."
