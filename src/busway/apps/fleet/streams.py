@@ -15,7 +15,7 @@ import contextlib
 import json
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final
@@ -36,7 +36,7 @@ from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks
 from .messages import SampleMessage, UnreadableMessage, decode_message
-from .outbox import StreamDown
+from .outbox import SinkPlace, StreamDown
 
 CURSORS: Final = "cursor."
 FETCH: Final = 64
@@ -202,9 +202,9 @@ class NatsStream:
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
-    def kept(self, collector: str, store: str) -> int | None:
-        """Return the number of the last commit that all sinks have received; None if no sink is known."""
-        return self._cursors.kept(collector, store)
+    def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
+        """Return by sink how far it is with the samples of a store; empty if no sink is known."""
+        return self._cursors.places(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
         """Follow, until cancelled, up to which commit each sink has received samples."""
@@ -261,10 +261,10 @@ class CursorBook:
                 found = SinkCursors(0, {})  # it keeps nothing, as far as can be said
             self._cursors[sink] = found
 
-    def kept(self, collector: str, store: str) -> int | None:
-        """Return the commit that all sinks have reached; None without sinks, 0 if one has not begun."""
+    def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
+        """Return by sink how far it is with the samples of a store: commit 0 if it has not begun."""
         place = f"{collector}/{store}"
-        return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
+        return {name: SinkPlace(each.commits.get(place, 0), each.sequence) for name, each in self._cursors.items()}
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
         """Return the commits up to which one sink has samples, and the revision of its entry, 0 without one."""
