@@ -59,8 +59,15 @@ async def open_stream(
     await make_stream(client, zone, StreamOptions(replicas=replicas))
     stream = NatsStream(client, zone, lambda link: shard_of(link, shards))
     watch = asyncio.create_task(stream.watch_cursors(table), name="busway fleet cursors")
+    watch.add_done_callback(_tell_end_of_cursors)
     stack.push_async_callback(end_tasks, [watch])
     return stream
+
+
+def _tell_end_of_cursors(watch: "asyncio.Task[None]") -> None:
+    error = None if watch.cancelled() else watch.exception()
+    if error is not None:
+        warn(f"what the sinks of the stream have is not known any more, so nothing is dropped: {error}")
 
 
 def print_stream_status(member: "FleetCollector") -> None:

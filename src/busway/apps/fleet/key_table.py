@@ -28,7 +28,7 @@ from ..collector.commands.claims import KeysUnavailable
 from ..collector.commands.command import CommandResult
 from .coordinator import SNAPSHOT_BEGINS, Coordinator, CoordinatorDown, OutcomeUnknown, RevisionConflict
 from .key_memory import KeyMemory, decode_memory
-from .lease_driver import end_tasks
+from .lease_driver import end_tasks, follow_for_good
 
 KEYS: Final = "keys."
 SLOTS: Final = 256
@@ -170,11 +170,17 @@ class KeyTable:
 
     async def _follow(self) -> None:
         try:
-            async with aclosing(self._table.watch(KEYS)) as entries:
-                async for entry in entries:
-                    if entry is SNAPSHOT_BEGINS:
-                        self._shown_again = set(self._seen)
-                    elif entry.revision:
-                        self._show(entry.key, entry.value, entry.revision)
+            await follow_for_good(self._follow_table, "the table of keys", self._begin_snapshot)
         except ConfigError as error:
             _log.error("no command is taken: the fleet's table of keys cannot be followed: %s", error)
+
+    async def _follow_table(self) -> None:
+        async with aclosing(self._table.watch(KEYS)) as entries:
+            async for entry in entries:
+                if entry is SNAPSHOT_BEGINS:
+                    self._begin_snapshot()
+                elif entry.revision:
+                    self._show(entry.key, entry.value, entry.revision)
+
+    def _begin_snapshot(self) -> None:
+        self._shown_again = set(self._seen)

@@ -11,7 +11,7 @@ Knows tasks and the clock; what is proposed, and what follows from an answer, is
 import asyncio
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 from contextlib import aclosing
 from typing import Final
 
@@ -53,6 +53,33 @@ def end_if_cancelled() -> None:
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
+
+
+async def follow_for_good(
+    follow: Callable[[], Awaitable[None]], what: str, begin_snapshot: Callable[[], None] = lambda: None
+) -> None:
+    """Follow a table until cancelled, also after an error that a client library should not raise (rule 3).
+
+    Args:
+        follow: reads the table from its begin, and follows it.
+        what: the table, in words.
+        begin_snapshot: called before the table is read anew.
+
+    Raises:
+        ConfigError: the table can never be read.
+    """
+    while True:
+        try:
+            await follow()
+        except ConfigError:
+            raise
+        except Exception:  # a defect of a client library: else nothing of the table would come for good
+            _log.exception("%s cannot be followed; it is read anew", what)
+        except asyncio.CancelledError:
+            end_if_cancelled()
+            _log.error("following %s was cancelled, though not by this program; it is read anew", what)
+        begin_snapshot()
+        await asyncio.sleep(WATCH_AGAIN)
 
 
 class MemberDriver:
@@ -132,20 +159,7 @@ class MemberDriver:
         return True
 
     async def _watch(self) -> None:
-        while True:
-            try:
-                await self._follow_table()
-            except ConfigError:
-                raise
-            except Exception:  # a defect of a client library: else this collector would own nothing for good
-                _log.exception("the table of the zone cannot be followed; it is read anew")
-            except asyncio.CancelledError:
-                end_if_cancelled()
-                _log.error(
-                    "following the table of the zone was cancelled, though not by this collector; it is read anew"
-                )
-            self.member.begin_snapshot()
-            await asyncio.sleep(WATCH_AGAIN)
+        await follow_for_good(self._follow_table, "the table of the zone", self.member.begin_snapshot)
 
     async def _follow_table(self) -> None:
         async with aclosing(self._coordinator.watch()) as entries:

@@ -34,7 +34,7 @@ from .coordinator import (
 )
 from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
-from .lease_driver import end_if_cancelled, end_tasks
+from .lease_driver import end_if_cancelled, end_tasks, follow_for_good
 from .messages import SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
 
@@ -276,13 +276,17 @@ class CursorBook:
 
     async def watch(self, coordinator: Coordinator, told: Callable[[], None] = lambda: None) -> None:
         """Follow the shared table until cancelled; ``told`` is called once all existing entries are known."""
-        async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
-            async for entry in entries:
-                if entry is SNAPSHOT_BEGINS:
-                    self.begin_snapshot()
-                elif entry is SNAPSHOT_ENDS:
-                    told()
-                self.take(entry)
+
+        async def follow() -> None:
+            async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
+                async for entry in entries:
+                    if entry is SNAPSHOT_BEGINS:
+                        self.begin_snapshot()
+                    elif entry is SNAPSHOT_ENDS:
+                        told()
+                    self.take(entry)
+
+        await follow_for_good(follow, "the table of cursors", self.begin_snapshot)
 
 
 @dataclass(frozen=True, slots=True)
