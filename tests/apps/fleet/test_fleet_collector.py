@@ -2,9 +2,12 @@
 
 import asyncio
 import contextlib
+import sqlite3
+import threading
 import time
 from collections.abc import AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fleet_devices import TIMES, FleetDevice, devices_of, parsed, plant
@@ -152,6 +155,43 @@ async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has
     finally:
         server.close()
         await coordinator.close()
+
+
+async def test_links_whose_epoch_cannot_be_recorded_are_polled_when_it_can(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("busway.apps.fleet.fleet_collector.RECORD_AGAIN", 0.05)
+    honest, fails = OwnershipLog.begin, [True]
+
+    def begin(log: OwnershipLog, *wanted: Any) -> None:
+        if fails:
+            raise sqlite3.OperationalError("database or disk is full")
+        honest(log, *wanted)
+
+    monkeypatch.setattr(OwnershipLog, "begin", begin)
+    async with devices_of(3) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: len(one.member.owned) > 0 and "epochs cannot be recorded" in caplog.text, 60)
+        assert not any(device.reads for device in devices)
+        fails.clear()
+        await until(lambda: all(device.reads > 1 for device in devices), 60)
+
+
+async def test_a_shard_that_is_lost_while_its_epoch_is_recorded_is_not_polled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        honest, recorded = one.ownership.begin, threading.Event()
+
+        def begin(*wanted: Any) -> None:
+            honest(*wanted)
+            one.member.owned.clear()
+            recorded.set()
+
+        monkeypatch.setattr(one.ownership, "begin", begin)
+        await until(recorded.is_set, 60)
+        for _ in range(20):
+            await asyncio.sleep(0.01)
+            assert not one.links or one.member.owned, "a link is active only while its shard is owned"
 
 
 async def test_who_takes_links_from_a_silent_owner_records_the_gap_since_its_last_renewal(tmp_path: Path) -> None:

@@ -27,7 +27,7 @@ import random
 import secrets
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
 from pathlib import Path
@@ -331,16 +331,16 @@ class FleetCollector:
             await self.collector.reload(restricted(self._configuration, staying), by=self.member.name, origin="fleet")
         await self.collector.flush()
         commit = self.collector.newest_commit
-        for link, epoch in list(self._gone.items()):
-            await asyncio.to_thread(self.ownership.end, [link], epoch, commit, time.time_ns())
-            del self._gone[link]
+        await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, time.time_ns())
+        self._gone.clear()
         await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
         self._set_configuration(newer)
         self.revision = revision
         for shard, owned in list(self.member.owned.items()):
             fresh = [link for link in self._links_of.get(shard, ()) if link not in self._active]
             if fresh and owned.leaving is None:
-                await asyncio.to_thread(self.ownership.begin, fresh, owned.epoch, commit, time.time_ns())
+                rows = [(link, owned.epoch) for link in fresh]
+                await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
@@ -411,16 +411,15 @@ class FleetCollector:
             await self._poll_active()
             self._note_ends(ended)
             await self.collector.flush()
+            await self._record_ends(ended)
             for event in ended:
-                await self._record_end(event)
                 if event.step is Step.LEAVE:
                     self.member.left(event.shard)
             self._driver.wake()
         gained = [event for event in events if self._is_owned(event)]
         if gained:
             await self.collector.flush()
-            for event in gained:
-                await self._begin(event)
+            await self._begin(gained)
             await self._poll_active()
 
     def _is_owned(self, event: ShardEvent) -> bool:
@@ -429,25 +428,36 @@ class FleetCollector:
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept
 
-    async def _record_end(self, event: ShardEvent) -> None:
-        """Record that links are not owned any more; where that fails their epoch ends with the next one."""
-        links, commit = self._links_of.get(event.shard, ()), self.collector.newest_commit
-        try:
-            await asyncio.to_thread(self.ownership.end, links, event.epoch, commit, time.time_ns())
-        except sqlite3.Error as error:
-            _log.error("the end of shard %s cannot be recorded: %s", event.shard, error)
+    def _owned_by(self, events: Iterable[ShardEvent]) -> list[tuple[str, Epoch]]:
+        return [(link, event.epoch) for event in events for link in self._links_of.get(event.shard, ())]
 
-    async def _begin(self, event: ShardEvent) -> None:
-        links = self._links_of.get(event.shard, [])
+    async def _record_ends(self, events: Sequence[ShardEvent]) -> None:
+        """Record that links are not owned any more; where that fails their epochs end with the next ones."""
+        rows, commit = self._owned_by(events), self.collector.newest_commit
         try:
-            await asyncio.to_thread(
-                self.ownership.begin, links, event.epoch, self.collector.newest_commit, time.time_ns()
-            )
+            await asyncio.to_thread(self.ownership.end, rows, commit, time.time_ns())
         except sqlite3.Error as error:
-            _log.error("shard %s is not polled: its epoch cannot be recorded: %s", event.shard, error)
+            shards = ", ".join(event.shard for event in events)
+            _log.error("the end of shards %s cannot be recorded: %s", shards, error)
+
+    async def _begin(self, events: Sequence[ShardEvent]) -> None:
+        """Begin the links of gained shards; where their epochs cannot be recorded, try again as long as they are
+        owned.
+        """
+        rows, commit = self._owned_by(events), self.collector.newest_commit
+        try:
+            await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
+        except sqlite3.Error as error:
+            shards = ", ".join(event.shard for event in events)
+            _log.error("shards %s are not polled yet: their epochs cannot be recorded: %s", shards, error)
+            self._waiting += events
+            asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             return
-        self._activate(links, event.epoch)
-        self._note_silence(links, event.silent_since)
+        for event in events:
+            links = self._links_of.get(event.shard, [])
+            if self._is_owned(event):  # it may have been lost meanwhile
+                self._activate(links, event.epoch)
+                self._note_silence(links, event.silent_since)
 
     def _activate(self, links: Sequence[str], epoch: Epoch) -> None:
         now = time.monotonic()

@@ -13,7 +13,7 @@ import secrets
 import sqlite3
 import threading
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +36,9 @@ INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)
 ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
 """
 """A link that the configuration lacked for a while goes on in the epoch of its shard."""
+_END: Final = """
+UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,28 +104,32 @@ class OwnershipLog:
         with self._lock:
             self._database.close()
 
-    def begin(self, links: Iterable[str], epoch: Epoch, after_commit: int, now: int) -> None:
-        """Record that links are owned from now on. Raises `sqlite3.Error`; then they must not be polled."""
-        rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link in links]
-        with self._lock:
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                self._database.executemany(_BEGIN, rows)
-            except sqlite3.Error:
-                self._database.execute("ROLLBACK")
-                raise
-            self._database.execute("COMMIT")
-            for link, *_ in rows:
-                self._epochs.setdefault(link, []).append((after_commit, epoch))
+    def begin(self, owned: Iterable[tuple[str, Epoch]], after_commit: int, now: int) -> None:
+        """Record that links are owned from now on, each in its epoch; all of them or none.
 
-    def end(self, links: Iterable[str], epoch: Epoch, last_commit: int, now: int) -> None:
-        """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
-        rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link in links]
+        Raises `sqlite3.Error`; then they must not be polled.
+        """
+        rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link, epoch in owned]
         with self._lock:
-            self._database.executemany(
-                'UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?',
-                rows,
-            )
+            self._write(_BEGIN, rows)
+            for link, generation, revision, *_ in rows:
+                self._epochs.setdefault(link, []).append((after_commit, Epoch(generation, revision)))
+
+    def end(self, owned: Iterable[tuple[str, Epoch]], last_commit: int, now: int) -> None:
+        """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
+        rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link, epoch in owned]
+        with self._lock:
+            self._write(_END, rows)
+
+    def _write(self, statement: str, rows: Sequence[tuple[str | int, ...]]) -> None:
+        """Execute a statement for all rows together: one wait for the disk, however many shards move at once."""
+        self._database.execute("BEGIN IMMEDIATE")
+        try:
+            self._database.executemany(statement, rows)
+        except sqlite3.Error:
+            self._database.execute("ROLLBACK")
+            raise
+        self._database.execute("COMMIT")
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
         """Return the number of the ownership under which a link's sample with this commit was read; None before the
