@@ -74,6 +74,7 @@ PAGES: Mapping[str, Mapping[str, tuple[Kind, ...]]] = {
         "collector": (collector.CollectorSection,),
         "page_access": (collector.PageAccessSection,),
         "poll_class": (collector.PollClassSection,),
+        "link": (collector.CollectedLinkSection,),
         "device": (collector.CollectedDeviceSection,),
     },
     "how-to/send-samples-on.md": {

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from foreign_servers import nats_server
 from program import Busway
 
 PLANT = """\
@@ -107,6 +108,23 @@ def test_wrong_use_is_one_sentence(
     result = run("fleet", *words)
     assert result.code == 2
     assert said in result.err
+
+
+@pytest.mark.real_time
+def test_a_server_that_does_not_sync_is_told_by_name_when_a_fleet_begins(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("nats")
+    file = written(tmp_path)
+    with nats_server(tmp_path, 'server_name: "main"') as server:
+        at = ("--coordinator", f"nats://127.0.0.1:{server.port}", "--zone", "hall")
+        applied = run("fleet", "apply", file, *at)
+        assert applied.code == 0
+        assert "warning: nats-server main (2." in applied.err
+        (shown,) = json.loads(run("fleet", "status", "--json", *at).out)["servers"]
+        assert (shown["name"], shown["replicas"]) == ("main", 1)
+        assert "nats-server main (2." in run("fleet", "status", *at).out
+    assert "warning" not in run("fleet", "apply", file, "--coordinator", f"local:{tmp_path}/zone").err
 
 
 def test_collect_imports_nothing_of_the_fleet() -> None:

@@ -191,7 +191,7 @@ def silences_that_are_too_long(logs: Logs, bounds: Bounds) -> list[str]:
         if end - begin > bounds.takeover:
             for first, last in stretches:
                 low, high = max(begin, first), min(end, last)
-                if high - low - _stood_still(logs, low, high) > bounds.takeover + bounds.period:
+                if high - low - stood_still(logs, low, high) > bounds.takeover + bounds.period:
                     found.append(
                         f"{link} was silent from {begin:.2f} to {end:.2f}, {high - low:.2f} s of it without a cause"
                     )
@@ -203,7 +203,7 @@ def silences_that_are_too_long(logs: Logs, bounds: Bounds) -> list[str]:
     return found
 
 
-def _stood_still(logs: Logs, low: float, high: float) -> float:
+def stood_still(logs: Logs, low: float, high: float) -> float:
     """Seconds of a time in which the machine stood still."""
     return sum(max(0.0, min(high, end) - max(low, begin)) for begin, end in logs.stalls)
 
@@ -236,7 +236,7 @@ def holes_without_a_record(logs: Logs, bounds: Bounds) -> list[str]:
                     for each in unread[owner]
                     if each.link in (None, link) and each.begin < last and (each.end is None or each.end > first)
                 ]
-            left = max(last - first - _stood_still(logs, first, last) for first, last in _uncovered(begin, end, told))
+            left = max(last - first - stood_still(logs, first, last) for first, last in _uncovered(begin, end, told))
             if left > bounds.unrecorded:
                 found.append(f"{link}: {left:.2f} s of the hole from {begin:.2f} to {end:.2f} are not recorded")
     return found

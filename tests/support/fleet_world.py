@@ -105,6 +105,7 @@ class World:
         self.wires: dict[str, Wire] = {}
         self.breaches: list[str] = []
         self.holes: list[tuple[str, float, float]] = []
+        self.changes: list[float] = []  # seconds without a transaction where a shard got another owner
         self.proposals = self.deliveries = self.gains = 0
         self._heap: list[tuple[float, int, Callable[[], None]]] = []
         self._numbers = count()
@@ -327,6 +328,8 @@ class World:
                 self.breaches.append(f"{self.now:.3f}: {shard} by {name} in {epoch} after {wire.epoch}")
             if wire.owner != name and self.now < wire.until:
                 self.breaches.append(f"{self.now:.3f}: {shard} by {name} while {wire.owner} has it")
+        if wire.owner and wire.owner != name:
+            self.changes.append(self.now - wire.last)
         if self.now - wire.last > 2.0:
             self.holes.append((shard, wire.last, self.now))
         wire.epoch, wire.owner = epoch, name

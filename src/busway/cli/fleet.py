@@ -35,6 +35,7 @@ from .signals import stop_event
 if TYPE_CHECKING:
     from ..apps.fleet.coordinator import Coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
+    from ..apps.fleet.durability import ServerDurability
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
     from ..apps.fleet.records import LeaseHole
@@ -81,6 +82,9 @@ def fleet(
     user: str | None = typer.Option(None, "--user", metavar="NAME", help="The account at the coordinator."),
     credentials: str | None = typer.Option(
         None, "--credentials", metavar="FILE", help="A NATS seed or credentials file."
+    ),
+    system: str | None = typer.Option(
+        None, "--system-credentials", metavar="FILE", help="NATS: status.nk; asks all servers whether they sync."
     ),
     ca: str | None = typer.Option(None, "--ca", metavar="FILE", help="Certificates to check the coordinator by."),
     certificate: str | None = typer.Option(None, "--certificate", metavar="FILE", help="Of this program, for TLS."),
@@ -188,13 +192,16 @@ def fleet(
             table, zone, about[0], StreamOptions(replicas=options.replicas, source=domain), every, as_json=as_json
         ),
         "write": lambda table: write_point(table, zone, about, key=key, by=by, seconds=limit, as_json=as_json),
-        "status": lambda table: _show_status(table, zone, as_json=as_json),
+        "status": lambda table: _show_status(
+            table, zone, partial(_durability, table, url, options, system), as_json=as_json
+        ),
         "drain": lambda table: _drain(table, about[0], undo=undo),
         "restore": _restore,
     }
     from ..server.loops import run
 
-    return run(_with_coordinator(url, zone, options, works[action])) or ExitCode.DONE
+    tell = partial(_tell_durability, url, options, system) if action in ("apply", "run", "sink") else None
+    return run(_with_coordinator(url, zone, options, works[action], tell)) or ExitCode.DONE
 
 
 def _action(words: list[str]) -> list[str]:
@@ -241,7 +248,13 @@ def _demo(limit: float, verbose: int) -> int:
     return ExitCode.DONE
 
 
-async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", work: Any) -> int | None:
+async def _with_coordinator(
+    url: str,
+    zone: str,
+    options: "CoordinatorOptions",
+    work: Any,
+    tell: "Callable[[Coordinator], Awaitable[None]] | None" = None,
+) -> int | None:
     """Open the coordinator of a zone, await ``work(coordinator)``, close it, and return the exit code of the work.
 
     None instead of an exit code means that the work is done.
@@ -250,10 +263,36 @@ async def _with_coordinator(url: str, zone: str, options: "CoordinatorOptions", 
 
     table = await open_coordinator(url, zone, options)
     try:
+        if tell is not None:
+            await tell(table)
         doing: Coroutine[Any, Any, int | None] = work(table)
         return await doing
     finally:
         await table.close()
+
+
+async def _durability(
+    table: "Coordinator", url: str, options: "CoordinatorOptions", system: str | None
+) -> "list[ServerDurability]":
+    """Return what the servers of NATS say of themselves; nothing of another coordinator."""
+    from ..apps.fleet.coordinators.nats import NatsCoordinator
+    from ..apps.fleet.durability import server_durability
+
+    return await server_durability(table, url, options, system) if isinstance(table, NatsCoordinator) else []
+
+
+async def _tell_durability(url: str, options: "CoordinatorOptions", system: str | None, table: "Coordinator") -> None:
+    """Print at the start which servers may lose what they have acknowledged, and an entry that too few servers keep."""
+    from ..apps.fleet.durability import durability_warnings
+
+    try:
+        servers = await _durability(table, url, options, system)
+    except ModbusError as error:
+        warn(f"warning: whether the servers sync cannot be asked: {error}")
+        servers = await _durability(table, url, options, None)
+    replicas, is_clustered = getattr(table, "replicas", 1), getattr(table, "is_clustered", False)
+    for sentence in durability_warnings(servers, replicas, is_clustered=is_clustered):
+        warn(f"warning: {sentence}")
 
 
 async def _apply(table: "Coordinator", file: str, zone: str, options: "CoordinatorOptions") -> None:
@@ -412,14 +451,23 @@ async def _opened_keys(open_keys: Callable[[], Awaitable["Coordinator"]]) -> "Co
         ) from error
 
 
-async def _show_status(table: "Coordinator", zone: str, *, as_json: bool) -> None:
+async def _show_status(
+    table: "Coordinator",
+    zone: str,
+    durability: "Callable[[], Awaitable[list[ServerDurability]]]",
+    *,
+    as_json: bool,
+) -> None:
     from ..apps.fleet.fleet_status import zone_status
 
     status = await zone_status(table, LOOK)
     lags = await _sink_lags(table, zone)
+    servers = await durability()
     if as_json:
-        _print_json(status, lags)
+        _print_json(status, lags, servers, getattr(table, "replicas", 1))
         return
+    for each in servers:
+        print(f"{each.sentence}; replicas of the table: {getattr(table, 'replicas', 1)}")
     print(
         f"configuration: revision {status.revision}, {status.configuration}" if status.revision else "no configuration"
     )
@@ -471,7 +519,9 @@ async def _sink_lags(table: "Coordinator", zone: str) -> "dict[str, SinkLag]":
     return {} if client is None else await sink_lags(client, table, zone)
 
 
-def _print_json(status: "ZoneStatus", lags: "dict[str, SinkLag]") -> None:
+def _print_json(
+    status: "ZoneStatus", lags: "dict[str, SinkLag]", servers: "list[ServerDurability]", replicas: int
+) -> None:
     print_json(
         {
             "configuration": status.configuration,
@@ -486,6 +536,7 @@ def _print_json(status: "ZoneStatus", lags: "dict[str, SinkLag]") -> None:
                 name: {"messages_behind": lag.messages, "oldest_waits_seconds": lag.seconds}
                 for name, lag in lags.items()
             },
+            "servers": [{**asdict(each), "replicas": replicas} for each in servers],
             "shards": {
                 shard: {
                     "owner": each.owner if each.held else None,

@@ -52,7 +52,6 @@ async def open_stream(
         ConfigError: the coordinator is not NATS, the stream cannot be used, or it has too few replicas.
         StreamDown: no server has answered.
     """
-    from ..apps.collector.task_errors import log_defect
     from ..apps.fleet.lease_driver import end_tasks
     from ..apps.fleet.shards import shard_of
     from ..apps.fleet.streams import NatsStream, StreamOptions, make_stream
@@ -61,9 +60,15 @@ async def open_stream(
     await make_stream(client, zone, StreamOptions(replicas=replicas))
     stream = NatsStream(client, zone, lambda link: shard_of(link, shards))
     watch = asyncio.create_task(stream.watch_cursors(table), name="busway fleet cursors")
-    watch.add_done_callback(log_defect)
+    watch.add_done_callback(_tell_end_of_cursors)
     stack.push_async_callback(end_tasks, [watch])
     return stream
+
+
+def _tell_end_of_cursors(watch: "asyncio.Task[None]") -> None:
+    error = None if watch.cancelled() else watch.exception()
+    if error is not None:
+        warn(f"what the sinks of the stream have is not known any more, so nothing is dropped: {error}")
 
 
 def print_stream_status(member: "FleetCollector") -> None:

@@ -494,6 +494,7 @@ class AsyncLink:
         self._rule = rule
         self._pool: LinkPool | None = None
         self._link: AsyncLinkDriver | None = None
+        self._may_send: Callable[[], bool] | None = None
         self._closed = False
 
     def _bound(self) -> AsyncLinkDriver:
@@ -516,6 +517,8 @@ class AsyncLink:
         if self._link is None:
             self._pool = pool_of_running_loop()
             self._link = self._pool.acquire(self._settings, shared=self._shared)
+            if self._may_send is not None:
+                self._link.send_only_while(self._may_send)
         return self._link
 
     def _looked_at(self) -> AsyncLinkDriver | None:
@@ -649,3 +652,12 @@ def open_link(
     if rule is not None:
         check_selected(settings, options)
     return AsyncLink(settings, shared=shared, rule=rule)
+
+
+def send_only_while(link: AsyncLink, may_send: Callable[[], bool]) -> None:
+    """Let a link that is not used yet send only while a function permits it (`busway.client.permitted_sending`).
+
+    It is called before each connection and each frame. Where it returns False, the connection is reset, and the call
+    fails with `LinkDown`, a write with `WriteOutcomeUnknown`.
+    """
+    link._may_send = may_send

@@ -32,6 +32,7 @@ from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
 from .kept_late_replies import KEPT
+from .permitted_sending import PermittedConnector
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope
 from .sessions import ClientSession, reconnect_for
@@ -209,6 +210,10 @@ class AsyncLinkDriver:
         LOCAL.add(self)
 
     # Calls of the public interface.
+
+    def send_only_while(self, may_send: Callable[[], bool]) -> None:
+        """Open connections, from the next one on, that send only while a function permits it."""
+        self._connector = PermittedConnector(self._connector, may_send)
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
         """Begin a call; return a future that is done when all its requests have a reply or an error.

@@ -240,7 +240,7 @@ class Pools(Generic[One]):
         member.pool = Pool.OTHER
         self._other[member] = None
         if not member.is_priority:
-            if self.limits.per_device is not None:
+            if self.limits.per_host is not None:
                 self._of_device.setdefault(member.host, {})[member] = None
             self._silent[member] = None
 

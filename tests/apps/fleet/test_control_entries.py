@@ -169,3 +169,53 @@ async def test_a_file_is_checked_against_the_leases_that_the_zone_has(tmp_path: 
         assert shared.revision == first
     finally:
         await table.close()
+
+
+class Elsewhere:
+    """A table that collectors of several machines share, as far as it says."""
+
+    def __init__(self, inner: Coordinator) -> None:
+        self.create, self.replace, self.watch, self.close = inner.create, inner.replace, inner.watch, inner.close
+
+
+async def test_a_serial_port_without_its_host_is_refused_unless_all_collectors_are_on_one_machine(
+    tmp_path: Path,
+) -> None:
+    file = tmp_path / "plant.toml"
+    text = plant(tmp_path / "one", [FleetDevice("link-0", 502)], "timeout = 1")
+    text = text.replace("tcp://127.0.0.1:502", "rtu:///dev/ttyUSB0")
+    file.write_text(text)
+    table = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        with pytest.raises(ConfigError, match="is a port of one machine"):
+            await apply_configuration(Elsewhere(table), str(file))
+        assert await read_configuration(table) is None
+        await apply_configuration(table, str(file))
+        shared = await read_configuration(table)
+        assert shared is not None
+        with pytest.raises(ConfigError, match="is a port of one machine"):
+            FleetCollector(shared.parsed(TIMES), Elsewhere(table), "one", host="box", shards=2, times=TIMES)
+        file.write_text(text.replace("[[device]]", 'hosts = ["box"]\n[[device]]'))
+        await apply_configuration(Elsewhere(table), str(file))
+    finally:
+        await table.close()
+
+
+async def test_a_link_that_is_renamed_while_a_collector_lives_is_refused_in_one_step_and_taken_in_two(
+    tmp_path: Path,
+) -> None:
+    async with devices_of(2) as devices:
+        renamed = FleetDevice("renamed", devices[1].port)
+        async with running(tmp_path, devices) as (table, one):
+            await until(lambda: all(device.reads > 1 for device in devices), 60)
+            with pytest.raises(ConfigError, match=r"is that of link link-1, and would be that of link renamed"):
+                await applied(table, tmp_path, [devices[0], renamed])
+            shared = await read_configuration(table)
+            assert shared is not None
+            assert shared.revision == one.revision
+            without = await applied(table, tmp_path, devices[:1])
+            await until(lambda: one.revision == without, 60)
+            again = await applied(table, tmp_path, [devices[0], renamed])
+            await until(lambda: one.revision == again and "renamed" in one.links, 60)
+            await one._driver.end(30)
+            await applied(table, tmp_path, devices)  # no collector lives

@@ -35,6 +35,7 @@ from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.fleet_status import zone_status
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 from busway.apps.fleet.records import LeaseRecord, MemberRecord, ZoneRecord
+from busway.apps.fleet.streams import StreamOptions, make_audit_stream, make_stream
 from busway.errors import ConfigError
 
 SERVED = ["nats", "postgresql"]
@@ -319,6 +320,35 @@ async def test_a_database_that_does_not_sync_is_refused_by_name() -> None:
         await open_coordinator(server.url, "hall", CoordinatorOptions(password=server.PASSWORD))
 
 
+async def test_a_nats_server_that_is_too_old_is_refused_by_name() -> None:
+    pytest.importorskip("nats")
+
+    async def old(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        info = b'{"server_id":"N","version":"2.8.4","proto":1,"headers":true,"jetstream":true,"max_payload":1048576}'
+        writer.write(b"INFO " + info + b"\r\n")
+        while line := await reader.readline():
+            if line.startswith(b"PING"):
+                writer.write(b"PONG\r\n")
+        writer.close()
+
+    server = await asyncio.start_server(old, "127.0.0.1", 0)
+    port = server.sockets[0].getsockname()[1]
+    try:
+        with pytest.raises(ConfigError, match=rf":{port} runs nats-server 2\.8\.4; 2\.9 or newer is needed"):
+            await open_coordinator(f"nats://127.0.0.1:{port}", "hall", CoordinatorOptions(answer=1.0))
+    finally:
+        server.close()
+
+
+async def test_a_database_that_is_too_old_is_refused_by_name(
+    servers: dict[str, Backend], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    backend = servers["postgresql"]
+    monkeypatch.setattr("busway.apps.fleet.coordinators.postgresql.OLDEST", 990_000)
+    with pytest.raises(ConfigError, match=r"the server is PostgreSQL \d+.*; 12 or newer is needed"):
+        await open_coordinator(backend.url, "hall", backend.options)
+
+
 async def test_a_server_without_jetstream_is_refused_by_name(tmp_path: Path) -> None:
     pytest.importorskip("nats")
     with nats_server(tmp_path, jetstream=False) as server, pytest.raises(ConfigError, match="has no JetStream"):
@@ -333,6 +363,22 @@ async def test_more_replicas_than_servers_are_refused_by_name(servers: dict[str,
     await coordinator.close()
     with pytest.raises(ConfigError, match="has 1 replicas, and 3 are asked for"):
         await open_coordinator(url, "one", CoordinatorOptions(replicas=3))
+
+
+async def test_streams_of_samples_and_of_the_audit_with_too_few_replicas_are_refused_by_name(
+    servers: dict[str, Backend],
+) -> None:
+    coordinator = await open_coordinator(servers["nats"].url, "few", CoordinatorOptions())
+    try:
+        client = coordinator.client  # type: ignore[attr-defined]
+        await make_stream(client, "few", StreamOptions(replicas=1))
+        await make_audit_stream(client, "few", 1)
+        with pytest.raises(ConfigError, match="the stream busway-samples-few has 1 replicas, and 3 are asked for"):
+            await make_stream(client, "few", StreamOptions(replicas=3))
+        with pytest.raises(ConfigError, match="the stream busway-audit-few has 1 replicas, and 3 are asked for"):
+            await make_audit_stream(client, "few", 3)
+    finally:
+        await coordinator.close()
 
 
 @pytest.mark.parametrize("url", ["nats://127.0.0.1:1", "postgresql://x@127.0.0.1:1/x"])

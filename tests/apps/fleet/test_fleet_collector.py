@@ -2,9 +2,12 @@
 
 import asyncio
 import contextlib
+import sqlite3
+import threading
 import time
 from collections.abc import AsyncGenerator, AsyncIterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from fleet_devices import TIMES, FleetDevice, devices_of, parsed, plant
@@ -20,7 +23,8 @@ from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
-from busway.errors import ConfigError
+from busway.errors import ConfigError, LinkDown, NoReply
+from busway.pdu.read_items import ReadHoldingRegisters
 
 LINKS = 8
 
@@ -142,6 +146,82 @@ async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(
         assert [device.reads for device in devices] == reads, "absence is the claim: nothing is sent in half a second"
 
 
+async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has_lapsed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    frames: list[int] = []
+
+    async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(ConnectionError):
+            while await reader.read(300):
+                frames.append(time.time_ns())
+        writer.close()
+
+    server = await asyncio.start_server(silent, "127.0.0.1", 0)
+    line = FleetDevice("line", server.sockets[0].getsockname()[1])
+    text = plant(tmp_path / "one", [line]).replace("tcp://", "rtu+tcp://")
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        configuration = parse_collector(text, "one.toml")
+        async with FleetCollector(configuration, coordinator, "one", host="box", shards=1, times=TIMES) as one:
+            await until(lambda: one.links and one.collector._links)
+            link = one.collector._links["line"].poller.link
+
+            async def asked() -> object:
+                (outcome,) = await link.run(1, [ReadHoldingRegisters(0, 1)], {"timeout": 0.5, "retries": 0})
+                return outcome
+
+            assert isinstance(await asked(), NoReply)
+            waiting = asyncio.create_task(asked())  # the unit owes a reply: what was permitted waits on the line
+            await asyncio.sleep(0.05)
+            assert one._permitted["line"] > frames[-1]
+            monkeypatch.setattr(one.member, "may_begin", lambda *_: False)
+            sent = len(frames)
+            assert isinstance(await waiting, LinkDown)
+            await asyncio.sleep(1.0)
+            assert len(frames) == sent, "absence is the claim: what was kept back is not sent"
+    finally:
+        server.close()
+        await coordinator.close()
+
+
+async def test_links_whose_epoch_cannot_be_recorded_are_polled_when_it_can(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    monkeypatch.setattr("busway.apps.fleet.fleet_collector.RECORD_AGAIN", 0.05)
+    honest, fails = OwnershipLog.begin, [True]
+
+    def begin(log: OwnershipLog, *wanted: Any) -> None:
+        if fails:
+            raise sqlite3.OperationalError("database or disk is full")
+        honest(log, *wanted)
+
+    monkeypatch.setattr(OwnershipLog, "begin", begin)
+    async with devices_of(3) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: len(one.member.owned) > 0 and "epochs cannot be recorded" in caplog.text, 60)
+        assert not any(device.reads for device in devices)
+        fails.clear()
+        await until(lambda: all(device.reads > 1 for device in devices), 60)
+
+
+async def test_a_shard_that_is_lost_while_its_epoch_is_recorded_is_not_polled(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        honest, recorded = one.ownership.begin, threading.Event()
+
+        def begin(*wanted: Any) -> None:
+            honest(*wanted)
+            one.member.owned.clear()
+            recorded.set()
+
+        monkeypatch.setattr(one.ownership, "begin", begin)
+        await until(recorded.is_set, 60)
+        for _ in range(20):
+            await asyncio.sleep(0.01)
+            assert not one.links or one.member.owned, "a link is active only while its shard is owned"
+
+
 async def test_who_takes_links_from_a_silent_owner_records_the_gap_since_its_last_renewal(tmp_path: Path) -> None:
     coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
     renewed = time.time() - 100.0
@@ -215,3 +295,27 @@ async def test_links_whose_transactions_outlast_a_lease_are_refused_by_name(tmp_
             FleetCollector(parse_collector(text, "x.toml"), coordinator, "one", host="box")
     finally:
         await coordinator.close()
+
+
+async def test_a_link_is_polled_by_its_hosts_alone_and_by_the_second_where_the_first_has_ended(tmp_path: Path) -> None:
+    async def started(stack: contextlib.AsyncExitStack, host: str) -> FleetCollector:
+        coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+        stack.push_async_callback(coordinator.close)
+        options = 'timeout = 0.5\nconnect_timeout = 0.5\nhosts = ["first", "second"]'
+        configuration = parse_collector(plant(tmp_path / host, devices, options), f"{host}.toml")
+        return await stack.enter_async_context(
+            FleetCollector(configuration, coordinator, host, host=host, shards=LINKS, times=TIMES)
+        )
+
+    async with devices_of(1) as devices, contextlib.AsyncExitStack() as stack:
+        other = await started(stack, "other")
+        async with contextlib.AsyncExitStack() as first_only:
+            first = await started(first_only, "first")
+            second = await started(stack, "second")
+            await until(lambda: devices[0].reads > 3 and first.links == {"link-0"}, 60)
+            assert not second.links
+        await until(lambda: second.links == {"link-0"}, 60)
+        reads = devices[0].reads
+        await until(lambda: devices[0].reads > reads, 60)
+        assert not other.links
+        assert not other.member.owned

@@ -267,4 +267,4 @@ async def test_a_watch_that_ends_by_an_error_is_begun_again_and_shows_what_other
         found = await east.claim(opened("k1"))
         assert found is not None
         assert found.state is CommandState.UNKNOWN
-    assert "the table of the zone cannot be followed; it is read anew" in caplog.text
+    assert "the table of keys cannot be followed; it is read anew" in caplog.text

@@ -80,6 +80,25 @@ def test_a_rolling_restart_in_order_leaves_no_hole() -> None:
     assert len(world.owners()) == len(COSTS)
 
 
+def test_a_shard_of_a_collector_that_ends_goes_to_another_at_once() -> None:
+    changes: list[float] = []
+    for seed in range(4):
+        world = World(COSTS, seed=seed, poll=0.2, worst=0.05, network=Network((0.01, 0.1)))
+        for number in range(3):
+            world.start(f"c{number}")
+        world.run(15)
+        world.changes.clear()
+        for name in ("c0", "c1", "c2"):
+            world.drivers[name].member.end()
+            world.run(10)
+            world.kill(name)
+            world.start(name)
+            world.run(15)
+        changes += world.changes
+    assert len(changes) > 100
+    assert max(changes) < 0.8, "a period of 0.2 s, and four messages of up to 0.1 s"
+
+
 def test_a_pinned_shard_waits_for_its_host_and_goes_to_its_backup() -> None:
     world = World({**COSTS, "pin.a": 0.1, "pin.b.c": 0.1}, seed=1)
     for host in "bcd":

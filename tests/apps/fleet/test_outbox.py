@@ -8,7 +8,7 @@ from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import SampleMessage
-from busway.apps.fleet.outbox import AGAIN_AFTER, OUTBOX, Outbox, StreamDown
+from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.streams import SinkProgress
 
 NOW = 1_800_000_000 * 10**9
@@ -19,7 +19,7 @@ class MemoryStream:
 
     def __init__(self) -> None:
         self.messages: list[SampleMessage] = []
-        self.cursor: int | None = None
+        self.sinks: dict[str, SinkPlace] = {}
         self.is_up = True
 
     async def publish(self, message: SampleMessage) -> None:
@@ -27,9 +27,9 @@ class MemoryStream:
             raise StreamDown("it is full")
         self.messages.append(message)
 
-    def kept(self, collector: str, store: str) -> int | None:
+    def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
         assert (collector, store) == ("one", "s")
-        return self.cursor
+        return self.sinks
 
     def commits(self) -> list[int]:
         return [each.commit for message in self.messages for each in message.samples]
@@ -94,7 +94,7 @@ async def test_the_cursor_moves_only_by_what_sinks_keep_and_a_restart_begins_the
             sending.commit("meter")
         await sending.outbox.step()
         assert sending.writer.manifest.cursors()[OUTBOX] == (0, 0)
-        sending.stream.cursor = 3
+        sending.stream.sinks = {"broker": SinkPlace(3, 1), "archive": SinkPlace(5, 2)}
         await sending.outbox.step()
         assert sending.writer.manifest.cursors()[OUTBOX] == (3, 0)
         sending.outbox = sending.opened()
@@ -103,19 +103,71 @@ async def test_the_cursor_moves_only_by_what_sinks_keep_and_a_restart_begins_the
         assert sending.stream.commits() == [4, 5]
 
 
-async def test_what_no_sink_comes_to_keep_is_sent_again(tmp_path: Path) -> None:
+async def again(sending: Sending, seconds: float) -> list[int]:
+    """The commits that are sent when so much time has passed."""
+    sending.time += seconds
+    sending.stream.messages.clear()
+    await sending.outbox.step()
+    return sending.stream.commits()
+
+
+async def test_what_a_sink_that_takes_messages_does_not_come_to_keep_is_sent_again_after_ever_longer_times(
+    tmp_path: Path,
+) -> None:
     sending = Sending(tmp_path)
     with sending.writer:
         sending.commit("meter")
-        sending.stream.cursor = 0
+        sending.stream.sinks = {"broker": SinkPlace(0, 0)}
         await sending.outbox.step()
-        sending.stream.messages.clear()
-        sending.time = AGAIN_AFTER - 0.1
+        for wait in (AGAIN_AFTER, 2 * AGAIN_AFTER, 4 * AGAIN_AFTER):
+            sending.stream.sinks = {"broker": SinkPlace(0, sending.stream.sinks["broker"].sequence + 1)}
+            assert await again(sending, 0.0) == []
+            assert await again(sending, wait - 0.1) == []
+            assert await again(sending, 0.1) == [2]
+        sending.stream.sinks = {"broker": SinkPlace(2, 9)}
+        assert await again(sending, 3600.0) == []
+
+
+async def test_what_a_sink_that_is_away_has_not_taken_is_not_sent_again_and_again(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        sending.stream.sinks = {"away": SinkPlace(0, 0), "broker": SinkPlace(0, 0)}
         await sending.outbox.step()
-        assert sending.stream.commits() == []
-        sending.time = AGAIN_AFTER
+        sent = sending.outbox.status().messages
+        for number in range(100):
+            newest = sending.commit("meter")
+            assert await again(sending, AGAIN_AFTER) == [newest], "what is new, and nothing else"
+            sending.stream.sinks["broker"] = SinkPlace(newest, 1 + number)
+        assert sending.outbox.status().messages == sent + 100
+        sending.stream.sinks["away"] = SinkPlace(0, 5)  # it is back: the stream has what it needs, or not
+        assert await again(sending, 0.0) == []
+        assert (await again(sending, AGAIN_AFTER))[0] == 2
+
+
+async def test_what_one_sink_lacks_is_sent_again_from_there_although_another_is_away(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        for _ in range(5):
+            sending.commit("meter")
+        sending.stream.sinks = {"away": SinkPlace(0, 0), "broker": SinkPlace(0, 0)}
         await sending.outbox.step()
-        assert sending.stream.commits() == [2]
+        sending.stream.sinks["broker"] = SinkPlace(4, 3)
+        assert await again(sending, 0.0) == []
+        sending.stream.sinks["broker"] = SinkPlace(4, 7)
+        assert await again(sending, 0.0) == []
+        assert await again(sending, AGAIN_AFTER) == [5, 6]
+
+
+async def test_where_nothing_is_sent_any_more_it_is_sent_again_after_the_longest_time(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        sending.stream.sinks = {"broker": SinkPlace(0, 0)}
+        await sending.outbox.step()
+        await sending.outbox.step()
+        assert await again(sending, AGAIN_LIMIT - 0.1) == []
+        assert await again(sending, 0.1) == [2]
 
 
 async def test_a_stream_that_is_full_loses_nothing(tmp_path: Path) -> None:

@@ -1,14 +1,18 @@
 """A sink says that it keeps a commit only if it has every sample up to it, whatever a stream loses."""
 
+import asyncio
 import random
+from collections.abc import AsyncGenerator
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
+from waiting import until
 
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.messages import SampleMessage
+from busway.apps.fleet.outbox import SinkPlace
 from busway.apps.fleet.streams import MISSING_SECONDS, CursorBook, SinkCursors, SinkProgress, StreamSink
 
 
@@ -103,3 +107,23 @@ async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_ti
     assert await sink._following(Stream(), "s", [given(2), *later]) == [given(2), *later]
     sink._progress.take(3, message("one", [3], 2, 0))
     assert sink._progress.cursors.commits == {"one/s": 0}
+
+
+async def test_cursors_are_followed_anew_after_a_defect_of_the_coordinator(caplog: pytest.LogCaptureFixture) -> None:
+    class Broken:
+        begun = 0
+
+        async def watch(self, prefix: str) -> AsyncGenerator[Entry, None]:
+            self.begun += 1
+            yield Entry("cursor.history", SinkCursors(self.begun, {"one/s": self.begun}).encode(), 1)
+            if self.begun == 1:
+                raise RuntimeError("a state that it cannot have")
+            await asyncio.sleep(3600)
+
+    book = CursorBook()
+    task = asyncio.create_task(book.watch(Broken()))  # type: ignore[arg-type]
+    await until(lambda: book.places("one", "s").get("history") == SinkPlace(2, 2))
+    assert "the table of cursors cannot be followed; it is read anew" in caplog.text
+    task.cancel()
+    await asyncio.wait([task])
+    assert task.cancelled()

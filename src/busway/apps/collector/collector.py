@@ -19,12 +19,13 @@ import time
 from collections.abc import AsyncIterator, Callable, Container, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, ExitStack
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Final, Self
 
 from ...access.audit_log import AuditLog
-from ...client.aio import AsyncLink, open_link
+from ...client.aio import AsyncLink, open_link, send_only_while
 from ...errors import ConfigError
 from ...points.point import Point
 from .alarms.collected import CollectorAlarms
@@ -111,6 +112,7 @@ class Collector:
         configuration: CollectorConfiguration,
         *,
         permit: Callable[[str], None] | None = None,
+        may_send: Callable[[str], bool] | None = None,
         claims: KeyClaims | None = None,
         plant: Callable[[], CollectorConfiguration] | None = None,
         others: OtherOwners | None = None,
@@ -121,6 +123,9 @@ class Collector:
             configuration: the contents of its file.
             permit: called with the name of a link right before each of its transactions, reads and writes. If it raises
                 `LinkDown`, nothing is sent, and the transaction fails with that error.
+            may_send: called with the name of a link right before each of its frames leaves, which may be seconds later
+                on a serial line. If it returns False, nothing is sent, and the connection is reset. None if all frames
+                may leave.
             claims: ensures that of all collectors of a fleet only one executes a write command; None for a collector
                 that works alone.
             plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this
@@ -129,7 +134,7 @@ class Collector:
                 that works alone.
         """
         self.configuration: CollectorConfiguration = configuration
-        self._permit, self._claims = permit, claims
+        self._permit, self._may_send, self._claims = permit, may_send, claims
         self._plant, self._others = plant, others
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
@@ -642,6 +647,8 @@ class Collector:
         loop = asyncio.get_running_loop()
         assert self._committer is not None
         link = open_link(configuration.links[name].url, **configuration.links[name].options)
+        if self._may_send is not None:
+            send_only_while(link, partial(self._may_send, name))
         numbered = settings.endpoint.framing == "mbap"
         schedule = LinkSchedule(
             settings.parameters.timeout, batch=settings.parameters.max_transactions if numbered else 1

@@ -129,6 +129,11 @@ class CollectorConfiguration:
         return self.common.links
 
     @property
+    def hosts(self) -> Mapping[str, Sequence[str]]:
+        """By link, the machines of a fleet that can reach it, the preferred one first; without links that all reach."""
+        return {each.name: each.hosts for each in self.file.link if each.hosts}
+
+    @property
     def learnt_path(self) -> FilePath:
         """Path of the file in which the collector keeps what it learns about devices."""
         return FilePath(self.store) / LEARNT_FILE

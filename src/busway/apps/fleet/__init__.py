@@ -23,6 +23,7 @@
 `fleet_commands`   commands by request and reply on a subject of the link
 `key_memory`       the keys of commands that one entry of the table remembers, and for how long
 `key_table`        the keys of all commands of a zone: each is sent at most once, whatever way it came
+`durability`       what the NATS servers keep when they lose power, as they say it themselves
 `server_rights`    what each role may do at the NATS servers, as data
 `server_files`     configuration files of NATS servers, as text
 `live_subjects`    last values on plain subjects, for displays

@@ -22,9 +22,16 @@ from ...config.reading import read_text
 from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
+from .coordinators.local import LocalCoordinator
 from .lease_times import LeaseTimes
-from .plant import refuse_slow_links, with_short_user_timeout
-from .records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_zone
+from .plant import (
+    refuse_moved_endpoints,
+    refuse_ports_of_any_host,
+    refuse_slow_links,
+    refuse_two_owners,
+    with_short_user_timeout,
+)
+from .records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_member, decode_zone
 from .shards import checked_name
 
 CONTROL: Final = "control."
@@ -58,6 +65,7 @@ class SharedConfiguration:
         """
         configuration = with_short_user_timeout(parse_collector(self.text, self.name))
         refuse_slow_links(configuration, times)
+        refuse_two_owners(configuration)
         return configuration
 
 
@@ -129,7 +137,11 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
         OutcomeUnknown: the file may have become the configuration.
     """
     seen = (await read_entries(coordinator, CONFIGURATION)).get(CONFIGURATION)
-    shared = await asyncio.to_thread(_checked, path, times or await recorded_times(coordinator))
+    times = times or await recorded_times(coordinator)
+    before = _parsed(seen) if seen is not None and seen.value and await _may_run(coordinator) else None
+    shared = await asyncio.to_thread(
+        _checked, path, times, before, is_one_machine=isinstance(coordinator, LocalCoordinator)
+    )
     packed = zlib.compress(json.dumps([shared.name, shared.text]).encode())
     if len(packed) > LONGEST_VALUE or len(shared.text) > _LONGEST_TEXT // 8:
         raise ConfigError(f"is too long for the fleet: {len(packed)} bytes packed, {LONGEST_VALUE} at most", file=path)
@@ -138,11 +150,33 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
     return await coordinator.replace(CONFIGURATION, packed, seen.revision)
 
 
-def _checked(path: str, times: LeaseTimes) -> SharedConfiguration:
+def _checked(
+    path: str, times: LeaseTimes, before: CollectorConfiguration | None, *, is_one_machine: bool
+) -> SharedConfiguration:
     """Read and check a collector file. Raises `ConfigError` with all problems, which name the path as it was given."""
     text = read_text(path)
-    SharedConfiguration(path, text, 0).parsed(times)
+    configuration = SharedConfiguration(path, text, 0).parsed(times)
+    if not is_one_machine:
+        refuse_ports_of_any_host(configuration)
+    if before is not None:
+        refuse_moved_endpoints(before, configuration)
     return SharedConfiguration(os.path.abspath(path), text, 0)
+
+
+def _parsed(entry: Entry) -> CollectorConfiguration | None:
+    """Return the configuration of an entry; None where it cannot be read here any more: no collector can either."""
+    try:
+        shared = decode_configuration(entry)
+        return parse_collector(shared.text, shared.name)
+    except ConfigError:
+        return None
+
+
+async def _may_run(coordinator: Coordinator) -> bool:
+    """Whether a collector of the zone may live: it has joined, and has not ended in order."""
+    members = await read_entries(coordinator, MEMBERS)
+    records = [decode_member(entry.value) for entry in members.values() if entry.value]
+    return any(record is None or not record.gone for record in records)
 
 
 async def refuse_other_figures(coordinator: Coordinator, shards: int, times: LeaseTimes) -> None:

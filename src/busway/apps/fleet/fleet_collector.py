@@ -4,8 +4,9 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 
 1. A link begins after its epoch is on disk. It stops before its shard is handed on: what runs ends, what was taken is
    committed, and only then is the lease released.
-2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take. A
-   lease that lapses therefore ends polling at once, whatever else waits.
+2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take, and
+   again when each of its frames leaves: on a line that may be seconds later. A lease that lapses therefore ends
+   polling at once, whatever else waits.
 3. Changes of ownership are applied one after the other, all that have come together as one.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
@@ -21,11 +22,12 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 
 import asyncio
 import logging
+import math
 import random
 import secrets
 import sqlite3
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+from collections.abc import Awaitable, Callable, Iterable, Mapping, Sequence
 from contextlib import AsyncExitStack, aclosing
 from dataclasses import replace
 from pathlib import Path
@@ -41,14 +43,25 @@ from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
 from .coordinator import Coordinator, Entry
+from .coordinators.local import LocalCoordinator
 from .key_table import KeyTable
 from .lease_driver import MemberDriver, boot_time, end_tasks
 from .lease_holder import FleetMember, ShardEvent, Step
 from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_log import OwnershipLog
-from .plant import costs_by_link, longest_transaction, refuse_slow_links, restricted, with_short_user_timeout
-from .shards import checked_name, links_by_shard
+from .plant import (
+    costs_by_link,
+    links_of_shards,
+    longest_after_sending,
+    longest_transaction,
+    refuse_ports_of_any_host,
+    refuse_slow_links,
+    refuse_two_owners,
+    restricted,
+    with_short_user_timeout,
+)
+from .shards import checked_name
 
 LOOK_AGAIN: Final = 1.0
 """Seconds after which a link that seems to have no owner is looked at again: its new owner may not be shown yet."""
@@ -121,6 +134,9 @@ class FleetCollector:
         times = times or LeaseTimes()
         configuration = with_short_user_timeout(configuration)
         refuse_slow_links(configuration, times)
+        refuse_two_owners(configuration)
+        if not isinstance(coordinator, LocalCoordinator) and not hosts:
+            refuse_ports_of_any_host(configuration)
         self._now = now
         self._stream = stream
         self._coordinator, self._shards, self._hosts = coordinator, shards, dict(hosts or {})
@@ -168,6 +184,7 @@ class FleetCollector:
             collector = Collector(
                 restricted(self._configuration, ()),
                 permit=self._permit,
+                may_send=self._may_send,
                 claims=self._keys,
                 plant=lambda: self._configuration,
                 others=self._others,
@@ -268,11 +285,11 @@ class FleetCollector:
         return self._shard_of.get(link, "none")
 
     def _set_configuration(self, configuration: CollectorConfiguration) -> None:
-        hosts = self._hosts
         self._configuration = configuration
-        self._links_of = links_by_shard(((link, hosts.get(link, ())) for link in configuration.links), self._shards)
+        self._links_of = links_of_shards(configuration, self._shards, self._hosts)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
         self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
+        self._worst_sent = {link: longest_after_sending(configuration, link) for link in configuration.links}
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
     def _tell_costs(self) -> None:
@@ -296,6 +313,8 @@ class FleetCollector:
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
+            if not isinstance(self._coordinator, LocalCoordinator) and not self._hosts:
+                refuse_ports_of_any_host(newer)
             if self._stream is not None:
                 refuse_what_needs_a_store(newer)
             sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
@@ -325,16 +344,16 @@ class FleetCollector:
             await self.collector.reload(restricted(self._configuration, staying), by=self.member.name, origin="fleet")
         await self.collector.flush()
         commit = self.collector.newest_commit
-        for link, epoch in list(self._gone.items()):
-            await asyncio.to_thread(self.ownership.end, [link], epoch, commit, time.time_ns())
-            del self._gone[link]
+        await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, time.time_ns())
+        self._gone.clear()
         await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
         self._set_configuration(newer)
         self.revision = revision
         for shard, owned in list(self.member.owned.items()):
             fresh = [link for link in self._links_of.get(shard, ()) if link not in self._active]
             if fresh and owned.leaving is None:
-                await asyncio.to_thread(self.ownership.begin, fresh, owned.epoch, commit, time.time_ns())
+                rows = [(link, owned.epoch) for link in fresh]
+                await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
@@ -367,6 +386,10 @@ class FleetCollector:
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
         self._permitted[link] = time.time_ns()
+
+    def _may_send(self, link: str) -> bool:
+        """Whether a frame of a link that leaves now can no longer reach the device when the lease ends (rule 2)."""
+        return self.member.may_begin(self.shard_of(link), self._now(), self._worst_sent.get(link, math.inf))
 
     def _told(self, event: ShardEvent) -> None:
         self._waiting.append(event)
@@ -408,16 +431,15 @@ class FleetCollector:
             await self._poll_active()
             self._note_ends(ended)
             await self.collector.flush()
+            await self._record_ends(ended)
             for event in ended:
-                await self._record_end(event)
                 if event.step is Step.LEAVE:
                     self.member.left(event.shard)
             self._driver.wake()
         gained = [event for event in events if self._is_owned(event)]
         if gained:
             await self.collector.flush()
-            for event in gained:
-                await self._begin(event)
+            await self._begin(gained)
             await self._poll_active()
 
     def _is_owned(self, event: ShardEvent) -> bool:
@@ -426,25 +448,37 @@ class FleetCollector:
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept
 
-    async def _record_end(self, event: ShardEvent) -> None:
-        """Record that the links of a shard are owned no longer; an error is logged, and the record then has no end."""
-        links, commit = self._links_of.get(event.shard, ()), self.collector.newest_commit
-        try:
-            await asyncio.to_thread(self.ownership.end, links, event.epoch, commit, time.time_ns())
-        except sqlite3.Error as error:
-            _log.error("the end of shard %s cannot be recorded: %s", event.shard, error)
+    def _owned_by(self, events: Iterable[ShardEvent]) -> list[tuple[str, Epoch]]:
+        return [(link, event.epoch) for event in events for link in self._links_of.get(event.shard, ())]
 
-    async def _begin(self, event: ShardEvent) -> None:
-        links = self._links_of.get(event.shard, [])
+    async def _record_ends(self, events: Sequence[ShardEvent]) -> None:
+        """Record that links are owned no longer; an error is logged, and the record then has no end."""
+        rows, commit = self._owned_by(events), self.collector.newest_commit
         try:
-            await asyncio.to_thread(
-                self.ownership.begin, links, event.epoch, self.collector.newest_commit, time.time_ns()
-            )
+            await asyncio.to_thread(self.ownership.end, rows, commit, time.time_ns())
         except sqlite3.Error as error:
-            _log.error("shard %s is not polled: its epoch cannot be recorded: %s", event.shard, error)
+            shards = ", ".join(event.shard for event in events)
+            _log.error("the end of shards %s cannot be recorded: %s", shards, error)
+
+    async def _begin(self, events: Sequence[ShardEvent]) -> None:
+        """Begin to poll the links of gained shards once their epochs are recorded.
+
+        An error of the record is logged; it is tried again while the shards are owned.
+        """
+        rows, commit = self._owned_by(events), self.collector.newest_commit
+        try:
+            await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
+        except sqlite3.Error as error:
+            shards = ", ".join(event.shard for event in events)
+            _log.error("shards %s are not polled yet: their epochs cannot be recorded: %s", shards, error)
+            self._waiting += events
+            asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             return
-        self._activate(links, event.epoch)
-        self._note_silence(links, event.silent_since)
+        for event in events:
+            links = self._links_of.get(event.shard, [])
+            if self._is_owned(event):  # it may have been lost meanwhile
+                self._activate(links, event.epoch)
+                self._note_silence(links, event.silent_since)
 
     def _activate(self, links: Sequence[str], epoch: Epoch) -> None:
         now = time.monotonic()

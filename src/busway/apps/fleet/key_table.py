@@ -199,7 +199,7 @@ class KeyTable:
 
     async def _follow(self) -> None:
         try:
-            await keep_following(self._follow_table, self._begin_anew)
+            await keep_following(self._follow_table, "the table of keys", self._begin_anew)
         except ConfigError as error:
             _log.error("no command is taken: the fleet's table of keys cannot be followed: %s", error)
 

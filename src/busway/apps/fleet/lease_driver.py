@@ -58,11 +58,12 @@ def end_if_cancelled() -> None:
         raise asyncio.CancelledError
 
 
-async def keep_following(follow: Callable[[], Awaitable[None]], begin_anew: Callable[[], None]) -> None:
-    """Follow the shared table until cancelled: after an unexpected error, which is logged, it is followed again.
+async def keep_following(follow: Callable[[], Awaitable[None]], table: str, begin_anew: Callable[[], None]) -> None:
+    """Follow a shared table until cancelled: after an unexpected error, which is logged, it is followed again (rule 3).
 
     Args:
-        follow: follows the table; ends only by an error.
+        follow: reads the table from its start and follows it; ends only by an error.
+        table: the table, in words, for the log.
         begin_anew: called after each error: what is known is not known to be right until the table is shown again.
 
     Raises:
@@ -74,10 +75,10 @@ async def keep_following(follow: Callable[[], Awaitable[None]], begin_anew: Call
         except ConfigError:
             raise
         except Exception:  # a defect of a client library: else what is known would be stale for good
-            _log.exception("the table of the zone cannot be followed; it is read anew")
+            _log.exception("%s cannot be followed; it is read anew", table)
         except asyncio.CancelledError:
             end_if_cancelled()
-            _log.error("following the table of the zone was cancelled, though not by this collector; it is read anew")
+            _log.error("following %s was cancelled, though not by this program; it is read anew", table)
         begin_anew()
         await asyncio.sleep(WATCH_AGAIN)
 
@@ -130,7 +131,9 @@ class MemberDriver:
         """
         try:
             async with asyncio.TaskGroup() as tasks:
-                tasks.create_task(keep_following(self._follow_table, self.member.begin_snapshot))
+                tasks.create_task(
+                    keep_following(self._follow_table, "the table of the zone", self.member.begin_snapshot)
+                )
                 tasks.create_task(self._take_turns())
         except ExceptionGroup as group:
             raise first_error(group) from None

@@ -644,9 +644,11 @@ class FleetMember:
             if len(self._open) >= MOST_OPEN:
                 return
             patience = PATIENCE_OF_BACKUPS if hosts_of(shard) else PATIENCE
-            is_mine = taker == self.name or (now >= self._free_since[shard] + patience and self._may_own(shard))
+            seen = self._leases.get(shard)
+            is_for_me = seen is not None and seen.record is not None and seen.record.target == self.name
+            is_late = now >= self._free_since[shard] + patience
+            is_mine = taker == self.name or is_for_me or (is_late and self._may_own(shard))
             if is_mine and f"{LEASES}{shard}" not in self._open:
-                seen = self._leases.get(shard)
                 self._note_silence(shard, seen)
                 record = LeaseRecord(
                     self.name,
@@ -702,11 +704,12 @@ class FleetMember:
     def _hand_on(self, now: float) -> None:
         """Begin to give away shards (groups of links) that this collector must not keep or that `balance` moves."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
+        takes = takers({shard: self.cost(shard) for shard in self.owned}, self._shares(now)) if self._ends else {}
         for shard, owned in self.owned.items():
             unwanted = shard not in self._costs or self._ends or self._me.problem
             if unwanted and owned.leaving is None:
                 reason = "the collector ends" if self._ends else self._me.problem or "no link belongs to it"
-                self._leave(shard, owned, "", reason)
+                self._leave(shard, owned, takes.get(shard, ""), reason)
         shares = self._shares(now)
         found = moves(self._owned_by_all(now), shares, moving=leaving > 0) if not self._free_since else []
         if not found:

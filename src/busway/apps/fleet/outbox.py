@@ -5,7 +5,9 @@ Knows commits and cursors; `streams` knows the engine.
 1. Samples are sent after their commit, in the order of commits, and again after each start from the cursor on: the
    commit up to which every sink has told that it has all samples. The stream may lose all messages.
 2. The cursor is in the manifest of the store. Retention counts the samples after the cursor that it deletes as lost.
-3. If no sink moves for `AGAIN_AFTER` seconds although samples were sent, they are sent again from the cursor on.
+3. A sink that has taken messages of the stream for `AGAIN_AFTER` seconds without having more samples of this store
+   lacks some: all samples are sent again from the commit on that it has. Each time without success the wait is twice as
+   long. A sink that takes no messages is away: what is sent to it again would only fill the stream.
 4. Messages that are sent again, after a start, a refusal or by rule 3, have names that the stream does not know. A
    stream that recognised the name would drop the new message, and might lose the older copy before a sink has it: the
    sink would then believe that it has everything.
@@ -33,6 +35,8 @@ MOST: Final = 20_000
 IDLE: Final = 0.25
 """Seconds between two checks for new commits."""
 AGAIN_AFTER: Final = 30.0
+AGAIN_LIMIT: Final = 600.0
+"""Most seconds before it is sent again; also where nothing moves because nothing is sent."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 15.0
 
@@ -41,6 +45,29 @@ _log = logging.getLogger("busway.fleet")
 
 class StreamDown(ModbusError):
     """Error: the stream is away, full, or denies access, so a message was not acknowledged; it may have arrived."""
+
+
+@dataclass(frozen=True, slots=True)
+class SinkPlace:
+    """How far one sink of the stream is.
+
+    Attributes:
+        commit: the commit up to which it keeps all samples of one store.
+        sequence: the number of the last message of the stream that it has taken, of whatever sender.
+    """
+
+    commit: int
+    sequence: int
+
+
+@dataclass(slots=True)
+class _Waiting:
+    """A sink that keeps less than was sent: where it was at first, since when it takes messages, how long it may."""
+
+    place: SinkPlace
+    since: float
+    wait: float = AGAIN_AFTER
+    takes_since: float | None = None
 
 
 class SampleStream(Protocol):
@@ -53,8 +80,8 @@ class SampleStream(Protocol):
             StreamDown: the stream has not acknowledged the message, but may have it.
         """
 
-    def kept(self, collector: str, store: str) -> int | None:
-        """Return the commit up to which all sinks have the samples of a store; None if no sink is known."""
+    def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
+        """Return by sink how far it is with the samples of a store; empty if no sink is known."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -109,7 +136,8 @@ class Outbox:
         manifest.set_cursor(OUTBOX, self._kept, self._lost)
         self._sent = self._kept
         self._told = -1
-        self._moved_at = now()
+        self._waiting: dict[str, _Waiting] = {}
+        self._published_at = now()
         self._messages, self._round = 0, secrets.randbits(48)
         self._error: str | None = None
 
@@ -150,37 +178,56 @@ class Outbox:
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
         for message in self._messages_of(found.samples) or [self._message("", 0, [])]:
             try:
-                await self._stream.publish(message)
+                await self._publish(message)
             except StreamDown:
                 self._round += 1
                 raise
-            self._messages += 1
         self._sent = found.last
         return len(found.samples) >= MOST
+
+    async def _publish(self, message: SampleMessage) -> None:
+        await self._stream.publish(message)
+        self._published_at = self._now()
+        self._messages += 1
 
     async def _take_kept(self) -> None:
         """Move the cursor in the store's manifest to the commit up to which all sinks have the samples.
 
-        If no sink has moved for `AGAIN_AFTER` seconds, sending begins again at the cursor (rule 3).
+        Where a sink lacks samples that were sent, sending begins again (rules 1 and 3).
         """
-        kept = self._stream.kept(self._collector, self._store)
-        if kept is not None and kept > self._kept:
-            self._moved_at = self._now()
+        places = self._stream.places(self._collector, self._store)
+        kept = min((each.commit for each in places.values()), default=0)
+        if kept > self._kept:
             self._kept = min(kept, self._sent)
             lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
             await asyncio.to_thread(self._manifest.set_cursor, OUTBOX, self._kept, lost)
-        elif self._sent <= self._kept:
-            self._moved_at = self._now()
-        elif kept is not None and self._now() >= self._moved_at + AGAIN_AFTER:
-            _log.warning("no sink has moved beyond commit %d for %g s: sent again", self._kept, AGAIN_AFTER)
-            self._moved_at = self._now()
-            self._sent, self._told = self._kept, -1
+        self._waiting = {name: each for name, each in self._waiting.items() if name in places}
+        lacking = {name: place.commit for name, place in places.items() if self._lacks(name, place)}
+        if lacking:
+            begin = max(self._kept, min(lacking.values()))
+            _log.warning("%s did not get all: sent again from commit %d on", ", ".join(sorted(lacking)), begin)
+            self._sent, self._told = begin, -1
             self._round += 1
+
+    def _lacks(self, name: str, place: SinkPlace) -> bool:
+        """Whether a sink lacks samples that were sent, as far as can be seen (rule 3)."""
+        now, waiting = self._now(), self._waiting.get(name)
+        if waiting is None or place.commit > waiting.place.commit or place.commit >= self._sent:
+            self._waiting[name] = _Waiting(place, now)
+            return False
+        if waiting.takes_since is None and place.sequence > waiting.place.sequence:
+            waiting.takes_since = now
+        has_taken = waiting.takes_since is not None and now >= waiting.takes_since + waiting.wait
+        is_idle = now >= max(waiting.since, self._published_at) + AGAIN_LIMIT
+        if not has_taken and not is_idle:
+            return False
+        self._waiting[name] = _Waiting(place, now, min(2 * waiting.wait, AGAIN_LIMIT))
+        return True
 
     async def _tell_complete(self) -> None:
         """Tell sinks that all stored samples were sent, so that their positions reach the last commit."""
         if self._told < self._sent:
-            await self._stream.publish(self._message("", 0, []))
+            await self._publish(self._message("", 0, []))
             self._told = self._sent
 
     def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:

@@ -13,7 +13,7 @@ import secrets
 import sqlite3
 import threading
 from bisect import bisect_left
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -36,6 +36,9 @@ INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)
 ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
 """
 """A link that the configuration lacked for a while goes on in the epoch of its shard."""
+_END: Final = """
+UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,48 +106,38 @@ class OwnershipLog:
         with self._lock:
             self._database.close()
 
-    def begin(self, links: Iterable[str], epoch: Epoch, after_commit: int, now: int) -> None:
-        """Record on disk that links are owned from now on; only then may they be polled.
+    def begin(self, owned: Iterable[tuple[str, Epoch]], after_commit: int, now: int) -> None:
+        """Record on disk that links are owned from now on, all of them or none; only then may they be polled.
 
         Args:
-            links: names of the links.
-            epoch: the epoch of the ownership.
+            owned: names of the links, each with the epoch of its ownership.
             after_commit: the last commit before the ownership.
             now: nanoseconds since 1970 UTC.
 
         Raises:
             sqlite3.Error: nothing was recorded; the links must not be polled.
         """
-        rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link in links]
+        rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link, epoch in owned]
         with self._lock:
-            self._database.execute("BEGIN IMMEDIATE")
-            try:
-                self._database.executemany(_BEGIN, rows)
-            except sqlite3.Error:
-                self._database.execute("ROLLBACK")
-                raise
-            self._database.execute("COMMIT")
-            for link, *_ in rows:
-                self._epochs.setdefault(link, []).append((after_commit, epoch))
+            self._write(_BEGIN, rows)
+            for link, generation, revision, *_ in rows:
+                self._epochs.setdefault(link, []).append((after_commit, Epoch(generation, revision)))
 
-    def end(self, links: Iterable[str], epoch: Epoch, last_commit: int, now: int) -> None:
-        """Record on disk that links are no longer owned; all their samples must be committed.
-
-        Args:
-            links: names of the links.
-            epoch: the epoch of the ownership that ends.
-            last_commit: the last commit in the ownership.
-            now: nanoseconds since 1970 UTC.
-
-        Raises:
-            sqlite3.Error: nothing was recorded.
-        """
-        rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link in links]
+    def end(self, owned: Iterable[tuple[str, Epoch]], last_commit: int, now: int) -> None:
+        """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
+        rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link, epoch in owned]
         with self._lock:
-            self._database.executemany(
-                'UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?',
-                rows,
-            )
+            self._write(_END, rows)
+
+    def _write(self, statement: str, rows: Sequence[tuple[str | int, ...]]) -> None:
+        """Execute a statement for all rows together: one wait for the disk, however many shards move at once."""
+        self._database.execute("BEGIN IMMEDIATE")
+        try:
+            self._database.executemany(statement, rows)
+        except sqlite3.Error:
+            self._database.execute("ROLLBACK")
+            raise
+        self._database.execute("COMMIT")
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
         """Return the epoch in which a link's samples of a commit were taken; None if they are from before the fleet."""

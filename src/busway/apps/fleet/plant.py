@@ -1,6 +1,14 @@
-"""The part of a plant's configuration that one collector of a fleet works on, and what its links need."""
+"""The part of a plant's configuration that one collector of a fleet works on, and what its links need.
 
-from collections.abc import Container, Mapping
+1. What has one owner is an endpoint, whatever links name it: a line has one master. Links to one endpoint are in one
+   shard, that of the first of their names.
+2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
+   name their hosts, unless all collectors are on one machine.
+3. A newer configuration reaches collectors one after the other, and one may refuse it. So an endpoint never goes from
+   one shard to another by it, while a collector may live.
+"""
+
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 
 from ...client.settings import link_settings, options_of
@@ -9,6 +17,7 @@ from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration
 from ..server.configuration import Configuration
 from .lease_times import LeaseTimes
+from .shards import links_by_shard
 
 
 def restricted(configuration: CollectorConfiguration, links: Container[str]) -> CollectorConfiguration:
@@ -50,18 +59,32 @@ def longest_transaction(configuration: CollectorConfiguration, link: str) -> flo
     """Return the seconds from the permission of a transaction until none of its bytes can reach the device any more.
 
     The time to connect is included, and the time for which TCP repeats bytes that are not acknowledged; infinity if TCP
-    repeats them without limit. A gateway on the way that queues requests adds to this time: its longest wait belongs to
-    `LeaseTimes.guard`.
+    repeats them without limit. A poller repeats nothing. The wait of a frame for a serial line is not included:
+    permission is asked again when it leaves, with `longest_after_sending`. A gateway on the way that queues requests
+    adds to this time: its longest wait belongs to `LeaseTimes.guard`.
 
     Args:
         configuration: the configuration of the plant.
         link: name of one of its links.
     """
     settings = configuration.links[link].settings
-    offered, timeout = options_of(settings.endpoint), settings.parameters.timeout
-    connecting = settings.sockets.connect_timeout if "connect_timeout" in offered else 0.0
-    repeating = settings.sockets.effective_user_timeout if "user_timeout" in offered else 0.0
-    return connecting + max(timeout, float("inf") if repeating is None else repeating)
+    connecting = settings.sockets.connect_timeout if "connect_timeout" in options_of(settings.endpoint) else 0.0
+    return connecting + longest_after_sending(configuration, link)
+
+
+def longest_after_sending(configuration: CollectorConfiguration, link: str) -> float:
+    """Return how long a transaction may take from the sending of its frame until none of it can reach the device.
+
+    The operating system repeats bytes that are not acknowledged. A gateway that queues requests adds to this time: its
+    longest wait belongs to `LeaseTimes.guard`.
+
+    Args:
+        configuration: the configuration of the plant.
+        link: name of one of its links.
+    """
+    settings = configuration.links[link].settings
+    repeating = settings.sockets.effective_user_timeout if "user_timeout" in options_of(settings.endpoint) else 0.0
+    return max(settings.parameters.timeout, float("inf") if repeating is None else repeating)
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
@@ -86,3 +109,96 @@ def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, flo
         loads: the load of each link; links that are missing have no load.
     """
     return {name: max(0.001, loads.get(name, 0.0)) for name in configuration.links}
+
+
+def links_of_shards(
+    configuration: CollectorConfiguration, shards: int, hosts: Mapping[str, Sequence[str]] | None = None
+) -> dict[str, list[str]]:
+    """Return the links of a configuration grouped by shard; shards without links are left out.
+
+    Args:
+        configuration: of the whole plant.
+        shards: how many shards the zone has, 1…1024.
+        hosts: by link, the hosts that can reach it; those that are missing are as the configuration says.
+    """
+    shown = {**configuration.hosts, **(hosts or {})}
+    firsts = _first_links(configuration, shown)
+    by_shard = links_by_shard(((first, shown.get(first, ())) for first in dict.fromkeys(firsts.values())), shards)
+    shard_of_first = {first: shard for shard, links in by_shard.items() for first in links}
+    found: dict[str, list[str]] = {}
+    for link, first in firsts.items():
+        found.setdefault(shard_of_first[first], []).append(link)
+    return found
+
+
+def refuse_two_owners(configuration: CollectorConfiguration) -> None:
+    """Raise `ConfigError` for links to one endpoint that different hosts could own (rule 1)."""
+    hosts = configuration.hosts
+    for link, first in _first_links(configuration, hosts).items():
+        if list(hosts.get(link, ())) != list(hosts.get(first, ())):
+            endpoint = configuration.links[link].settings.endpoint.url
+            raise ConfigError(
+                f"links {first} and {link} are one endpoint, {endpoint}, with different hosts: two collectors would "
+                "poll it; give both the same",
+                file=configuration.name,
+                key=f"link.{link}",
+            )
+
+
+def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
+    """Raise `ConfigError` for a serial port whose host is not named (rule 2)."""
+    for name, link in configuration.links.items():
+        if link.settings.endpoint.carrier == "serial" and name not in configuration.hosts:
+            raise ConfigError(
+                f"{link.settings.endpoint.url} is a port of one machine, and any collector of the zone could take it: "
+                f'name the machine, hosts = ["NAME"]',
+                file=configuration.name,
+                key=f"link.{name}",
+            )
+
+
+def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
+    """Raise `ConfigError` if an endpoint would go from one shard to another (rule 3)."""
+    owners = [
+        {
+            place: (first, tuple(each.hosts.get(first, ())))
+            for link, first in _first_links(each, each.hosts).items()
+            for place in _places(each, link, each.hosts)
+        }
+        for each in (before, after)
+    ]
+    for place, (first, hosts) in owners[1].items():
+        owned = owners[0].get(place, (first, hosts))
+        if owned != (first, hosts):
+            raise ConfigError(
+                f"{place} is that of link {_shown(*owned)}, and would be that of link {_shown(first, hosts)}: two "
+                "collectors could poll it until all have taken the file. Apply one without it first, and this one when "
+                "busway fleet status shows that revision for all collectors",
+                file=after.name,
+                key=f"link.{first}",
+            )
+
+
+def _shown(link: str, hosts: Sequence[str]) -> str:
+    return f"{link} on {' and '.join(hosts)}" if hosts else link
+
+
+def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequence[str]]) -> dict[str, str]:
+    """Return by link the first of the links to its endpoint, in the order of names."""
+    first_at: dict[str, str] = {}
+    found: dict[str, str] = {}
+    for link in sorted(configuration.links):
+        places = _places(configuration, link, hosts)
+        first = next((first_at[place] for place in places if place in first_at), link)
+        found[link] = first
+        for place in places:
+            first_at.setdefault(place, first)
+    return {link: found[link] for link in configuration.links}
+
+
+def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str, Sequence[str]]) -> list[str]:
+    """Return where a link leads to: an address in the network, or a port of each of its hosts."""
+    endpoint = configuration.links[link].settings.endpoint
+    if endpoint.carrier == "serial":
+        return [f"{endpoint.path} of {host}" for host in hosts.get(link, ())] or [endpoint.path]
+    return [f"{endpoint.host.lower() or '127.0.0.1'}:{endpoint.port}"]

@@ -15,7 +15,7 @@ import contextlib
 import json
 import logging
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final
@@ -36,7 +36,7 @@ from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks, keep_following
 from .messages import SampleMessage, UnreadableMessage, decode_message
-from .outbox import StreamDown
+from .outbox import SinkPlace, StreamDown
 
 CURSORS: Final = "cursor."
 FETCH: Final = 64
@@ -101,12 +101,7 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
         await found_or_made(client, config.evolve(num_replicas=1), options.source)
         there = api.ExternalStream(api=f"$JS.{options.source}.API", deliver=None)
         config = config.evolve(subjects=None, sources=[api.StreamSource(name=config.name, external=there)])
-    found = await found_or_made(client, config)
-    if (found.num_replicas or 1) < options.replicas:
-        raise ConfigError(
-            f"the stream {config.name} has {found.num_replicas} replicas, and {options.replicas} are asked for",
-            key="replicas",
-        )
+    await found_or_made(client, config)
     return str(config.name)
 
 
@@ -149,9 +144,20 @@ async def found_or_made(client: Any, config: Any, domain: str | None = None) -> 
             that ``client`` is connected to.
 
     Raises:
-        ConfigError: the stream cannot be created or used.
+        ConfigError: the stream cannot be created or used, or has fewer replicas than ``options`` asks for.
         StreamDown: the server does not answer, or cannot use the stream yet.
     """
+    found = await _found_or_made(client, config, domain)
+    if (found.num_replicas or 1) < (config.num_replicas or 1):
+        raise ConfigError(
+            f"the stream {config.name} has {found.num_replicas} replicas, and {config.num_replicas} are asked for: "
+            f"'nats stream edit {config.name} --replicas {config.num_replicas}', or ask for fewer",
+            key="replicas",
+        )
+    return found
+
+
+async def _found_or_made(client: Any, config: Any, domain: str | None) -> Any:
     nats, errors = import_module("nats"), import_module("nats.js.errors")
     jetstream = client.jetstream(timeout=10.0, domain=domain)
     calls = f"$JS.{domain}.API.STREAM" if domain else "$JS.API.STREAM"
@@ -214,14 +220,14 @@ class NatsStream:
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
 
-    def kept(self, collector: str, store: str) -> int | None:
-        """Return up to which commit all sinks have the samples of a collector's store; None if no sink is known.
+    def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
+        """Return by sink up to which commit it has the samples of a collector's store; empty if no sink is known.
 
         Args:
             collector: name of the collector.
             store: the word that names its store in messages.
         """
-        return self._cursors.kept(collector, store)
+        return self._cursors.places(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
         """Follow the positions of all sinks in the shared table until cancelled; `kept` answers from them.
@@ -285,13 +291,10 @@ class CursorBook:
                 found = SinkCursors(0, {})  # it keeps nothing, as far as can be said
             self._cursors[sink] = found
 
-    def kept(self, collector: str, store: str) -> int | None:
-        """Return up to which commit all sinks have the samples of a collector's store.
-
-        None if no sink is known; 0 if a sink has nothing of this store yet.
-        """
+    def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
+        """Return by sink up to which commit it has the samples of a store: commit 0 if it has nothing of it yet."""
         place = f"{collector}/{store}"
-        return min((each.commits.get(place, 0) for each in self._cursors.values()), default=None)
+        return {name: SinkPlace(each.commits.get(place, 0), each.sequence) for name, each in self._cursors.items()}
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
         """Return the position of one sink and the revision of its table entry; None and 0 if the sink has no entry."""
@@ -321,7 +324,7 @@ class CursorBook:
                         told()
                     self.take(entry)
 
-        await keep_following(follow, self.begin_snapshot)
+        await keep_following(follow, "the table of cursors", self.begin_snapshot)
 
 
 @dataclass(frozen=True, slots=True)

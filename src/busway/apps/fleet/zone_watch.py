@@ -142,7 +142,7 @@ class ZoneWatch:
 
     async def _follow(self) -> None:
         try:
-            await keep_following(self._follow_table, lambda: self.take(SNAPSHOT_BEGINS))
+            await keep_following(self._follow_table, "the table of the zone", lambda: self.take(SNAPSHOT_BEGINS))
         except ConfigError as error:
             self.take(SNAPSHOT_BEGINS)
             _log.error("the status of the zone is not known: its table cannot be followed: %s", error)

@@ -15,7 +15,8 @@ Rules:
 """
 
 import math
-from collections.abc import Iterator
+import re
+from collections.abc import Iterator, Sequence
 from typing import Annotated, Final, Literal
 
 from pydantic import BeforeValidator, Field
@@ -28,9 +29,11 @@ from .points import Report, ReportSection
 from .schema import NO_LIST, NO_TABLE, Section
 from .simulation import Parameter
 from .sinks import AnySink
-from .system import SystemFile, twice
+from .system import LinkSection, SystemFile, twice
 
 NOTHING: Final = "none: a collector serves nothing."
+_HOST: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
+_MOST_HOSTS: Final = 2
 Role = Literal["view", "operate", "configure"]
 
 
@@ -118,6 +121,16 @@ class CollectedDeviceSection(Section):
     ] = None
 
 
+class CollectedLinkSection(LinkSection):
+    """``[[link]]``: a named endpoint with its own options, and which machines of a fleet can reach it."""
+
+    hosts: Annotated[
+        list[str],
+        "in a fleet, the machine that can reach it, or two, the preferred one first; left out: all of them. A serial "
+        "port needs it where collectors run on several machines.",
+    ] = NO_LIST
+
+
 def _none_here(value: object) -> object:
     if value:
         raise ValueError("a collector serves nothing: [[unit]] belongs into the profile of a device")
@@ -131,6 +144,7 @@ class CollectorFile(SystemFile):
         CollectorSection()
     )
     page_access: Annotated[PageAccessSection, "who may see and change what on the page."] = PageAccessSection()
+    link: Annotated[Sequence[CollectedLinkSection], "named ways to the devices, with options of their own."] = NO_LIST
     poll_class: Annotated[dict[str, PollClassSection], "how often points are read, by name of the class."] = NO_TABLE
     device: Annotated[list[CollectedDeviceSection], "the devices to poll."] = NO_LIST
     sink: Annotated[list[AnySink], "systems that get the samples."] = NO_LIST
@@ -150,6 +164,8 @@ class CollectorFile(SystemFile):
         yield from twice("link", [each.name for each in self.link])
         yield from twice("device", [each.name for each in self.device])
         yield from twice("sink", [each.name for each in self.sink])
+        for index, link in enumerate(self.link):
+            yield from ((("link", index, "hosts"), sentence) for sentence in _host_faults(link.hosts))
         links = [each.name for each in self.link]
         for index, device in enumerate(self.device):
             if links and device.link not in links:
@@ -157,6 +173,14 @@ class CollectorFile(SystemFile):
             if device.poll_class and self.poll_class and device.poll_class not in self.poll_class:
                 there = ", ".join(self.poll_class)
                 yield ("device", index, "poll_class"), f"there is no class {device.poll_class!r}, but {there}"
+
+
+def _host_faults(hosts: Sequence[str]) -> Iterator[str]:
+    for host in hosts:
+        if not _HOST.fullmatch(host):
+            yield f"{host!r} cannot be the name of a host: letters, digits, - and _, without the domain"
+    if len(hosts) > _MOST_HOSTS or len(set(hosts)) < len(hosts):
+        yield "has one host, or two: the preferred one, and the one that takes over"
 
 
 def _page_access_faults(access: PageAccessSection) -> Iterator[tuple[Path, str]]:

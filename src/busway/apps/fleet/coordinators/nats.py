@@ -82,11 +82,13 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
     bucket = f"busway-{checked_name(zone, 'zone')}"
     client = await connect_nats(url, options)
     try:
-        await find_bucket(client, bucket, options)
+        info = await find_bucket(client, bucket, options)
     except BaseException:
         await client.close()
         raise
-    return NatsCoordinator(client, bucket, options.answer, options.domain)
+    table = NatsCoordinator(client, bucket, options.answer, options.domain)
+    table.replicas, table.is_clustered = int(info.config.num_replicas or 1), info.cluster is not None
+    return table
 
 
 async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py's own
@@ -276,8 +278,10 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
     return context
 
 
-async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> None:
+async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> Any:  # nats-py's own
     """Find or create a key-value bucket of NATS, and check its replicas and that it is kept on disk.
+
+    Returns the server's status of the bucket.
 
     Args:
         client: client of `connect_nats`.
@@ -349,6 +353,7 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
         )
     if info.config.storage != api.StorageType.FILE:
         raise ConfigError(f"the bucket {bucket} is kept in memory only: delete it, and it is made anew", key="bucket")
+    return info
 
 
 class _Watch:
@@ -435,10 +440,14 @@ class NatsCoordinator:
 
     Attributes:
         client: the client of nats-py, for the streams of the same collector.
+        replicas: number of servers that keep each entry.
+        is_clustered: whether the server belongs to a cluster.
     """
 
     def __init__(self, client: Any, bucket: str, answer: float, domain: str | None = None) -> None:
         self.client: Any = client
+        self.replicas: int = 1
+        self.is_clustered: bool = False
         self._bucket, self._answer = bucket, answer
         self._jetstream = client.jetstream(timeout=answer, domain=domain)
         self._keys = in_domain(f"$KV.{bucket}.", domain) if domain else f"$KV.{bucket}."

@@ -1,0 +1,75 @@
+"""Connections that send only while a function permits it, for links that other programs may take over.
+
+Knows transports by their methods; knows no lease. A link keeps requests back: for a pause, for a reply that is still
+owed, for a marker before them. So permission is asked when bytes leave, whatever they are and why they waited.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import Any, Final
+
+from ..errors import LinkDown
+from .channel import Channel
+from .connector import Connector
+
+NOT_PERMITTED: Final = "sending is not permitted now; this request was not sent"
+
+
+class PermittedConnector:
+    """Opens the connections of a link that may not always send.
+
+    Args:
+        connector: opens them.
+        may_send: whether bytes may leave now; called before each connection and each frame.
+    """
+
+    def __init__(self, connector: Connector, may_send: Callable[[], bool]) -> None:
+        self._connector, self._may_send = connector, may_send
+
+    async def connect(self, protocol: Callable[[], Any]) -> Any:  # Any: of whatever transport
+        """Open a connection and return its transport. Raises `LinkDown`, also where nothing may be sent on it."""
+        if not self._may_send():
+            raise LinkDown(NOT_PERMITTED, kind="other")
+        made: list[Any] = []
+
+        def noted() -> Any:
+            made.append(protocol())
+            return made[-1]
+
+        transport = await self._connector.connect(noted)
+        return PermittedTransport(transport, made[-1], self._may_send)
+
+    def dial(self) -> Channel:
+        """Open a connection of a blocking link, which always may send. Raises `LinkDown`."""
+        return self._connector.dial()
+
+    def release(self) -> None:
+        """Free what the inner connector holds."""
+        self._connector.release()
+
+
+class PermittedTransport:
+    """The transport of an open connection, which is reset instead of sending what is not permitted.
+
+    Args:
+        transport: the transport.
+        protocol: gets its events.
+        may_send: whether bytes may leave now.
+    """
+
+    __slots__ = ("_may_send", "_protocol", "_transport")
+
+    def __init__(self, transport: Any, protocol: Any, may_send: Callable[[], bool]) -> None:
+        self._transport, self._protocol, self._may_send = transport, protocol, may_send
+
+    def __getattr__(self, name: str) -> Any:  # Any: what transports have differs
+        return getattr(self._transport, name)
+
+    def write(self, data: bytes) -> None:
+        """Send bytes if that is permitted now; else reset the connection, and tell the link in the loop's next turn."""
+        if self._may_send():
+            self._transport.write(data)
+            return
+        error = LinkDown(NOT_PERMITTED, kind="other")
+        asyncio.get_running_loop().call_soon(self._protocol.connection_lost, error)
+        self._transport.abort()
