@@ -62,6 +62,6 @@ def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
     }
 
 
-def point_keys(configuration: CollectorConfiguration) -> frozenset[tuple[str, str]]:
-    """Return the device and the name of each point of a configuration."""
-    return frozenset((device.name, point.name) for device in configuration.devices.values() for point in device.points)
+def points_of(configuration: CollectorConfiguration) -> dict[tuple[str, str], Point]:
+    """Return the points of a configuration, by device and name."""
+    return {(device.name, point.name): point for device in configuration.devices.values() for point in device.points}

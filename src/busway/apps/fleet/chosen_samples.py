@@ -14,11 +14,12 @@ from typing import Final
 
 from ...errors import ConfigError
 from ...options.sinks import DeliveryOptions
+from ...points.point import Point
 from ...points.point_rules import ReportRule
 from ..collector.configuration import CollectorConfiguration
 from ..collector.samples import NANOSECONDS
 from ..collector.sinks.files import FileSink
-from ..collector.sinks.interface import AlarmSink, Sink
+from ..collector.sinks.interface import AlarmSink, DescribedSink, Sink
 from ..collector.sinks.sparkplug import SparkplugSink
 from ..collector.store.committed_samples import CommittedSample
 
@@ -33,9 +34,18 @@ class ChosenSamples:
         sink: gets the chosen samples.
         options: of the sink; batches are the stream's.
         rules: by device and point, the report rules of points, where the sink has none of its own.
+        points: by device and point, what a sink that describes points to its receiver tells of them; None for nothing.
     """
 
-    def __init__(self, sink: Sink, options: DeliveryOptions, rules: Mapping[_Point, ReportRule]) -> None:
+    def __init__(
+        self,
+        sink: Sink,
+        options: DeliveryOptions,
+        rules: Mapping[_Point, ReportRule],
+        points: Mapping[_Point, Point] | None = None,
+    ) -> None:
+        if points is not None and isinstance(sink, DescribedSink):
+            sink.describe(points)
         self._sink, self._options, self._rules = sink, options, rules
         self._named: dict[_Point, bool] = {}
         self._reported: dict[_Point, CommittedSample] = {}

@@ -10,6 +10,7 @@
 `files`              Sink that writes files: CSV, JSON lines, Parquet
 `mqtt`               Sink that publishes samples by MQTT 5, with discovery by Home Assistant
 `mqtt_connection`    Connects MQTT clients (aiomqtt), and closes connections that were opened but cannot be used
+`home_assistant`     What Home Assistant is told about a point: its kind of entity, device class and state class
 `postgresql`         Sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert
 `influxdb`           Sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB
 `nats`               Sink that publishes samples to a stream of NATS JetStream
@@ -23,5 +24,5 @@ tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `sin
 after an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
 `interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`;
 what an error of a server may show: `hidden_secrets`. Which points there are after a file was read again: `delivery`.
-Topics and subjects: `mqtt`, `nats`, `sparkplug`.
+Topics and subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point: `home_assistant`.
 """
