@@ -206,12 +206,12 @@ async def test_a_point_that_nothing_describes_is_announced_with_its_first_value(
     assert announced(messages).keys() == {"binary_sensor/on"}
 
 
-def tls_lines(folder: Path) -> list[str]:
-    """Lines of a broker's configuration for TLS and one user, and the files that they name."""
+def make_certificates(folder: Path, hosts: list[str]) -> None:
+    """Make ``ca.pem`` of an authority, and ``server.pem`` and ``server.key`` of a server of some hosts."""
     from busway.transport.tls.certificates.authority import Authority
 
     authority = Authority.create(days=2)
-    server_files = authority.server(["127.0.0.1", "localhost"], days=2)
+    server_files = authority.server(hosts, days=2)
     for name, content in (
         ("ca.pem", authority.issued.certificate_pem()),
         ("server.pem", server_files.certificate_pem()),
@@ -219,6 +219,11 @@ def tls_lines(folder: Path) -> list[str]:
     ):
         (folder / name).write_bytes(content)
         (folder / name).chmod(0o644)
+
+
+def tls_lines(folder: Path) -> list[str]:
+    """Lines of a broker's configuration for TLS and one user, and the files that they name."""
+    make_certificates(folder, ["127.0.0.1", "localhost"])
     passwords = folder / "passwords"
     subprocess.run(
         [needed("mosquitto_passwd"), "-b", "-c", str(passwords), "collector", "geheim"], check=True, timeout=10
@@ -305,6 +310,101 @@ async def test_a_broker_over_tls_with_a_password(tmp_path: Path) -> None:
         sink = MqttSink("127.0.0.1", server.port, user="collector", password="geheim", tls=tls, timeout=5.0)
         delivery = delivery_to(sink, writer)
         await run_until(delivery, lambda: delivery.status().sent == 9)
+
+
+def made(folder: Path, url: str, **keys: str) -> Any:
+    """The sink of a table as a collector file has it, with the authority of `make_certificates`."""
+    from busway.apps.collector.sinks.options import make_sink
+    from busway.config.files.sinks import SentSection, sink_section
+
+    section = sink_section({"name": "sink", "url": url, "authority": str(folder / "ca.pem"), **keys})
+    assert isinstance(section, SentSection)
+    return make_sink(section)[0]
+
+
+def kept_secret(folder: Path, secret: str) -> str:
+    """The path of a file with a secret."""
+    path = folder / "secret"
+    path.write_text(secret)
+    path.chmod(0o600)
+    return str(path)
+
+
+@pytest.mark.parametrize("mode", ["require", "verify-ca", "verify-full"])
+async def test_a_database_over_tls_is_one_with_a_certificate_for_its_host_by_the_authority(
+    tmp_path: Path, mode: str
+) -> None:
+    pytest.importorskip("asyncpg")
+    make_certificates(tmp_path, ["127.0.0.1"])
+    files = (tmp_path / "server.pem", tmp_path / "server.key")
+    password = kept_secret(tmp_path, PostgresqlServer.PASSWORD)
+    asked = "SELECT ssl FROM pg_stat_ssl JOIN pg_stat_activity USING (pid) WHERE pid <> pg_backend_pid()"
+    with PostgresqlServer(tls=files) as server, filled(tmp_path / "store", 3) as writer:
+        url = f"{server.url}?sslmode={mode}"
+        delivery = delivery_to(made(tmp_path, url, password_file=password), writer)
+        await run_until(delivery, lambda: delivery.status().sent == 9)
+        sink = made(tmp_path, url, password_file=password)
+        await sink.open()
+        assert await rows_of(server, f"{asked} AND client_port IS NOT NULL") == [(True,)]
+        await sink.close()
+        with pytest.raises(SinkDown, match="certificate"):
+            await made(tmp_path, url.replace("127.0.0.1", "localhost"), password_file=password).open()
+        make_certificates(tmp_path, ["127.0.0.1"])  # of another authority
+        with pytest.raises(SinkDown, match="certificate"):
+            await made(tmp_path, url, password_file=password).open()
+
+
+async def test_a_database_that_offers_no_tls_gets_nothing_where_the_url_asks_for_it(
+    database: PostgresqlServer, tmp_path: Path
+) -> None:
+    make_certificates(tmp_path, ["127.0.0.1"])
+    password = kept_secret(tmp_path, database.PASSWORD)
+    for url in (f"{database.url}?sslmode=require", f"{database.url}?sslmode=prefer", database.url):
+        with pytest.raises(SinkDown, match="SSL"):
+            await made(tmp_path, url, password_file=password).open()
+
+
+async def test_a_stream_over_tls_with_a_password(tmp_path: Path) -> None:
+    pytest.importorskip("nats")
+    make_certificates(tmp_path, ["127.0.0.1"])
+    lines = [
+        f'tls {{ cert_file: "{tmp_path}/server.pem", key_file: "{tmp_path}/server.key" }}',
+        'authorization { user: "collector", password: "geheim" }',
+    ]
+    password = kept_secret(tmp_path, "geheim")
+    with nats_server(tmp_path, *lines) as server, filled(tmp_path / "store", 3) as writer:
+        url = f"tls://collector@127.0.0.1:{server.port}"
+        sink = made(tmp_path, url, password_file=password, stream="PLANT", subject="plant.{device}")
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: delivery.status().sent == 9)
+        assert delivery.status().error is None
+        for wrong in (url.replace("127.0.0.1", "localhost"), url):
+            with pytest.raises(SinkDown, match="certificate"):
+                await made(tmp_path, wrong, password_file=password).open()
+            make_certificates(tmp_path, ["127.0.0.1"])  # of another authority
+
+
+async def test_an_influxdb_over_tls(tmp_path: Path) -> None:
+    httpx = pytest.importorskip("httpx")
+    make_certificates(tmp_path, ["127.0.0.1"])
+    lines = [
+        "https-enabled = true",
+        f'https-certificate = "{tmp_path}/server.pem"',
+        f'https-private-key = "{tmp_path}/server.key"',
+    ]
+    with influxdb(tmp_path, *lines) as server, filled(tmp_path / "store", 3) as writer:
+        url = f"https://127.0.0.1:{server.port}"
+        trusted = ssl.create_default_context(cafile=str(tmp_path / "ca.pem"))
+        async with httpx.AsyncClient(trust_env=False, verify=trusted) as client:
+            await client.post(f"{url}/query", params={"q": "CREATE DATABASE plant"})
+        delivery = delivery_to(made(tmp_path, f"influxdb+{url}/write?db=plant"), writer)
+        await run_until(delivery, lambda: delivery.status().sent == 9)
+        make_certificates(tmp_path, ["127.0.0.1"])  # of another authority
+        commit_reads(writer, 3, 1)
+        refusing = delivery_to(made(tmp_path, f"influxdb+{url}/write?db=plant"), writer, name="refusing")
+        await run_until(refusing, lambda: refusing.status().error is not None)
+        assert "certificate" in (refusing.status().error or "").lower()
+        assert refusing.status().sent == 0
 
 
 @pytest.fixture(scope="module")

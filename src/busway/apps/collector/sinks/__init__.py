@@ -14,6 +14,7 @@
 `postgresql`         Sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert
 `influxdb`           Sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB
 `nats`               Sink that publishes samples to a stream of NATS JetStream
+`nats_connection`    The client of NATS that all connections to its servers have (nats-py)
 `prometheus`         The last values of points for Prometheus to scrape. A scrape never polls a device
 `sparkplug`          Sink for Sparkplug B 3.0: the collector is an edge node of a group
 `sparkplug_payload`  Payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
