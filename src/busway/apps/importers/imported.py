@@ -7,7 +7,7 @@ Knows the schema of device files and reports; knows no format of others.
 2. A point that cannot be is left out and reported; the others are kept. Points that share registers are allowed to.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -142,6 +142,11 @@ class ImportedDevice:
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
     """Return the tables in a list of an imported file, each with its position; empty if it is not a list."""
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
+
+
+def others_of(table: Mapping[str, object], known: Collection[str]) -> list[str]:
+    """Return the keys of a table that are not among the known ones, in the order of the file."""
+    return [key for key in table if key not in known]
 
 
 def _once(name: str, taken: set[str]) -> str:
