@@ -8,7 +8,8 @@ What a read costs:
    less the price of its registers. The median of the last `MEMORY` estimates is the base: up to half of them may be
    wrong, for example because a frame was repeated.
 2. Where the line is not known (behind a network), the price of a register is learnt too, as the median slope between
-   reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. The base stays at least
+   reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. Once it is known, two widths
+   correct it, and reads of one width leave it as it is: most devices are read by few widths. The base stays at least
    `LEAST_BASE` of the narrowest read, so that noise on a quick network never makes a read look free.
 
 What the device refuses:
@@ -44,6 +45,8 @@ WIDTHS: Final = 3
 """Different widths that a device has to be asked for before its cost counts as known."""
 READS_OF_A_WIDTH: Final = 3
 """Reads of one width before its median says anything about the price of a register: the first ones open connections."""
+SLOPE_EVERY: Final = 8
+"""Reads between two estimates of the price of a register."""
 LEAST_BASE: Final = 0.25
 """Least share of the narrowest read that its base is. On a line of 9600 baud the base of 43 registers is a quarter."""
 SILENCES: Final = 3
@@ -75,6 +78,7 @@ class CostLearner:
         self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
         self._in_order: list[float] = []  # the estimates of the base, for the median
         self._estimates: deque[float] = deque()
+        self._last_slope: float | None = None
         self.reads: int = 0
         self.widths: set[int] = set()
 
@@ -88,6 +92,8 @@ class CostLearner:
         insort(self._in_order, estimate)
         if len(self._estimates) > MEMORY:
             self._in_order.remove(self._estimates.popleft())
+        if not self._fixed and self.reads % SLOPE_EVERY == 0:
+            self._last_slope = self._slope()
 
     @property
     def is_settled(self) -> bool:
@@ -119,14 +125,14 @@ class CostLearner:
         return ReadCost(max(base, least, 1e-6), slope, slope / 16)
 
     def _slope(self) -> float | None:
-        """Return the seconds per register, the median over reads of different widths; None if there are too few."""
+        """Return the seconds per register, by the latest reads of different widths; None if it was never known."""
         by_width: dict[int, list[float]] = {}
         for table, width, seconds in self._seen:
             if not table.holds_bits:
                 by_width.setdefault(width, []).append(seconds)
         middles = {width: median(each) for width, each in by_width.items() if len(each) >= READS_OF_A_WIDTH}
-        if len(middles) < WIDTHS:
-            return None
+        if len(middles) < (WIDTHS if self._last_slope is None else 2):
+            return self._last_slope
         slopes = [(middles[b] - middles[a]) / (b - a) for a, b in combinations(sorted(middles), 2)]
         return max(median(slopes), NETWORK_REGISTER)
 
