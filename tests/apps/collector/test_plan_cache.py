@@ -119,12 +119,20 @@ def test_what_a_register_costs_behind_a_network_is_not_forgotten_where_all_reads
             assert predicted(plan.reads, true) <= 1.02 * best.seconds, number
         for read in plan.reads:
             book.succeeded(read, true.of(H, read.width) + 0.002 * chance.random())
+    again = PlanBook({"fast": items(places)}, BRIDGED, network_cost(), fixed=False, knowledge=book.knowledge)
+    assert predicted(again.plan_for(FAST).reads, true) <= 1.02 * best.seconds, "over a restart"
+
+
+def test_of_a_network_only_what_reads_cost_is_kept() -> None:
+    book = PlanBook({"fast": items([0, 50, 51, 90, 91, 92])}, ReadRules(), network_cost(), fixed=False)
+    answer(book, network_cost(0.003), 40)
+    assert book.knowledge.base == pytest.approx(0.003, rel=0.01)
+    assert book.knowledge.per_register is None
 
 
 def test_a_hole_that_was_learnt_makes_all_plans_anew() -> None:
     book = PlanBook({"fast": items(list(range(20))), "slow": items([30])}, BRIDGED, baud_cost(9600))
     plans = {classes: book.plan_for(classes) for classes in (FAST, BOTH)}
-    (read,) = plans[FAST].reads
     for _ in range(50):
         book.failed(book.plan_for(FAST).reads[0], ReadOutcome.REFUSED, 2)
         while (question := book.question()) is not None:

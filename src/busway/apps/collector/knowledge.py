@@ -82,6 +82,7 @@ class DeviceKnowledge:
         holes: the ranges it refuses to read.
         limits: the widest reads, one for registers and one for bits at most.
         place: endpoint and unit where it was learnt; empty for unknown.
+        per_register: seconds of a register, behind a network; None where the line says that, or it is not known.
     """
 
     profile: str = ""
@@ -90,6 +91,7 @@ class DeviceKnowledge:
     holes: tuple[LearntHole, ...] = ()
     limits: tuple[LearntLimit, ...] = ()
     place: str = ""
+    per_register: float | None = None
 
     def limit(self, bits: bool) -> LearntLimit | None:
         """Return the largest read of bits, or of registers, that was learnt; None without one."""
@@ -151,6 +153,8 @@ class DeviceKnowledge:
             yield f"{limit}{' (pinned)' if limit.pinned else ''}"
         if self.base is not None:
             yield f"a read takes {1000 * self.base:.1f} ms apart from its registers"
+        if self.per_register is not None:
+            yield f"a register takes {1000 * self.per_register:.3g} ms"
 
 
 class Knowledge:
@@ -248,6 +252,7 @@ def _device_data(known: DeviceKnowledge) -> dict[str, Any]:  # Any: what JSON ha
         "firmware": known.firmware,
         "place": known.place,
         "base": known.base,
+        "per_register": known.per_register,
         "holes": [
             {"table": one.table.value, "start": one.start, "end": one.end, "code": one.code, "pinned": one.pinned}
             for one in known.holes
@@ -273,4 +278,5 @@ def _device(data: Mapping[str, Any]) -> DeviceKnowledge:  # Any: what JSON has
             for one in data["limits"]
         ),
         str(data.get("place", "")),
+        None if data.get("per_register") is None else float(data["per_register"]),
     )

@@ -12,7 +12,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Final
 
-from .cost import ReadCost
+from .cost import NETWORK_REGISTER, ReadCost
 from .knowledge import DeviceKnowledge
 from .learning import CostLearner, MapLearner, ReadOutcome, probes_for, read_of, with_knowledge
 from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, plan_reads, predicted
@@ -55,9 +55,12 @@ class PlanBook:
         known = knowledge or DeviceKnowledge()
         if known.base is not None:
             assumed = assumed.with_base(known.base)
+        if known.per_register is not None and not fixed:
+            assumed = ReadCost(assumed.base, known.per_register, known.per_register / 16)
         self._items = {name: list(each) for name, each in items.items()}
         self._all = _once(one for each in self._items.values() for one in each)
         self._rules = rules
+        self._is_fixed = fixed
         self._cost = assumed
         self._learner = CostLearner(assumed, fixed=fixed)
         self._map = MapLearner(known, assumed)
@@ -86,7 +89,10 @@ class PlanBook:
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
-        return replace(known, base=round(self._learner.cost.base, 6))
+        cost = self._learner.cost
+        price = round(cost.per_register, 8)
+        is_learnt = not self._is_fixed and price > NETWORK_REGISTER
+        return replace(known, base=round(cost.base, 6), per_register=price if is_learnt else None)
 
     @property
     def rules(self) -> ReadRules:
