@@ -9,8 +9,9 @@ What a read costs:
    wrong, for example because a frame was repeated.
 2. Where the line is not known (behind a network), the price of a register is learnt too, as the median slope between
    reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. Once it is known, two widths
-   correct it, and reads of one width leave it as it is: most devices are read by few widths. The base stays at least
-   `LEAST_BASE` of the narrowest read, so that noise on a quick network never makes a read look free.
+   correct it, and reads of one width leave it as it is: most devices are read by few widths. 16 bits count as a
+   register. The base stays at least `LEAST_BASE` of the narrowest read, so that noise on a quick network never makes a
+   read look free.
 
 What the device refuses:
 
@@ -47,6 +48,7 @@ READS_OF_A_WIDTH: Final = 3
 """Reads of one width before its median says anything about the price of a register: the first ones open connections."""
 SLOPE_EVERY: Final = 8
 """Reads between two estimates of the price of a register."""
+BITS_OF_A_REGISTER: Final = 16
 LEAST_BASE: Final = 0.25
 """Least share of the narrowest read that its base is. On a line of 9600 baud the base of 43 registers is a quarter."""
 SILENCES: Final = 3
@@ -75,7 +77,7 @@ class CostLearner:
     def __init__(self, assumed: ReadCost, *, fixed: bool = True) -> None:
         self._assumed = assumed
         self._fixed = fixed
-        self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
+        self._seen: deque[tuple[float, float]] = deque(maxlen=MEMORY)  # width in registers, and seconds
         self._in_order: list[float] = []  # the estimates of the base, for the median
         self._estimates: deque[float] = deque()
         self._last_slope: float | None = None
@@ -86,7 +88,7 @@ class CostLearner:
         """Learn from a read that succeeded at its first attempt, ``seconds`` after its request began."""
         self.reads += 1
         self.widths.add(width)
-        self._seen.append((table, width, seconds))
+        self._seen.append((width / BITS_OF_A_REGISTER if table.holds_bits else width, seconds))
         estimate = seconds - self._assumed.per_item(table) * width
         self._estimates.append(estimate)
         insort(self._in_order, estimate)
@@ -117,19 +119,18 @@ class CostLearner:
 
     def _network_cost(self, slope: float) -> ReadCost:
         """Return the cost with a learnt time per register, limited to what a serial line can have."""
-        _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
-        least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
-        base = median(seconds - slope * width for _, width, seconds in self._seen)
+        narrowest, _ = min(self._seen)
+        least = LEAST_BASE * median(seconds for width, seconds in self._seen if width == narrowest)
+        base = median(seconds - slope * width for width, seconds in self._seen)
         if base < least:  # what one wide read lost on its way looks like a price
-            slope = max(median((seconds - least) / width for _, width, seconds in self._seen), NETWORK_REGISTER)
-        return ReadCost(max(base, least, 1e-6), slope, slope / 16)
+            slope = max(median((seconds - least) / width for width, seconds in self._seen), NETWORK_REGISTER)
+        return ReadCost(max(base, least, 1e-6), slope, slope / BITS_OF_A_REGISTER)
 
     def _slope(self) -> float | None:
         """Return the seconds per register, by the latest reads of different widths; None if it was never known."""
-        by_width: dict[int, list[float]] = {}
-        for table, width, seconds in self._seen:
-            if not table.holds_bits:
-                by_width.setdefault(width, []).append(seconds)
+        by_width: dict[float, list[float]] = {}
+        for width, seconds in self._seen:
+            by_width.setdefault(width, []).append(seconds)
         middles = {width: median(each) for width, each in by_width.items() if len(each) >= READS_OF_A_WIDTH}
         if len(middles) < (WIDTHS if self._last_slope is None else 2):
             return self._last_slope
