@@ -6,8 +6,8 @@ import pytest
 
 from busway.apps.collector.cost import ReadCost, baud_cost, network_cost
 from busway.apps.collector.learning import ReadOutcome
-from busway.apps.collector.plan import PlainItem, ReadRules, plan_reads, predicted
-from busway.apps.collector.plan_cache import CHECKED_EVERY, MOST_PLANS, WORTH, PlanBook
+from busway.apps.collector.plan import PlainItem, PlannedRead, ReadRules, plan_reads, predicted
+from busway.apps.collector.plan_cache import CHECKED_EVERY, MOST_PLANS, PROBED_AGAIN, WORTH, PlanBook
 from busway.codes import Table
 
 H = Table.HOLDING_REGISTERS
@@ -25,6 +25,7 @@ def book_of(places: list[int], assumed: ReadCost) -> PlanBook:
 
 def answer(book: PlanBook, true: ReadCost, rounds: int) -> None:
     """Let a device answer its reads and questions, each in exactly the time that it takes."""
+    book.plan_for(FAST)
     while (question := book.question()) is not None:
         book.answered(question, ReadOutcome.SUCCESS, true.of(H, question.width))
     for _ in range(rounds):
@@ -121,6 +122,53 @@ def test_what_a_register_costs_behind_a_network_is_not_forgotten_where_all_reads
             book.succeeded(read, true.of(H, read.width) + 0.002 * chance.random())
     again = PlanBook({"fast": items(places)}, BRIDGED, network_cost(), fixed=False, knowledge=book.knowledge)
     assert predicted(again.plan_for(FAST).reads, true) <= 1.02 * best.seconds, "over a restart"
+
+
+@pytest.mark.parametrize("seed", range(30))
+def test_behind_a_network_no_plan_is_dearer_than_the_best_by_more_than_it_has_to_save(seed: int) -> None:
+    """Any map in several tables, any line behind the gateway, noise, and one reply of ten that is a second late."""
+    chance = random.Random(seed)
+    true = baud_cost(chance.choice((1200, 9600, 19_200, 115_200)), turnaround=chance.choice((0.001, 0.005, 0.02, 0.1)))
+    found: list[PlainItem] = []
+    for table in chance.sample([H, Table.INPUT_REGISTERS, Table.COILS], chance.choice((1, 2, 3))):
+        size = chance.choice((100, 400, 2000))
+        found += [PlainItem(table, at, 1, (table, at)) for at in chance.sample(range(size), chance.randrange(2, 60))]
+    jitter, lost = chance.choice((0.0, 0.001, 0.003)), chance.choice((0.0, 0.1))
+
+    def took(read: PlannedRead) -> float:
+        return true.of(read.table, read.width) + jitter * chance.random() + (chance.random() < lost)
+
+    book = PlanBook({"fast": found}, BRIDGED, network_cost(), fixed=False)
+    for _ in range(200):
+        for read in book.plan_for(FAST).reads:
+            book.succeeded(read, took(read))
+        question = book.question()
+        if question is not None:
+            book.answered(question, ReadOutcome.SUCCESS, took(question))
+    best = plan_reads(found, BRIDGED, true)
+    assert predicted(book.plan_for(FAST).reads, true) <= 1.02 * (1 + WORTH) * best.seconds
+
+
+def test_two_values_far_apart_tell_what_a_register_costs_too() -> None:
+    true = baud_cost(9600, turnaround=0.005)
+    book = PlanBook({"fast": items([0, 40])}, BRIDGED, network_cost(), fixed=False)
+    assert len(book.plan_for(FAST).reads) == 1
+    answer(book, true, 100)
+    assert book.cost.per_register == pytest.approx(true.per_register, rel=0.01)
+    assert len(book.plan_for(FAST).reads) == 2
+
+
+def test_a_price_that_no_read_of_the_plan_can_tell_is_asked_for_again() -> None:
+    places = [0, 40, 80, 120]
+    slow, quick = baud_cost(9600, turnaround=0.005), baud_cost(115_200, turnaround=0.005)
+    book = PlanBook({"fast": items(places)}, BRIDGED, network_cost(), fixed=False)
+    answer(book, slow, 100)
+    assert len(book.plan_for(FAST).reads) == 4
+    for _ in range(PROBED_AGAIN):  # the line is another one now
+        answer(book, quick, 1)
+    assert book.cost.per_register == pytest.approx(quick.per_register, rel=0.01)
+    best = plan_reads(items(places), BRIDGED, quick)
+    assert predicted(book.plan_for(FAST).reads, quick) <= (1 + WORTH) * best.seconds
 
 
 def test_of_a_network_only_what_reads_cost_is_kept() -> None:
