@@ -154,8 +154,8 @@ def nats_cluster(folder: Path, count: int) -> list[ForeignServer]:
     return servers
 
 
-def influxdb(folder: Path) -> ForeignServer:
-    """An InfluxDB 1 that keeps its data in the folder, without users."""
+def influxdb(folder: Path, *lines: str) -> ForeignServer:
+    """An InfluxDB 1 that keeps its data in the folder, without users; ``lines`` are of its section ``[http]``."""
     program, port, other = needed("influxd"), free_port(), free_port()
     place, config = folder / "influxdb", folder / "influxdb.conf"
     config.write_text(f"""
@@ -168,6 +168,7 @@ dir = "{place}/data"
 wal-dir = "{place}/wal"
 [http]
 bind-address = "127.0.0.1:{port}"
+{chr(10).join(lines)}
 [monitor]
 store-enabled = false
 """)
@@ -188,11 +189,12 @@ class PostgresqlServer(ForeignServer):
     Args:
         syncs: whether it waits for the disk.
         library: one that it loads when it starts, for an extension.
+        tls: files with its certificate and its key; without them it offers no TLS.
     """
 
     PASSWORD = "x9-secret"
 
-    def __init__(self, *, syncs: bool = False, library: str = "") -> None:
+    def __init__(self, *, syncs: bool = False, library: str = "", tls: tuple[Path, Path] | None = None) -> None:
         places = [str(path) for path in sorted(Path("/usr/lib/postgresql").glob("*/bin"), reverse=True)]
         places[:0] = filter(None, [os.environ.get("BUSWAY_POSTGRESQL")])  # one with extensions that Debian has not
         postgres = Path(needed("initdb", *places)).resolve().with_name("postgres")
@@ -223,6 +225,14 @@ class PostgresqlServer(ForeignServer):
             "-c",
             f"shared_preload_libraries={library}",
         ]
+        if tls is not None:
+            options += ["-c", "ssl=on"]
+            for key, file in zip(("ssl_cert_file", "ssl_key_file"), tls, strict=True):
+                copied = Path(shutil.copy(file, self.folder))
+                copied.chmod(0o600)
+                if user is not None:
+                    os.chown(copied, owner.pw_uid, owner.pw_gid)
+                options += ["-c", f"{key}={copied}"]
         super().__init__(
             [str(postgres), "-D", str(data), "-p", str(port), *options], port, user=user, stop=signal.SIGQUIT
         )

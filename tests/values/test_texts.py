@@ -25,11 +25,23 @@ from busway.values import decode, encode, value_type
         ("string:4", "AB", "", "00 00 00 00"),
         ("string:2", "DCBA", "ab", "62 61"),  # an order of the device, reduced to one register
         ("string:2", "CDAB", "ab", "61 62"),
+        ("string:3:low", "AB", "abc", "00 61 00 62 00 63"),  # one character in each register
+        ("string:3:high", "AB", "abc", "61 00 62 00 63 00"),
+        ("string:3:low", "BA", "abc", "61 00 62 00 63 00"),
+        ("string:3:low", "AB", "a", "00 61 00 00 00 00"),
+        ("string:3:space:high", "AB", "a", "61 00 20 00 20 00"),
+        ("string:4:upper", "AB", "ABC", "41 42 43 00"),
     ],
 )
 def test_a_text_lies_in_its_registers(name: str, order: str, text: str, wire: str) -> None:
     assert encode([text], name, order) == bytes.fromhex(wire)
     assert decode(bytes.fromhex(wire), name, order) == [text]
+
+
+def test_small_letters_become_capitals_in_both_directions() -> None:
+    assert decode(bytes.fromhex("61 62 43 00"), "string:4:upper") == ["ABC"]
+    assert encode(["abC"], "string:4:upper") == bytes.fromhex("41 42 43 00")
+    assert decode(bytes.fromhex("00 61 00 62"), "string:2:low:upper") == ["AB"]
 
 
 def test_several_texts_lie_one_after_the_other() -> None:

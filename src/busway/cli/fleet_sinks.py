@@ -148,7 +148,7 @@ async def _sink_of(
     Raises:
         ConfigError: the configuration has no such sink, or the sink cannot work without a store.
     """
-    from ..apps.collector.report_rules import sink_rules
+    from ..apps.collector.report_rules import points_of, sink_rules
     from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
     from ..apps.fleet.lease_times import LeaseTimes
     from ..apps.fleet.streams import StreamSink
@@ -165,7 +165,7 @@ async def _sink_of(
     def set_aside(sample: "CommittedSample", error: str) -> None:
         warn(f"sink {name}: {sample.device}/{sample.point} at {sample.time} ns is refused for good: {error}")
 
-    chosen = ChosenSamples(sink, options, sink_rules(configuration))
+    chosen = ChosenSamples(sink, options, sink_rules(configuration), points_of(configuration))
     return StreamSink(nats_client(table), table, zone, name, chosen, set_aside, stream)
 
 

@@ -172,6 +172,22 @@ async def test_what_was_learnt_survives_a_restart(tmp_path: Path) -> None:
         assert kept["devices"]["pump"]["holes"][0]["start"] == 49
 
 
+@pytest.mark.parametrize("firmware", ["2.1", "2.2"])
+async def test_a_third_device_of_a_kind_begins_with_what_two_have_learnt_alike(tmp_path: Path, firmware: str) -> None:
+    async with served(items=20) as first, served(items=20) as second, served(items=20) as third:
+        links = {"a": first.endpoints[0], "b": second.endpoints[0], "c": third.endpoints[0]}
+        file = plant(tmp_path, links, {"one": "a", "two": "b"}, period=0.02)
+        known = file.read_text().replace("unit = 1", 'unit = 1\nfirmware = "2.1"')
+        file.write_text(known)
+        async with busway.collect(file) as collector:
+            await until(lambda: all("exception 02" in "".join(each.learnt) for each in collector.status()))
+        device = f'[[device]]\nname = "three"\nlink = "c"\nunit = 1\nfirmware = "{firmware}"\nprofile = "pump.toml"\n'
+        file.write_text(known + device)
+        async with busway.collect(file) as collector:
+            (status,) = [each for each in collector.status() if each.name == "three"]
+            assert ("exception 02" in "".join(status.learnt)) is (firmware == "2.1")  # before anything was asked
+
+
 async def test_a_second_collector_on_one_store_is_refused_with_the_pid_of_the_first(tmp_path: Path) -> None:
     async with served() as server:
         file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})

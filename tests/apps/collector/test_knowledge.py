@@ -26,6 +26,7 @@ def meter(*holes: LearntHole, limits: tuple[LearntLimit, ...] = ()) -> DeviceKno
 
 def test_it_survives_as_text() -> None:
     knowledge = Knowledge({"a": meter(HOLE, OTHER, BORDER, limits=(LIMIT,)), "b": DeviceKnowledge()})
+    knowledge.set("c", DeviceKnowledge(base=0.05, per_register=0.0023))
     knowledge.pin("a")
     assert list(read_knowledge(knowledge.text(), "learnt.json")) == list(knowledge)
 

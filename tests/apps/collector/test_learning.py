@@ -20,7 +20,7 @@ from busway.apps.collector.plan import DevicePlan, ItemRange, PlainItem, Planned
 from busway.codes import Table
 from busway.testing.virtual_line import VirtualLine
 
-H = Table.HOLDING_REGISTERS
+H, C = Table.HOLDING_REGISTERS, Table.COILS
 BRIDGED = ReadRules(bridge=True)
 
 
@@ -109,6 +109,19 @@ def test_behind_a_network_the_price_of_a_register_is_learnt_too() -> None:
         learner.observe(H, width, behind.of(H, width) + 0.002 * source.random())
     assert learner.cost.base == pytest.approx(behind.base, rel=0.05)
     assert learner.cost.per_register == pytest.approx(behind.per_register, rel=0.05)
+
+
+def test_behind_a_network_reads_of_bits_teach_what_they_cost_and_mislead_no_other() -> None:
+    behind = baud_cost(9600, turnaround=0.020)
+    source = random.Random(3)
+    bits = [(C, 160), (C, 400), (C, 800), (C, 320)]
+    for reads in (bits, [(H, 10), (H, 30), (H, 60), *bits]):
+        learner = CostLearner(network_cost(), fixed=False)
+        for table, width in reads * 20:
+            learner.observe(table, width, behind.of(table, width) + 0.002 * source.random())
+        assert learner.cost.base == pytest.approx(behind.base, rel=0.05)
+        assert learner.cost.per_register == pytest.approx(behind.per_register, rel=0.05)
+        assert learner.cost.per_bit == pytest.approx(behind.per_bit, rel=0.05)
 
 
 def test_noise_of_a_quick_network_does_not_make_a_read_look_free() -> None:

@@ -235,6 +235,20 @@ async def test_the_timeout_follows_the_device_where_replies_are_numbered() -> No
     assert bench.device.timeouts[-1] == SHORTEST
 
 
+async def test_it_is_told_within_which_time_parts_of_the_last_requests_were_answered() -> None:
+    bench = Bench([number("a", 4)])
+    assert bench.poller.latencies((0.5, 0.9)) == []
+    answered = bench.device.run
+
+    async def run(unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
+        bench.device.now += 0.5 if len(bench.device.asked) % 20 == 0 else 0.0  # one of twenty is slow
+        return await answered(unit, requests, call_options)
+
+    bench.device.run = run  # type: ignore[method-assign]
+    await bench.until(400)
+    assert bench.poller.latencies((0.5, 0.9, 0.99)) == [pytest.approx(each) for each in (0.02, 0.02, 0.52)]
+
+
 async def test_maintenance_is_an_interval_without_reads() -> None:
     bench = Bench([number("a", 4)])
     await bench.until(105)

@@ -1,6 +1,6 @@
 """What one sink of a stream gets: its points, by report rules."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 import pytest
 
@@ -8,7 +8,9 @@ from busway.apps.collector.samples import NANOSECONDS
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.chosen_samples import ChosenSamples
+from busway.codes import Table
 from busway.options.sinks import DeliveryOptions
+from busway.points.point import Point
 from busway.points.point_rules import ReportRule
 
 CHANGE = ReportRule("change", deadband=1.0)
@@ -84,3 +86,15 @@ async def test_only_named_points_reach_the_sink() -> None:
     chosen = ChosenSamples(taken, DeliveryOptions(points=("tank/level",)), {})
     await chosen.send([*samples(1.0), *samples(2.0, point="flow")])
     assert taken.values == [1.0]
+
+
+def test_a_sink_that_describes_points_to_its_receiver_is_told_those_of_the_configuration() -> None:
+    class Described(Taken):
+        points: Mapping[tuple[str, str], Point] | None = None
+
+        def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
+            self.points = points
+
+    sink, points = Described(), {("tank", "level"): Point("level", Table.HOLDING_REGISTERS, 0)}
+    ChosenSamples(sink, DeliveryOptions(), {}, points)
+    assert sink.points is points

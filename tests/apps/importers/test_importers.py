@@ -46,7 +46,23 @@ coils = [{ name = "run", address = [4] }]
     { address = 4, name = "gap", type = "INT16", omit = true },
     { address = 5, name = "flag", type = "BIT", bit = 3 },
     { address = 6, name = "text", type = "STRING", length = 4 },
+    { address = 10, name = "flow", type = "FLOAT32", scale = 0.001 },
   ]
+
+  [[inputs.modbus.metric]]
+  slave_id = 5
+  byte_order = "CDAB"
+  measurement = "boiler"
+  fields = [
+    { register = "coil", address = 0, name = "door" },
+    { address = 1, name = "heat", type = "FLOAT32" },
+    { register = "input", address = 3, name = "gas", type = "UINT64" },
+  ]
+
+[[inputs.modbus]]
+name = "old"
+slave_id = 6
+holding_registers = [{ name = "level", byte_order = "ABCD", data_type = "FLOAT32", scale = 0.1, address = [0, 1] }]
 """
 
 HOME_ASSISTANT = """
@@ -176,6 +192,11 @@ def test_the_three_styles_of_telegraf_become_points() -> None:
         (4, "low"): ("3x4", "int8:low", "BA"),
         (4, "flag"): ("3x6.3", "bit", ""),
         (4, "text"): ("3x7", "string:8", "BA"),
+        (4, "flow"): ("3x11", "float32", "DCBA"),
+        (5, "door"): ("0x1", "bit", ""),
+        (5, "heat"): ("4x2", "float32", "CDAB"),
+        (5, "gas"): ("3x4", "uint64", "GHEFCDAB"),
+        (6, "level"): ("4x1", "uint32", "ABCD"),  # in this style FLOAT32 is a whole number with a scale
     }
     assert points[3, "big"].conversion.scale == 0.01
     report = said(found)
@@ -340,6 +361,57 @@ def test_nonsense_is_refused_with_a_sentence_and_never_a_crash(tmp_path: Path, f
     path.write_text(text, encoding="utf-8")
     with pytest.raises(ConfigError):
         import_file(str(path), format=format).text("x")
+
+
+REGISTER_MAP = """\
+name,address,type,scale,unit,remark by the seller
+voltage,3x1,float32,,V,
+current,3x3,float32,,A,new
+odd,3x5,float31,,,
+factor,3x7,int16,x10,,
+,3x9,,,,
+nowhere,99999,,,,
+wide,3x11,,,,,,too,many
+again,3x1,uint16,,,
+"""
+
+
+def test_a_register_map_as_manuals_have_it_becomes_points_and_what_cannot_be_is_reported(tmp_path: Path) -> None:
+    path = tmp_path / "meter.csv"
+    path.write_text(REGISTER_MAP, encoding="utf-8")
+    found = import_file(str(path))
+    points = points_of(found)
+    assert {name: (str(point.address), point.type) for (_, name), point in points.items()} == {
+        "voltage": ("3x1", "float32"),
+        "current": ("3x3", "float32"),
+        "again": ("3x1", "uint16"),
+    }
+    assert points[1, "voltage"].unit_of_measure == "V"
+    report = sorted(said(found))
+    assert [each.rpartition(": ")[0] or each for each in report[:1]] == ["line 1: remark by the seller"]
+    assert [each.split(": ")[:2] for each in report[1:]] == [
+        ["line 4", "odd"],
+        ["line 5", "factor.scale"],
+        ["line 6", "name"],
+        ["line 7", "nowhere.address"],
+        ["line 8", "a row"],
+    ]
+
+
+@pytest.mark.parametrize("header", ["name,type", "name,address,name", "voltage"])
+def test_a_register_map_without_its_columns_is_refused(tmp_path: Path, header: str) -> None:
+    path = tmp_path / "meter.csv"
+    path.write_text(f"{header}\nvoltage,3x1,uint16\n", encoding="utf-8")
+    with pytest.raises(ConfigError, match=r"meter\.csv:1: "):
+        import_file(str(path))
+
+
+def test_a_report_is_in_the_order_of_the_file() -> None:
+    """It was in that of a set, which differs from run to run."""
+    keys = ["delay", "timeout", "retries", "close_comm_on_error", "message_wait_milliseconds", "climates"]
+    text = "modbus:\n  - name: hub\n    sensors:\n      - name: a\n        address: 1\n"
+    text += "".join(f"    {key}: 1\n" for key in keys)
+    assert [each.what for each in read_home_assistant(text, "x").omissions] == keys
 
 
 def test_the_report_stands_in_the_file_too() -> None:

@@ -47,7 +47,7 @@ from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
 from .reloading import Reloading
-from .report_rules import point_keys, sink_rules, store_rules
+from .report_rules import points_of, sink_rules, store_rules
 from .sample_clock import SampleClock
 from .sample_readers import SampleReaders
 from .samples import CounterState, PointDescription, SampleBatch, StateInterval
@@ -255,7 +255,7 @@ class Collector:
         """
         configuration = self.configuration
         if configuration.sinks:
-            self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration), point_keys(configuration))
+            self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration), points_of(configuration))
         if configuration.pages:
             for page in configuration.pages.values():
                 alarms = self.alarms.active
@@ -616,7 +616,7 @@ class Collector:
         moved = self._names.describe(descriptions)
         self._committer.describe(descriptions, store_rules(configuration))
         if self._sinks is not None:
-            self._sinks.set_points(point_keys(configuration), sink_rules(configuration))
+            self._sinks.set_points(points_of(configuration), sink_rules(configuration))
         self.alarms.configure(self._points(), moved)
         self._counters = _renamed(self._counters, moved)
         for name in configuration.links:

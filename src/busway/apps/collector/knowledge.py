@@ -84,6 +84,7 @@ class DeviceKnowledge:
         holes: the ranges that the device refuses, and the borders that no read may cross.
         limits: the largest reads, at most one for registers and one for bits.
         place: endpoint and unit of the device when the facts were learnt; empty for unknown.
+        per_register: seconds per register behind a network; None if the baud rate determines it, or it is unknown.
     """
 
     profile: str = ""
@@ -92,6 +93,7 @@ class DeviceKnowledge:
     holes: tuple[LearntHole, ...] = ()
     limits: tuple[LearntLimit, ...] = ()
     place: str = ""
+    per_register: float | None = None
 
     def limit(self, bits: bool) -> LearntLimit | None:
         """Return the learnt limit for reads of bits (``bits``) or of registers; None if none was learnt."""
@@ -151,6 +153,8 @@ class DeviceKnowledge:
             yield f"{limit}{' (pinned)' if limit.pinned else ''}"
         if self.base is not None:
             yield f"a read takes {1000 * self.base:.1f} ms apart from its registers"
+        if self.per_register is not None:
+            yield f"a register takes {1000 * self.per_register:.3g} ms"
 
 
 class Knowledge:
@@ -266,6 +270,7 @@ def _device_data(known: DeviceKnowledge) -> dict[str, Any]:  # Any: what JSON ha
         "firmware": known.firmware,
         "place": known.place,
         "base": known.base,
+        "per_register": known.per_register,
         "holes": [
             {"table": one.table.value, "start": one.start, "end": one.end, "code": one.code, "pinned": one.pinned}
             for one in known.holes
@@ -291,4 +296,5 @@ def _device(data: Mapping[str, Any]) -> DeviceKnowledge:  # Any: what JSON has
             for one in data["limits"]
         ),
         str(data.get("place", "")),
+        None if data.get("per_register") is None else float(data["per_register"]),
     )

@@ -8,8 +8,10 @@ What a read costs:
    less the price of its registers. The median of the last `MEMORY` estimates is the base: up to half of them may be
    wrong, for example because a frame was repeated.
 2. Where the line is not known (behind a network), the price of a register is learnt too, as the median slope between
-   reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. The base stays at least
-   `LEAST_BASE` of the narrowest read, so that noise on a quick network never makes a read look free.
+   reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. Once it is known, two widths
+   correct it, and reads of one width leave it as it is: most devices are read by few widths. 16 bits count as a
+   register. The base stays at least `LEAST_BASE` of the quickest read, so that noise on a quick network never makes a
+   read look free.
 
 What the device refuses:
 
@@ -24,10 +26,10 @@ What the device refuses:
 
 from bisect import insort
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from enum import Enum
-from itertools import combinations
+from itertools import combinations, pairwise
 from statistics import median
 from typing import Any, Final
 
@@ -44,8 +46,13 @@ WIDTHS: Final = 3
 """Different widths that a device has to be asked for before its cost counts as known."""
 READS_OF_A_WIDTH: Final = 3
 """Reads of one width before its median says anything about the price of a register: the first ones open connections."""
+READS_TO_CORRECT: Final = 8
+"""Reads of one width before it corrects a price that is known: a few that all went wrong must not spoil it."""
+SLOPE_EVERY: Final = 8
+"""Reads between two estimates of the price of a register."""
+BITS_OF_A_REGISTER: Final = 16
 LEAST_BASE: Final = 0.25
-"""Least part of the narrowest read's time that is base. On a line of 9600 baud it is a quarter at 43 registers."""
+"""Least part of the quickest read's time that is base. On a line of 9600 baud it is a quarter at 43 registers."""
 SILENCES: Final = 3
 """Silences in a row of one read before it is examined further (rules 3 and 4)."""
 QUESTIONS: Final = 64
@@ -72,28 +79,43 @@ class CostLearner:
     def __init__(self, assumed: ReadCost, *, fixed: bool = True) -> None:
         self._assumed = assumed
         self._fixed = fixed
-        self._seen: deque[tuple[Table, int, float]] = deque(maxlen=MEMORY)
+        self._seen: deque[tuple[float, float]] = deque(maxlen=MEMORY)  # width in registers, and seconds
         self._in_order: list[float] = []  # the estimates of the base, for the median
         self._estimates: deque[float] = deque()
+        self._last_slope: float | None = None
+        self._probed: list[tuple[float, float]] = []  # like `_seen`
         self.reads: int = 0
         self.widths: set[int] = set()
 
-    def observe(self, table: Table, width: int, seconds: float) -> None:
+    def observe(self, table: Table, width: int, seconds: float, *, probes: bool = False) -> None:
         """Learn from a read that succeeded at its first attempt.
 
         Args:
             table: the table that was read.
             width: registers or bits that were read.
             seconds: from the begin of the request to the reply.
+            probes: whether the read was made only to measure the cost; `end_probes` is called after the last of them.
         """
         self.reads += 1
         self.widths.add(width)
-        self._seen.append((table, width, seconds))
+        seen = (width / BITS_OF_A_REGISTER if table.holds_bits else width, seconds)
+        self._seen.append(seen)
+        if probes:
+            self._probed.append(seen)
         estimate = seconds - self._assumed.per_item(table) * width
         self._estimates.append(estimate)
         insort(self._in_order, estimate)
         if len(self._estimates) > MEMORY:
             self._in_order.remove(self._estimates.popleft())
+        if not self._fixed and self.reads % SLOPE_EVERY == 0:
+            self._last_slope = self._slope()
+
+    def end_probes(self) -> None:
+        """Correct the price of a register by the reads that were sent to learn it, one soon after the other."""
+        if not self._fixed:
+            found = _slope_of(self._probed, WIDTHS, READS_OF_A_WIDTH)
+            self._last_slope = self._last_slope if found is None else found
+        self._probed.clear()
 
     @property
     def is_settled(self) -> bool:
@@ -116,25 +138,37 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """Return the cost for ``slope`` seconds per register; the base is at least `LEAST_BASE` of a narrow read."""
-        _, narrowest, _ = min(self._seen, key=lambda seen: seen[1])
-        least = LEAST_BASE * median(seconds for _, width, seconds in self._seen if width == narrowest)
-        base = median(seconds - slope * width for _, width, seconds in self._seen)
+        """Return the cost for ``slope`` seconds per register; the base is at least `LEAST_BASE` of the quickest."""
+        least = LEAST_BASE * min(seconds for _, seconds in self._seen)
+        base = median(seconds - slope * width for width, seconds in self._seen)
         if base < least:  # what one wide read lost on its way looks like a price
-            slope = max(median((seconds - least) / width for _, width, seconds in self._seen), NETWORK_REGISTER)
-        return ReadCost(max(base, least, 1e-6), slope, slope / 16)
+            slope = max(median((seconds - least) / width for width, seconds in self._seen), NETWORK_REGISTER)
+        return ReadCost(max(base, least, 1e-6), slope, slope / BITS_OF_A_REGISTER)
 
     def _slope(self) -> float | None:
-        """Return the learnt seconds per register (rule 2); None if reads of too few widths were observed."""
-        by_width: dict[int, list[float]] = {}
-        for table, width, seconds in self._seen:
-            if not table.holds_bits:
-                by_width.setdefault(width, []).append(seconds)
-        middles = {width: median(each) for width, each in by_width.items() if len(each) >= READS_OF_A_WIDTH}
-        if len(middles) < WIDTHS:
-            return None
-        slopes = [(middles[b] - middles[a]) / (b - a) for a, b in combinations(sorted(middles), 2)]
-        return max(median(slopes), NETWORK_REGISTER)
+        """Return the learnt seconds per register (rule 2); None if reads of too few widths were ever observed."""
+        widths, reads = (WIDTHS, READS_OF_A_WIDTH) if self._last_slope is None else (2, READS_TO_CORRECT)
+        found = _slope_of(self._seen, widths, reads)
+        return self._last_slope if found is None else found
+
+
+def _slope_of(seen: Iterable[tuple[float, float]], widths: int, reads: int) -> float | None:
+    """Return the seconds per register: the median over pairs of widths.
+
+    None if fewer than ``widths`` widths have at least ``reads`` reads.
+    """
+    by_width: dict[float, list[float]] = {}
+    for width, seconds in seen:
+        by_width.setdefault(width, []).append(seconds)
+    usual = {
+        width: sorted(each)[(len(each) - 1) // 4]  # what goes wrong makes a read late, never early
+        for width, each in by_width.items()
+        if len(each) >= reads
+    }
+    if len(usual) < widths:
+        return None
+    slopes = [(usual[b] - usual[a]) / (b - a) for a, b in combinations(sorted(usual), 2)]
+    return max(median(slopes), NETWORK_REGISTER)
 
 
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
@@ -157,6 +191,12 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
             found.setdefault(read.width, read)
     for read in reads:
         found.setdefault(read.width, read)
+    if len(found) < WIDTHS:  # two items apart: the first, and half of the hole that is read anyway
+        ends = [(a.start + a.width, b.start) for a, b in pairwise(widest.items) if a.start + a.width < b.start]
+        for end, start in ends[:1]:
+            width = (end + start + 1) // 2 - widest.start
+            read = PlannedRead(widest.table, widest.start, width, widest.items[:1], cost.of(widest.table, width))
+            found.setdefault(width, read)
     return sorted(found.values(), key=lambda read: read.width)
 
 

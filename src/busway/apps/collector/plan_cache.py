@@ -16,9 +16,9 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
-from .cost import ReadCost
+from .cost import NETWORK_REGISTER, ReadCost
 from .knowledge import DeviceKnowledge
-from .learning import CostLearner, MapLearner, ReadOutcome, probes_for, read_of, with_knowledge
+from .learning import BITS_OF_A_REGISTER, CostLearner, MapLearner, ReadOutcome, probes_for, read_of, with_knowledge
 from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, plan_reads, predicted
 
 WORTH: Final = 0.05
@@ -30,7 +30,10 @@ CHECKED_EVERY: Final = 16
 MOST_PLANS: Final = 32
 """Plans of a device that are kept at most. There are few sets of poll classes that are due together."""
 PROBES: Final = 4
-"""How often each width is read at the beginning to measure what reads cost."""
+"""How often each width is read to measure what reads cost: at the beginning, and again later (`PROBED_AGAIN`)."""
+PROBED_AGAIN: Final = 1024
+"""Reads after which widths are read again to measure, behind a network: a plan whose reads have one width tells too
+little."""
 
 Classes = frozenset[str]
 
@@ -86,9 +89,12 @@ class PlanBook:
         known = knowledge or DeviceKnowledge()
         if known.base is not None:
             assumed = assumed.with_base(known.base)
+        if known.per_register is not None and not fixed:
+            assumed = ReadCost(assumed.base, known.per_register, known.per_register / BITS_OF_A_REGISTER)
         self._items = {name: list(each) for name, each in items.items()}
         self._all = _once(one for each in self._items.values() for one in each)
         self._rules = rules
+        self._is_fixed = fixed
         self._cost = assumed
         self._learner = CostLearner(assumed, fixed=fixed)
         self._map = MapLearner(known, assumed)
@@ -98,6 +104,7 @@ class PlanBook:
         self._is_settled = False
         self._probes: list[PlannedRead] | None = None
         self._probe: PlannedRead | None = None
+        self._probed_at = 0
         self._cheapest: PlannedRead | None = None
         self.made: int = 0
 
@@ -117,7 +124,10 @@ class PlanBook:
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
-        return replace(known, base=round(self._learner.cost.base, 6))
+        cost = self._learner.cost
+        price = round(cost.per_register, 8)
+        is_learnt = not self._is_fixed and price > NETWORK_REGISTER
+        return replace(known, base=round(cost.base, 6), per_register=price if is_learnt else None)
 
     @property
     def rules(self) -> ReadRules:
@@ -179,7 +189,12 @@ class PlanBook:
 
     def succeeded(self, read: PlannedRead, seconds: float) -> None:
         """Learn what reads cost from a read that succeeded at its first attempt, ``seconds`` after it was sent."""
-        self._learner.observe(read.table, read.width, seconds)
+        self._succeeded(read, seconds, probes=False)
+        if not (self._is_fixed or self._probes) and self._learner.reads >= self._probed_at + PROBED_AGAIN:
+            self._probes = None
+
+    def _succeeded(self, read: PlannedRead, seconds: float, *, probes: bool) -> None:
+        self._learner.observe(read.table, read.width, seconds, probes=probes)
         self._map.observe(read, ReadOutcome.SUCCESS)
         if self._cheapest is None or read.seconds < self._cheapest.seconds:
             self._cheapest = read
@@ -227,10 +242,20 @@ class PlanBook:
         if self._probes is None:
             if not self._plans:
                 return None
-            some = [read for kept in self._plans.values() for read in kept.plan.reads]
-            self._probes = probes_for(some, self._cost) * PROBES if self._may_probe else []
+            self._probes = probes_for(self._reads_to_probe(), self._cost) * PROBES if self._may_probe else []
+            self._probed_at = self._learner.reads
         self._probe = self._probes.pop() if self._probes else None
         return self._probe
+
+    def _reads_to_probe(self) -> Sequence[PlannedRead]:
+        """Return reads of different widths: those of the plans, or the widest ones where a register has no known price.
+
+        Plans for a slow line may have reads of one width alone.
+        """
+        if self._is_fixed:
+            return [read for kept in self._plans.values() for read in kept.plan.reads]
+        free = ReadCost(self._cost.base, NETWORK_REGISTER, NETWORK_REGISTER / BITS_OF_A_REGISTER)
+        return plan_reads(self._present(self._all), self.rules, free).reads
 
     @property
     def _may_probe(self) -> bool:
@@ -251,9 +276,12 @@ class PlanBook:
         if read is self._probe:
             self._probe = None
             if outcome is ReadOutcome.SUCCESS:
-                self.succeeded(read, seconds)
+                self._succeeded(read, seconds, probes=True)
             else:
                 self._probes = []  # the device may refuse such reads: the plan's own will tell
+            if not self._probes:
+                self._learner.end_probes()
+                self._probed_at = self._learner.reads
             return False
         if outcome is ReadOutcome.SUCCESS:
             self._learner.observe(read.table, read.width, seconds)

@@ -65,6 +65,6 @@ def sink_rules(configuration: CollectorConfiguration) -> RulesByPoint:
     }
 
 
-def point_keys(configuration: CollectorConfiguration) -> frozenset[tuple[str, str]]:
-    """Return the names of all points of a configuration, each as a pair of device name and point name."""
-    return frozenset((device.name, point.name) for device in configuration.devices.values() for point in device.points)
+def points_of(configuration: CollectorConfiguration) -> dict[tuple[str, str], Point]:
+    """Return all points of a configuration, by pair of device name and point name."""
+    return {(device.name, point.name): point for device in configuration.devices.values() for point in device.points}

@@ -15,11 +15,12 @@ from typing import Final
 
 from ...errors import ConfigError
 from ...options.sinks import DeliveryOptions
+from ...points.point import Point
 from ...points.point_rules import ReportRule
 from ..collector.configuration import CollectorConfiguration
 from ..collector.samples import NANOSECONDS
 from ..collector.sinks.files import FileSink
-from ..collector.sinks.interface import AlarmSink, Sink
+from ..collector.sinks.interface import AlarmSink, DescribedSink, Sink
 from ..collector.sinks.sparkplug import SparkplugSink
 from ..collector.store.committed_samples import CommittedSample
 
@@ -36,9 +37,18 @@ class ChosenSamples:
             have no effect, as batches come from the stream.
         rules: by device and point, the report rules of points, used if the sink has none of its own; points that are
             missing are passed on with every sample.
+        points: by device and point, the points that a sink describes to its receiver; None for none.
     """
 
-    def __init__(self, sink: Sink, options: DeliveryOptions, rules: Mapping[_Point, ReportRule]) -> None:
+    def __init__(
+        self,
+        sink: Sink,
+        options: DeliveryOptions,
+        rules: Mapping[_Point, ReportRule],
+        points: Mapping[_Point, Point] | None = None,
+    ) -> None:
+        if points is not None and isinstance(sink, DescribedSink):
+            sink.describe(points)
         self._sink, self._options, self._rules = sink, options, rules
         self._named: dict[_Point, bool] = {}
         self._reported: dict[_Point, CommittedSample] = {}

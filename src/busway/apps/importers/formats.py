@@ -8,7 +8,7 @@ from typing import Final
 
 from ...config.reading import read_text
 from ...errors import ConfigError
-from ..simulator.register_map import read_register_map
+from ..simulator.register_map import read_what_fits
 from .home_assistant import read_home_assistant
 from .imported import ImportedDevice
 from .modpoll import is_modpoll, read_modpoll
@@ -63,6 +63,9 @@ def import_file(
 
 def _register_map(path: str) -> ImportedDevice:
     found = ImportedDevice()
-    for point in read_register_map(path):
-        found.add(1, {key: getattr(point, key) for key in sorted(point.model_fields_set)}, point.name)
+    rows, problems = read_what_fits(path)
+    for problem in problems:
+        found.omit(f"line {problem.line}", problem.key or "a row", problem.message)
+    for line, keys in rows:
+        found.add(1, keys, f"line {line}")
     return found

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from ...values.refusal import shown
-from .imported import ImportedDevice, tables_in
+from .imported import ImportedDevice, others_of, tables_in
 from .plain_yaml import Place, YamlDocument, parse_yaml
 
 _TABLES: Final = {"holding": "holding", "input": "input", "coil": "coil", "discrete_input": "discrete"}
@@ -37,7 +37,7 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
     found = ImportedDevice()
     place: Place = root
     if isinstance(data, dict) and "modbus" in data:
-        for key in data.keys() - {"modbus"}:
+        for key in others_of(data, {"modbus"}):
             found.omit(f"line {document.line((key,))}", key, "is not Modbus")
         data, place = data["modbus"], ("modbus",)
     for at, hub in enumerate(data if isinstance(data, list) else [data]):
@@ -49,7 +49,7 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
 def _hub(hub: Mapping[str, Any], place: Place, document: YamlDocument, found: ImportedDevice) -> None:
     if "host" in hub:
         found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {hub['host']}:{hub.get('port', 502)}")
-    for key in hub.keys() - _OF_HUB:
+    for key in others_of(hub, _OF_HUB):
         is_list = isinstance(hub[key], list)
         why = "is more than a point: write its registers as points" if is_list else "is an option of the link"
         found.omit(f"line {document.line((*place, key))}", key, why)
@@ -58,7 +58,7 @@ def _hub(hub: Mapping[str, Any], place: Place, document: YamlDocument, found: Im
             here = (*place, key, at)
             where = f"line {document.line(here)}"
             name = str(entity.get("name", f"{key}_{at + 1}"))
-            for other in entity.keys() - _USED:
+            for other in others_of(entity, _USED):
                 found.omit(f"line {document.line((*here, other))}", f"{name}.{other}", "is Home Assistant's own")
             if not isinstance(entity.get("address"), int):
                 found.omit(where, name, f"has no address: {shown(entity.get('address'))}")
@@ -127,7 +127,7 @@ def _switch(
         own = _TABLES.get(str(place.get("input_type", entity.get("write_type", "holding"))), table)
         at = place.get("address", entity["address"])
         write["verify"] = "read-back" if (own, at) == (table, entity["address"]) else f"{own}:{at}"
-        for key in place.keys() - {"input_type", "address"}:
+        for key in others_of(place, {"input_type", "address"}):
             found.omit(where, f"{keys['name']}.verify.{key}", "what is read back is the value itself")
     if table == "holding":
         write |= {"on": int(entity.get("command_on", 1)), "off": int(entity.get("command_off", 0))}

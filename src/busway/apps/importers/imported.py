@@ -7,7 +7,7 @@ Knows the schema of device files and reports; knows no format of other programs.
 2. An invalid point is left out and reported; the others are kept. Points may share registers.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from typing import Any, Final
@@ -163,6 +163,11 @@ def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any:
     Other elements are skipped; nothing is returned if ``value`` is not a list.
     """
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
+
+
+def others_of(table: Mapping[str, object], known: Collection[str]) -> list[str]:
+    """Return the keys of a table that are not among the known ones, in the order of the file."""
+    return [key for key in table if key not in known]
 
 
 def _once(name: str, taken: set[str]) -> str:

@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from ...config.files.schema import Source, read_source
 from ...values.refusal import shown
-from .imported import ImportedDevice, tables_in
+from .imported import ImportedDevice, others_of, tables_in
 
 _TABLES: Final = {
     "coil": "coil", "discrete": "discrete", "holding": "holding", "input": "input",
@@ -21,7 +21,10 @@ _TYPES: Final = {
     **{name.upper(): name for name in ("int16", "uint16", "int32", "uint32", "int64", "uint64")},
 }  # fmt: skip
 _SCALED: Final = {"FIXED": "int", "UFIXED": "uint", "FLOAT32": "uint"}
-"""Types of the register style whose size is the number of addresses; FLOAT32 is an old name of UFIXED."""
+"""Types of the register style whose size is the number of addresses.
+
+FLOAT32 is an old name of UFIXED there, and a float of IEEE 754 in the other styles, where a field has one address.
+"""
 _KNOWN: Final = {
     "name", "slave_id", "controller", "configuration_type", "coils", "discrete_inputs", "holding_registers",
     "input_registers", "request", "metric", "timeout", "interval",
@@ -55,7 +58,7 @@ def read_telegraf(text: str, name: str) -> ImportedDevice:
 def _plugin(plugin: Mapping[str, Any], path: tuple[Any, ...], source: Source, found: ImportedDevice) -> None:
     if "controller" in plugin:
         found.remarks.append(f"Telegraf's controller: {plugin['controller']}")
-    for key in plugin.keys() - _KNOWN:
+    for key in others_of(plugin, _KNOWN):
         found.omit(_line(source, (*path, key)), key, "an option of Telegraf's connection, not of the device")
     unit = plugin.get("slave_id", 1)
     for key in ("coils", "discrete_inputs", "holding_registers", "input_registers"):
@@ -63,7 +66,7 @@ def _plugin(plugin: Mapping[str, Any], path: tuple[Any, ...], source: Source, fo
             _field(field, _TABLES[key], unit, "", (*path, key, at), source, found)
     for style in ("request", "metric"):
         for at, section in tables_in(plugin.get(style)):
-            for key in section.keys() - {"slave_id", "byte_order", "register", "measurement", "fields"}:
+            for key in others_of(section, {"slave_id", "byte_order", "register", "measurement", "fields"}):
                 found.omit(_line(source, (*path, style, at, key)), key, "is Telegraf's own")
             table = _TABLES.get(str(section.get("register", "holding")), "")
             for place, field in tables_in(section.get("fields")):
@@ -89,7 +92,7 @@ def _known_field(
     if field.get("omit"):
         found.omit(where, name or "a field", "is omitted by Telegraf too: only registers between others")
         return
-    for key in field.keys() - _FIELD_KEYS:
+    for key in others_of(field, _FIELD_KEYS):
         found.omit(where, f"{name}.{key}", "is Telegraf's own")
     addresses = field.get("address")
     first = addresses[0] if isinstance(addresses, list) and addresses else addresses
@@ -122,6 +125,8 @@ def _type(kind: str, registers: int, length: object) -> str | None:
         return _TYPES[kind]
     if kind in _SCALED and registers in (1, 2, 4):
         return f"{_SCALED[kind]}{16 * registers}"
+    if kind == "FLOAT32" and not registers:
+        return "float32"
     if kind == "STRING":
         return f"string:{2 * (length if isinstance(length, int) else max(registers, 1))}"
     return None

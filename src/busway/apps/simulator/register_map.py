@@ -17,6 +17,7 @@ Rules:
 3. A file is read as a whole; each error is reported with file, line and column.
 4. If commas do not separate cells, a number may have a decimal comma.
 5. Nothing is guessed: an empty cell is the default of its key, and a cell that cannot be read is refused.
+   `read_what_fits` leaves out rows and columns that cannot be read, and returns the errors in them.
 """
 
 import csv
@@ -109,12 +110,46 @@ def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSectio
         ConfigError: the file cannot be read.
     """
     name = os.fspath(path)
+    return parse_register_map(_read(name), name)
+
+
+def read_what_fits(path: str) -> tuple[list[tuple[int, dict[str, Any]]], list[ConfigError]]:
+    """Read those rows of a CSV file that can be read as keys of points, whatever else stands in it.
+
+    Args:
+        path: the file. Columns that there are not are left out of all rows.
+
+    Returns:
+        Each row's line and keys, not yet checked; and what could not be read, each with line and column.
+
+    Raises:
+        FileError: the columns for name and address are missing, or doubled, each with file and line.
+        ConfigError: it cannot be read.
+    """
+    reader = _Reader(path, _decoded(_read(path)), skips_columns=True)
+    rows = reader.rows()
+    if not rows and reader.problems:
+        raise FileError(in_order(reader.problems))
+    found = []
+    for row in rows:
+        keys, faults = _keys_of(row)
+        if faults:
+            name = row.cells.get("name", "")
+            reader.problems += [
+                ConfigError(sentence, file=path, line=row.line, key=f"{name}.{column}" if name else column)
+                for column, sentence in faults
+            ]
+        else:
+            found.append((row.line, keys))
+    return found, in_order(reader.problems)
+
+
+def _read(name: str) -> bytes:
     try:
-        data = Path(name).read_bytes()
+        return Path(name).read_bytes()
     except (OSError, ValueError) as error:
         reason = getattr(error, "strerror", None) or str(error)
         raise ConfigError(f"cannot be read: {reason[:1].lower()}{reason[1:]}", file=name) from error
-    return parse_register_map(data, name)
 
 
 def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSection]:
@@ -179,11 +214,13 @@ class _Reader:
     Attributes:
         name: name of the file, for errors.
         text: content of the file.
+        skips_columns: whether unknown columns are left out, and the rows read all the same.
         problems: the errors so far.
     """
 
     name: str
     text: str
+    skips_columns: bool = False
     problems: list[ConfigError] = field(default_factory=list)
 
     def rows(self) -> list[_Row]:
@@ -235,7 +272,7 @@ class _Reader:
         A cell whose column is not read gives None in the list.
         """
         columns: list[Column | None] = []
-        wrong = len(self.problems)
+        is_usable = True
         for number, cell in enumerate(cells, 1):
             header = " ".join(cell.lower().split())
             column = _BY_HEADER.get(header)
@@ -243,13 +280,16 @@ class _Reader:
                 near = get_close_matches(header, _BY_HEADER, 1)
                 known = f"is it {near[0]}?" if near else f"there are {', '.join(each.name for each in COLUMNS)}"
                 self._complain(f"there is no such column; {known}", line, cell)
+                is_usable = is_usable and self.skips_columns
             if column is not None and column in columns:
                 self._complain(f"column {number} is {column.name} once more", line, cell)
+                is_usable = False
             columns.append(column)
         for needed in ("name", "address"):
             if not any(column and column.name == needed for column in columns):
                 self._complain("this column is missing", line, needed)
-        return None if len(self.problems) > wrong else columns
+                is_usable = False
+        return columns if is_usable else None
 
     def _complain(self, sentence: str, line: int, column: str | None = None) -> None:
         self.problems.append(ConfigError(sentence, file=self.name, line=line, key=column))

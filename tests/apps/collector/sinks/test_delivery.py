@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from collected import METER, NOON, PUMP, at, filled, read_of
 from deliveries import RecordingSink, assert_in_order, commit_reads, delivered_once, delivery_to, run_until
-from waiting import wait_until
+from waiting import until, wait_until
 
 from busway.apps.collector.samples import Reason, StateInterval
 from busway.apps.collector.sinks.delivery import ASIDE, DeliveryOptions
@@ -29,6 +29,27 @@ async def test_everything_that_is_committed_arrives_in_order(tmp_path: Path) -> 
         assert max(sink.batches) <= 7
         assert [sample.value for sample in sink.taken if sample.point == "voltage"] == [230.0 + n for n in range(10)]
         assert sink.taken[0].commit < sink.taken[-1].commit
+
+
+async def test_samples_of_its_age_go_in_one_batch(tmp_path: Path) -> None:
+    sink, pauses = RecordingSink(), list[float]()
+    with filled(tmp_path, 1) as writer:
+        delivery = delivery_to(sink, writer, DeliveryOptions(age=7.0, most=1000))
+
+        async def pause(seconds: float) -> None:
+            """Let the age of a batch go by, in which the meter is read four times."""
+            pauses.append(seconds)
+            if len(pauses) == 4:
+                await asyncio.Event().wait()
+            commit_reads(writer, 4 * len(pauses), 4)
+
+        delivery._pause = pause
+        task = asyncio.create_task(delivery.run())
+        await until(lambda: len(pauses) == 4)
+        task.cancel()
+        await asyncio.gather(task, return_exceptions=True)
+    assert pauses == [7.0] * 4
+    assert sink.batches == [3, 12, 12, 12]
 
 
 async def test_a_delivery_goes_on_where_the_last_one_ended(tmp_path: Path) -> None:

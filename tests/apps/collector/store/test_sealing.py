@@ -96,6 +96,18 @@ def test_late_samples_are_sealed_in_files_of_their_own(tmp_path: Path) -> None:
         assert len(Store(tmp_path).read(METER.device + "/*")) == 6
 
 
+def test_sealed_files_are_compressed_with_zstd(tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([meter_read(0, 1)], [], at(1))
+        writer.roll()
+        writer.seal_closed()
+        (part,) = [part for part in writer.manifest.parts() if part.kind == "sealed"]
+    columns = pq.ParquetFile(tmp_path / "segments" / part.file).metadata.row_group(0)
+    assert {columns.column(number).compression for number in range(columns.num_columns)} == {"ZSTD"}
+
+
 @pytest.mark.parametrize("times", [[1, 1, 2, 2, 3], [3, 1, 2, 2, 1]], ids=["as SQLite gives them", "in another order"])
 def test_rows_are_sorted_by_point_and_time_whatever_their_order_was(times: list[int]) -> None:
     import pyarrow as pa

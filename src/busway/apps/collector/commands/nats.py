@@ -19,6 +19,7 @@ from typing import Any
 from ....extras import require
 from ..sinks.hidden_secrets import HiddenSecrets
 from ..sinks.nats import subject_token
+from ..sinks.nats_connection import nats_client_kind
 from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
 from .message_tasks import MOST_AT_ONCE, MessageTasks
 
@@ -87,7 +88,8 @@ class NatsCommands:
         nats = import_module("nats")
         wait = PAUSE
         while True:
-            ended, client = asyncio.Event(), nats.NATS()
+            ended, client = asyncio.Event(), nats_client_kind()()
+            client.must_encrypt = "tls" in self._options or self._url.startswith("tls:")
             self._cause = ""
             try:
                 await client.connect(

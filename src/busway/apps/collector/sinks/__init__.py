@@ -10,9 +10,11 @@
 `files`              sink that writes files: CSV, JSON lines, Parquet
 `mqtt`               sink that publishes samples by MQTT 5, with discovery by Home Assistant
 `mqtt_connection`    connects MQTT clients (aiomqtt), and publishes messages with the broker's answer
+`home_assistant`     describes a point to Home Assistant: kind of entity, device class and state class
 `postgresql`         sink that writes samples to PostgreSQL or TimescaleDB: COPY into a temporary table, then one upsert
 `influxdb`           sink for InfluxDB line protocol over HTTP: InfluxDB 1 to 3, VictoriaMetrics, QuestDB
 `nats`               sink that publishes samples to a stream of NATS JetStream
+`nats_connection`    makes the NATS client (nats-py) for all connections to NATS servers
 `prometheus`         the last values of points, for Prometheus to scrape; a scrape never polls a device
 `sparkplug`          sink for Sparkplug B 3.0: the collector is an edge node of a group
 `sparkplug_payload`  payloads of Sparkplug B 3.0: metrics with type, time and quality, as protobuf bytes
@@ -23,5 +25,5 @@ tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `sin
 after an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
 `interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`;
 what an error of a server may show: `hidden_secrets`. Which points there are after a file was read again: `delivery`.
-Topics and subjects: `mqtt`, `nats`, `sparkplug`.
+Topics and subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point: `home_assistant`.
 """

@@ -1,10 +1,11 @@
 """The interface of sinks, which send samples to other systems, and their errors."""
 
 import asyncio
-from collections.abc import Awaitable, Collection, Iterable, Sequence
+from collections.abc import Awaitable, Collection, Iterable, Mapping, Sequence
 from typing import Protocol, runtime_checkable
 
 from ....errors import ModbusError
+from ....points.point import Point
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 
@@ -73,6 +74,14 @@ class CurrentSink(Protocol):
 
     async def disturbed(self) -> None:
         """Wait until `show_current` should be called at once, because the connection may have ended, and return."""
+
+
+@runtime_checkable
+class DescribedSink(Protocol):
+    """Interface of a sink whose receiver is told what each point is, beside its samples."""
+
+    def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
+        """Use the points of a configuration, by device and name; called again for another one, from any thread."""
 
 
 @runtime_checkable

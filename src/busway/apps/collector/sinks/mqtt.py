@@ -7,14 +7,16 @@ Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
 2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
 3. ``{prefix}/status`` is ``online``, retained, and by the last will ``offline``.
 4. Events of alarms go to ``{prefix}/alarms``, one message each.
-5. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen.
+5. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen, and again when
+   the configuration of the collector was replaced. It says what the file says about the point (`home_assistant`); a
+   point that nothing describes is announced with its first value.
 """
 
 import contextlib
 import json
 import re
 import ssl
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any, Final
@@ -22,8 +24,10 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import MqttOptions
+from ....points.point import Point
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents, sample_document, sample_key
+from .home_assistant import entity, kind_of, kind_of_value
 from .interface import SinkDown, SinkRefused, all_taken
 from .mqtt_connection import MqttPublisher, connect
 
@@ -108,7 +112,13 @@ class MqttSink:
         self._timeout = timeout
         self._client: Any = None  # aiomqtt is loaded when it is used
         self._publisher: MqttPublisher | None = None
+        self._points: Mapping[tuple[str, str], Point] = {}
         self._announced: set[tuple[str, str]] = set()
+        self._announced_by: Mapping[tuple[str, str], Point] = self._points
+
+    def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
+        """Use these points, by device and name, for what Home Assistant is told. Safe from any thread."""
+        self._points = points
 
     async def open(self) -> None:
         """Connect to the broker, and publish that this collector is online. Raises `SinkDown`."""
@@ -203,24 +213,35 @@ class MqttSink:
 
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
         """Return discovery messages for the points of samples that were not announced to Home Assistant yet."""
-        found = {}
+        points = self._points
+        if points is not self._announced_by:
+            self._announced.clear()
+            self._announced_by = points
+        found: dict[tuple[str, str], _Message] = {}
         for sample in samples:
             key = (sample.device, sample.point)
             if key in self._announced or key in found:
                 continue
-            component, content = self._entity(sample)
+            point = points.get(key)
+            kind = kind_of_value(sample.value) if point is None else kind_of(point)
+            if kind is None:
+                continue
+            unit, meta = (sample.unit_of_measure, {}) if point is None else (point.unit_of_measure, point.meta)
+            component, said = entity(kind, unit, meta)
             name = f"{self._discovery}/{component}/{_plain(sample.device)}/{_plain(sample.point)}/config"
+            content = self._entity(sample, component) | said
             found[key] = _Message(name, json.dumps(content, ensure_ascii=False).encode(), name, True)
         return found
 
-    def _entity(self, sample: CommittedSample) -> tuple[str, dict[str, Any]]:
-        """Return the kind of Home Assistant entity for a point (``sensor``, …), and its configuration."""
+    def _entity(self, sample: CommittedSample, component: str) -> dict[str, Any]:
+        """Return the configuration of a point's Home Assistant entity that does not depend on the point's value."""
         topic = self._name(sample.device, sample.point)
-        content: dict[str, Any] = {
+        value = "{{ value_json.value }}" if component == "sensor" else "{{ 'ON' if value_json.value else 'OFF' }}"
+        return {
             "name": sample.point,
             "unique_id": f"busway_{_plain(sample.device)}_{_plain(sample.point)}",
             "state_topic": topic,
-            "value_template": "{{ value_json.value }}",
+            "value_template": value,
             "json_attributes_topic": topic,
             "availability": [
                 {"topic": self._status_topic},
@@ -232,14 +253,6 @@ class MqttSink:
             "availability_mode": "all",
             "device": {"identifiers": [f"busway_{_plain(sample.device)}"], "name": sample.device},
         }
-        if isinstance(sample.value, bool):
-            content["value_template"] = "{{ 'ON' if value_json.value else 'OFF' }}"
-            return "binary_sensor", content
-        if sample.unit_of_measure:
-            content["unit_of_measurement"] = sample.unit_of_measure
-        if isinstance(sample.value, int | float):
-            content["state_class"] = "measurement"
-        return "sensor", content
 
 
 def topic_level(name: str) -> str:

@@ -23,6 +23,7 @@ from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document, documents
 from .hidden_secrets import HiddenSecrets
 from .interface import SinkDown, SinkRefused, all_taken
+from .nats_connection import nats_client_kind
 
 _USUAL: Final = NatsOptions()
 IN_FLIGHT: Final = 64
@@ -79,7 +80,8 @@ class NatsSink:
         """Connect to the NATS server, and create the configured stream if it is missing. Raises `SinkDown`."""
         nats = import_module("nats")
         self._cause = ""
-        self._client = nats.NATS()  # `close` ends it also where connecting fails or is given up
+        self._client = nats_client_kind()()  # `close` ends it also where connecting fails or is given up
+        self._client.must_encrypt = "tls" in self._options or self._url.startswith("tls:")
         try:
             await self._client.connect(
                 self._url,

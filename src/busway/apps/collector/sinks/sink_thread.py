@@ -7,14 +7,15 @@ import asyncio
 import contextlib
 import logging
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 
 from ....errors import ConfigError
 from ....options.sinks import DeliveryOptions
+from ....points.point import Point
 from ....points.point_rules import ReportRule
 from ..store.writer import StoreWriter
 from .delivery import PAUSE_LIMIT, Delivery, SinkStatus
-from .interface import Sink
+from .interface import DescribedSink, Sink
 
 _log = logging.getLogger("busway.sinks")
 
@@ -27,7 +28,7 @@ class SinkThread:
         writer: StoreWriter,
         sinks: Mapping[str, tuple[Sink, DeliveryOptions]],
         point_rules: Mapping[tuple[str, str], ReportRule] | None = None,
-        points: Collection[tuple[str, str]] | None = None,
+        points: Mapping[tuple[str, str], Point] | None = None,
     ) -> None:
         """Start the thread and the delivery to each sink.
 
@@ -35,7 +36,7 @@ class SinkThread:
             writer: the open store; the cursors of the sinks are in its manifest.
             sinks: each sink with the options of its delivery, by name; a name keeps its cursor over a restart.
             point_rules: by device and point, the report rules of points of which only some samples are sent.
-            points: device and name of each point that the configuration has; None for all of the store.
+            points: by device and name, the points that the configuration has; None for all of the store.
 
         Raises:
             ConfigError: a name is empty or has a character that a file's name cannot have.
@@ -43,6 +44,9 @@ class SinkThread:
         for name in sinks:
             if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
                 raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
+        self._described = [sink for sink, _ in sinks.values() if isinstance(sink, DescribedSink)]
+        if points is not None:
+            self._describe(points)
         self._deliveries = [
             Delivery(name, sink, writer.folder, writer.manifest, options, point_rules=point_rules, points=points)
             for name, (sink, options) in sinks.items()
@@ -53,15 +57,20 @@ class SinkThread:
         self._thread = threading.Thread(target=self._run, name="busway-sinks", daemon=True)
         self._thread.start()
 
-    def set_points(self, points: Collection[tuple[str, str]], rules: Mapping[tuple[str, str], ReportRule]) -> None:
+    def set_points(self, points: Mapping[tuple[str, str], Point], rules: Mapping[tuple[str, str], ReportRule]) -> None:
         """Use the points and report rules of a configuration that was read again. Safe from any thread.
 
         Args:
-            points: device and name of each point that the configuration has.
+            points: by device and name, the points that the configuration has.
             rules: by device and point, the report rules of points of which only some samples are sent.
         """
+        self._describe(points)
         for delivery in self._deliveries:
             delivery.set_points(points, rules)
+
+    def _describe(self, points: Mapping[tuple[str, str], Point]) -> None:
+        for sink in self._described:
+            sink.describe(points)
 
     def statuses(self) -> Sequence[SinkStatus]:
         """Return the status of each sink. Safe from any thread."""

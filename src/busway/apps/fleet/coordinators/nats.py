@@ -32,6 +32,7 @@ from ....errors import ConfigError
 from ....extras import require
 from ....safe_files import read_safely
 from ...collector.sinks.hidden_secrets import HiddenSecrets
+from ...collector.sinks.nats_connection import nats_client_kind
 from ..coordinator import (
     LONGEST_VALUE,
     SNAPSHOT_BEGINS,
@@ -114,6 +115,7 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
     }
     secrets = hidden_secrets(url, options)
     client, shown = _client_kind()(secrets), secrets.hide(url)
+    client.must_encrypt = given["tls"] is not None
     try:
         async with asyncio.timeout(4 * options.answer):
             await client.connect(
@@ -168,7 +170,7 @@ def _client_kind() -> Any:
     """
     nats = import_module("nats")
 
-    class Client(nats.NATS):  # type: ignore[misc, name-defined] # Any: the package is loaded when it is used
+    class Client(nats_client_kind()):  # type: ignore[misc] # Any: the package is loaded when it is used
         def __init__(self, secrets: HiddenSecrets) -> None:
             super().__init__()
             self.cause = ""

@@ -1,0 +1,36 @@
+"""The client of NATS that all connections to its servers have (nats-py).
+
+1. With a URL that asks for TLS nothing is sent to a server that offers none. The library encrypts only where the server
+   asks for it, and else sends name, password and token as they are: to whatever answers in the server's place, too.
+2. A connection that was refused is closed; the library leaves its socket open.
+"""
+
+from functools import cache
+from importlib import import_module
+from typing import Any
+
+
+@cache
+def nats_client_kind() -> Any:  # Any: the package is loaded when it is used
+    """Return the class of NATS clients: nats-py's own with these rules; ``must_encrypt`` is set before `connect`."""
+    nats = import_module("nats")
+
+    class EncryptingClient(nats.NATS):  # type: ignore[misc, name-defined] # as above
+        must_encrypt: bool = False
+
+        async def _process_connect_init(self) -> None:
+            try:
+                await super()._process_connect_init()
+            except BaseException:
+                if self._transport is not None:
+                    self._transport.close()
+                raise
+
+        def _connect_command(self) -> bytes:
+            """Return what the library sends first, with the credentials."""
+            if self.must_encrypt and not self._server_info.get("tls_required"):
+                raise nats.errors.Error("it offers no TLS, which the URL asks for; nothing was sent")
+            command: bytes = super()._connect_command()
+            return command
+
+    return EncryptingClient
