@@ -15,7 +15,8 @@ def try_certificates(listener: Listener) -> None:
     """Load the certificates of a listener to check that they can be used; does nothing without TLS.
 
     Raises:
-        ConfigError: a certificate or key cannot be used; the error names the file.
+        ConfigError: an option is invalid, the certificate or the authority is missing, or a file cannot be used; the
+            error names the option, and the file if there is one.
     """
     tls = tls_of(listener)
     if tls is not None:

@@ -37,7 +37,12 @@ _LOOK_SECONDS: Final = 1.0
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Build the ``ssl`` context of a listener. Raises `ConfigError` that names the file and what is wrong with it."""
+    """Build the ``ssl`` context of a listener.
+
+    Raises:
+        ConfigError: the certificate or the authority is missing, or a file cannot be used; the error names the option,
+            and the file if there is one.
+    """
     parameters.check_server()
     context = _context(ssl.PROTOCOL_TLS_SERVER, parameters)
     context.verify_mode = ssl.CERT_REQUIRED
@@ -48,7 +53,9 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 def web_context(parameters: TlsParameters) -> ssl.SSLContext:
     """Return the ``ssl`` context of a page for browsers, which may show a client certificate but need not.
 
-    Raises `ConfigError` that names the file and what is wrong with it.
+    Raises:
+        ConfigError: the certificate is missing, or a file cannot be used; the error names the option, and the file if
+            there is one.
     """
     if parameters.certificate is None:
         raise ConfigError("a page with TLS needs a certificate", key="certificate")
@@ -60,7 +67,12 @@ def web_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def client_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Build the ``ssl`` context of a client. Raises `ConfigError` that names the file and what is wrong with it."""
+    """Build the ``ssl`` context of a client.
+
+    Raises:
+        ConfigError: the authority is missing, or a file cannot be used; the error names the option, and the file if
+            there is one.
+    """
     parameters.check_client()
     context = _context(ssl.PROTOCOL_TLS_CLIENT, parameters)
     if parameters.verify is Verify.OFF_INSECURE:
