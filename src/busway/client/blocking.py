@@ -368,6 +368,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self._perform(write_values(address, value, type, order, function), call_options)
 
@@ -444,6 +445,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self.execute(WriteSingleCoil.of(address, value), **call_options)
 
@@ -457,6 +459,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self.execute(WriteSingleRegister(address, value), **call_options)
 
@@ -470,6 +473,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self.execute(WriteMultipleCoils.of(address, values), **call_options)
 
@@ -485,6 +489,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self.execute(WriteMultipleRegisters.of(address, values), **call_options)
 
@@ -501,6 +506,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self.execute(MaskWriteRegister(address, and_mask, or_mask), **call_options)
 
@@ -526,6 +532,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         reply = self.execute(ReadWriteMultipleRegisters.of(read_address, count, write_address, values), **call_options)
         assert isinstance(reply, ReadWriteMultipleRegisters.Reply)
@@ -568,6 +575,7 @@ class BlockingUnit:
 
         Raises:
             WriteOutcomeUnknown: the request was sent, and no valid answer came: it may have been executed or not.
+                Other errors: those that every method raises (`BlockingUnit`).
         """
         self.execute(WriteFileRecord.of(file, record, values), **call_options)
 
@@ -651,7 +659,11 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """Return the driver whose status this link shows; None if it has none now: closed, or nothing to ``select``."""
+        """Return the driver whose status this link shows; None if there is none.
+
+        It is the link's own one, even after `close`. A link opened with ``select`` has none of its own: it is the one
+        that the next request would use, None if no other link to the endpoint is open or this one is closed.
+        """
         try:
             return self._link or self._bound()
         except ModbusError:
@@ -678,7 +690,10 @@ class BlockingLink:
 
     @property
     def state(self) -> str:
-        """State of the connection: ``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``."""
+        """State of the connection: ``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``.
+
+        ``suspect`` is an open connection after a timeout, ``backing off`` a pause before an attempt to connect.
+        """
         link = self._looked_at()
         return ConnectionState.DOWN.value if link is None else link.reconnect.state.value
 
