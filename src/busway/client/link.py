@@ -363,7 +363,10 @@ class AsyncLinkDriver:
 
     @property
     def next_attempt(self) -> float | None:
-        """Seconds until another attempt to connect is allowed; None if no pause after a failed attempt is running."""
+        """Seconds until another attempt to connect is allowed; None unless the state is ``backing off``.
+
+        0 if the pause is over and the attempt has not begun yet.
+        """
         if self.reconnect.state is not ConnectionState.BACKING_OFF:
             return None
         return max(self.reconnect.not_before - self._clock(), 0.0)

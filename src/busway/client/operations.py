@@ -204,7 +204,10 @@ READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
 
 
 def _natural_type(place: Address, width: int) -> str:
-    """Return the type used if none is given: an unsigned integer of one register, which has ``width`` bytes."""
+    """Return the type used if none is given: an unsigned integer of one register, which has ``width`` bytes.
+
+    Raises `InvalidRequest` unless ``width`` is 2, 4 or 8.
+    """
     if width not in (2, 4, 8):
         raise InvalidRequest(f"{place}: a register of {width} bytes is no number by itself; name a type")
     return f"uint{8 * width}"

@@ -25,8 +25,8 @@ class ExactPoll:
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
         """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
 
-        Returns False if the time was over first, or if another thread closed the port. A single wait is at most 0.25
-        seconds long, even if ``seconds`` is more.
+        Returns True also if the port was lost: the next call on it says so. Returns False if the time was over first,
+        or if another thread closed the port. A single wait is at most 0.25 seconds long, even if ``seconds`` is more.
         """
         if seconds > self._spin:
             seconds -= self._spin
@@ -52,7 +52,8 @@ class Poll:
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
         """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
 
-        Returns False if ``seconds`` were over first, or if another thread closed the socket.
+        Returns True also if the connection has ended or failed: the next call on it says so. Returns False if
+        ``seconds`` were over first, or if another thread closed the socket.
         """
         if self._poll is None:
             readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)

@@ -219,9 +219,10 @@ class UnitScan:
             yield found
 
     def _probe(self, unit: int) -> FoundUnit | None:
-        """Ask a unit for one holding register. Returns how it answered; None if the unit is silent or absent.
+        """Ask a unit for one holding register. Returns how it answered, be it broken, damaged or an exception.
 
-        Raises `LinkDown` if the device closed the connection and a new one cannot be opened.
+        Returns None if nothing came, if a gateway answered in its place (exceptions 0A and 0B), or if the connection
+        was closed instead. Raises `LinkDown` if then a new one cannot be opened.
         """
         counters, timeout = self._link.counters, self.adaptive_timeout.timeout
         late_before = counters.late_replies

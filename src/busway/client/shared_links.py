@@ -79,7 +79,10 @@ class SharedLinks(Generic[AnyLink]):
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     def release(self, settings: LinkSettings, link: AnyLink) -> bool:
-        """Count one user of a link less. Returns whether that was the last one; then the caller must close the link."""
+        """Count one user of a link less. Returns whether that was the last one; then the caller must close the link.
+
+        A link that is not shared has one user.
+        """
         name = settings.endpoint.url
         entry = self._shared.get(name)
         if entry is not None and entry.link is link:

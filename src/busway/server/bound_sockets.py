@@ -36,12 +36,12 @@ def bound_name(scheme: str, bound: socket.socket) -> str:
 
 
 def is_everywhere(url: str) -> bool:
-    """Whether a listener's URL stands for all addresses of this host, as with ``0.0.0.0`` or ``::``."""
+    """Whether the host in the URL of a bound listener is ``0.0.0.0`` or ``::``, all addresses of this machine."""
     return urlsplit(url).hostname in ("0.0.0.0", "::")
 
 
 def is_loopback(url: str) -> bool:
-    """Whether only programs on this host can reach a listener's URL."""
+    """Whether the host in a listener's URL is a numeric loopback address (127.0.0.0/8, ``::1``); False for names."""
     host = urlsplit(url).hostname or ""
     try:
         return ipaddress.ip_address(host.partition("%")[0]).is_loopback

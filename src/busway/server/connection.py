@@ -173,7 +173,11 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.charge(self, session)
 
     def eof_received(self) -> bool:
-        """Close the connection after the replies still owed: the client has closed its sending side."""
+        """Close the connection after the replies still owed: the client has closed its sending side.
+
+        Returns True if the connection stays open for now: received requests wait for their turn, or, with the option
+        ``answer_half_closed``, replies are owed. After False, asyncio closes it.
+        """
         session = self.session
         if session is not None and session.rest:
             self._end_waits = True
@@ -207,7 +211,10 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Turns.
 
     def _must_wait(self, session: "Session", nbytes: int) -> bool:
-        """Whether received requests must be queued because other connections wait for their turn."""
+        """Queue received requests for a later turn, if other connections have to come first; returns whether it did.
+
+        They have to if this one is greedy or the time of the turn is used up, and it is not of a priority host.
+        """
         if self.is_priority or not (self.is_greedy or not self._management.turns.has_time):
             return False
         session.put_off(self._buffer, nbytes)
@@ -230,9 +237,10 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.turns.wait(self)
 
     def take_turn(self) -> bool:
-        """Process requests that wait, for one share of a turn. Returns whether more remain.
+        """Process requests that wait, for one share of a turn. Returns whether the connection needs another turn.
 
-        Raises no ordinary exception.
+        It needs none if nothing waits, if it is closed or closing, or while the client does not read its replies;
+        `resume_writing` queues it again then. Raises no ordinary exception.
         """
         try:
             more = self._work_on()
@@ -336,14 +344,17 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request of the client is in progress or a reply is unsent."""
+        """Whether a request of the client is in progress or waits for its turn, or a reply is unsent.
+
+        False for a connection without a session. An incomplete request does not count.
+        """
         if self.session is None:
             return False
         return bool(self.session.waiting or self.session.rest or self.unsent or self._late)
 
     @property
     def has_ended(self) -> bool:
-        """Whether the client is known to have closed the connection, with nothing left to read."""
+        """Whether the connection is closing, or the client is known to have closed it with nothing left to read."""
         return self._transport.is_closing() or peer_has_ended(self._transport.get_extra_info("socket"))
 
     @property

@@ -33,7 +33,10 @@ _LOOKS: Final = 64
 
 
 class Pool(Enum):
-    """The two pools of connection slots: one for priority hosts, one for all other hosts."""
+    """The two pools of connection slots.
+
+    PRIORITY is for priority hosts only, OTHER for all other hosts and for priority hosts beyond the limits of PRIORITY.
+    """
 
     PRIORITY = "priority"
     OTHER = "other"
@@ -59,11 +62,11 @@ class PoolMember(Protocol):
 
     @property
     def is_busy(self) -> bool:
-        """Whether a request of the connection is in progress or a reply is unsent."""
+        """Whether a request of the connection is in progress or waits for its turn, or a reply is unsent."""
 
     @property
     def has_ended(self) -> bool:
-        """Whether the client is known to have closed the connection, with nothing left to read."""
+        """Whether the connection is closing, or the client is known to have closed it with nothing left to read."""
 
 
 One = TypeVar("One", bound=PoolMember)
@@ -165,7 +168,7 @@ class Pools(Generic[One]):
     def _of_same_host(self, candidate: One) -> One | None:
         """Return the oldest connection of a host that is at its limit, to be closed for a new connection of the host.
 
-        None if the host is below its limit or is a priority host.
+        None if the host is below its limit or is a priority host, or if there is no such limit.
         """
         limit = self.limits.per_host
         if limit is None or candidate.is_priority:
@@ -174,9 +177,9 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """Return a connection that never sent a byte, to be closed first; None without one.
+        """Return a connection that never sent a byte, to be closed first; None if none is found.
 
-        Its client must have closed it, or it must be older than `SECONDS_TO_SPEAK`.
+        Its client must have closed it, or it must be `SECONDS_TO_SPEAK` old. Only the first `_LOOKS` are searched.
         """
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:

@@ -37,7 +37,11 @@ class Timed(Protocol):
 
     @property
     def is_idle(self) -> bool:
-        """Whether the idle timeout may close the connection: no request in progress, no reply unsent, not paused."""
+        """Whether the idle timeout, once it is over, may close the connection.
+
+        Not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the client
+        is a priority host.
+        """
 
 
 One = TypeVar("One", bound=Timed)
@@ -100,7 +104,7 @@ class Deadlines(Generic[One]):
         return until
 
     def is_held(self, one: One) -> bool:
-        """Whether reading from a connection is paused now."""
+        """Whether `hold` has paused reading from a connection, and the pause is not reported as over yet."""
         return one in self._held
 
     def forget(self, one: One) -> None:

@@ -381,8 +381,8 @@ class Device:
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
         """Return a table's memory for direct access, without hooks and checks of read-only ranges.
 
-        None if requests must not use it: the items are not in one piece, there are hooks, or for ``writes`` some items
-        are read-only.
+        None if requests must not use it: the items are not in exactly one piece, they are bits of another table's
+        registers, the table has hooks for this access, or for ``writes`` some items are read-only.
         """
         store = self._stores[table]
         if len(store.runs) != 1 or (self._write_hooks if writes else self._read_hooks)[table]:

@@ -349,6 +349,6 @@ class SerialListener:
 
 
 def _may_come(error: LinkDown) -> bool:
-    """Whether an error only means that the serial port is absent for now, such as an unplugged USB adapter."""
+    """Whether the serial port may only be absent for now: the cause is in `_NOT_THERE`, or the error has none."""
     cause = error.__cause__
     return cause is None or getattr(cause, "errno", None) in _NOT_THERE

@@ -123,7 +123,8 @@ class UdpListener:
     def peer_of(self, socket: "_Socket", data: bytes, address: Any, now: float) -> "_Peer | None":
         """Return the peer that sent a datagram, created at its first datagram; None if the datagram is dropped.
 
-        It is dropped if its host may not send or is above its rate, if it is no whole frame, or if no slot is free.
+        It is dropped if its host may not send or is above its rate, if it is no whole frame, if no slot is free, or
+        while the server stops.
         """
         if not self._takes_more:
             return None
