@@ -12,7 +12,7 @@ TLS_FILES: Final = tuple(name for name, option in declared(TlsParameters).items(
 
 
 def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: options of several types
-    """Return options with the paths among them joined to the folder of the file that has them.
+    """Return options with the paths of certificates (`TLS_FILES`) joined to the folder of the file that has them.
 
     Args:
         options: options by name.
@@ -25,5 +25,5 @@ def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: opt
 
 
 def within(name: str, path: str) -> str:
-    """Return ``path``, as written in the file ``name``, joined to the folder of that file."""
+    """Return ``path``, as written in the file ``name``, joined to the folder of that file; an absolute one as it is."""
     return str(Path(name).parent / path)

@@ -44,7 +44,11 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether ``wanted`` in an access rule may mean a listener: as configured, as bound, or on port 502 beside it."""
+    """Whether ``wanted`` in an access rule may mean a listener: as configured, as bound, or on port 502 beside it.
+
+    The scheme alone, as in ``tcp://``, means all listeners that have it. A host name may be bound to any address. True
+    also for a text that is no URL: another check reports it.
+    """
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
     try:

@@ -31,7 +31,7 @@ class ConfigurationReport:
         self.warnings: list[ConfigError] = []
 
     def make(self, make: Callable[[], Made], place: Callable[[str | None], Path]) -> Made | None:
-        """Return the result of ``make``; if it raises `ConfigError`, add a problem to the report and return None.
+        """Return the result of ``make``; None if it raises `ConfigError`, whose problems are added to the report.
 
         Args:
             make: builds a part of the configuration.

@@ -106,13 +106,16 @@ class Conversion:
     def raw(self, value: float, *, whole: bool, exponent: int = 0) -> float:
         """Return the raw number to write for a value of the point.
 
+        If nothing is to be converted (`changes` and ``exponent``), it is the value itself, unchecked.
+
         Args:
             value: the value in the unit of measure.
             whole: whether raw numbers are integers.
             exponent: the exponent that the point of ``scale_from`` holds; 0 without one.
 
         Raises:
-            InvalidRequest: the value is no number, or no whole number of steps where raw numbers are integers.
+            InvalidRequest: the value to be converted is no number, or no whole number of steps where raw numbers are
+                integers.
         """
         if not self.changes and not exponent:
             return value

@@ -82,14 +82,14 @@ class Point:
 
     @property
     def type(self) -> str:
-        """Name of the point's value type, such as ``float32``; ``bit`` for one bit."""
+        """Name of the point's value type, such as ``float32``; ``bit`` for one bit, ``float64`` if it is computed."""
         if self.formula:
             return "float64"
         return "bit" if self.form is None or self.form.name.startswith("bit:") else self.form.name
 
     @property
     def order(self) -> str:
-        """Byte and register order of the point in letters; empty for one bit."""
+        """Byte and register order of the point in letters; empty for one bit, and for a computed point."""
         return "" if self.form is None or self.type == "bit" else self.form.order
 
     @property
@@ -101,12 +101,12 @@ class Point:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the raw number of the point is an integer, not a float."""
+        """Whether the value type is one of integers, BCD or bit fields; False for a computed point."""
         return self.form is not None and self.form.name.startswith(_WHOLE)
 
     @property
     def is_number(self) -> bool:
-        """Whether values of the point are numbers, not bits, texts or tuples."""
+        """Whether the point is computed, or its value type is one of integers, floats, BCD or bit fields."""
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
@@ -185,7 +185,10 @@ class Point:
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:
-        """Return the name of a value of the point, or the names of its flags; empty if there are none."""
+        """Return the name of a value of the point, or the names of its flags that are set.
+
+        Empty if there are none, and for every value that is no ``int``.
+        """
         conversion = self.conversion
         if isinstance(value, bool) or not isinstance(value, int):
             return ""

@@ -132,7 +132,7 @@ class ReportRule:
     max_silence: float | None = None
 
     def passes(self, last: tuple[object, int], now: tuple[object, int], silence: float) -> bool:
-        """Whether the rule passes a sample on, given the last one that was passed on.
+        """Whether the rule passes a sample on: if its reason is not that of the last one passed on, or if `is_due`.
 
         Args:
             last: value and reason of the sample passed on before.
@@ -144,7 +144,8 @@ class ReportRule:
     def is_change(self, before: object, now: object) -> bool:
         """Whether a value differs by more than the deadband from the last one that was passed on.
 
-        Rounding of floats is allowed for: from 0.7 to 0.8 is no more than a deadband of 0.1.
+        Rounding of floats is allowed for: from 0.7 to 0.8 is no more than a deadband of 0.1. For values that are no
+        finite numbers every difference counts; NaN does not differ from NaN.
         """
         if before == now:
             return False
@@ -163,7 +164,7 @@ class ReportRule:
         return abs(now - before) > limit + limit * _ROUNDING
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a value of unchanged quality is passed on, for a change or for the time that has passed.
+        """Whether a value with an unchanged reason is passed on: for a change, for the time, or because all are.
 
         Args:
             before: the value passed on before.
@@ -177,7 +178,10 @@ class ReportRule:
 
     @property
     def longest_silence(self) -> float | None:
-        """Seconds after which a sample is passed on even without a change; None for never, or if every sample is."""
+        """Seconds after which a sample is passed on even without a change; None for no such time.
+
+        The smaller of ``max_silence`` and, if the rule is ``change_or_period``, ``period``.
+        """
         limits = [self.max_silence, self.period if self.when == "change_or_period" else None]
         return min((each for each in limits if each is not None), default=None)
 

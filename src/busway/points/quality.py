@@ -32,9 +32,10 @@ class Quality(IntEnum):
 
 
 class Reason(IntEnum):
-    """Why a point's value is not good or is missing; `exception_reason` gives the reasons for exception codes.
+    """Why a point's value is not good or is missing; NONE is the reason of a good value.
 
-    1 to 15 are uncertain, all from 16 on are bad.
+    1 to 15 are uncertain, all from 16 on are bad. Reasons for exception codes are ints from 256 on and no members:
+    `exception_reason` gives them.
     """
 
     NONE = 0

@@ -148,7 +148,10 @@ class ValueType(Generic[Value]):
 
     @property
     def is_part(self) -> bool:
-        """Whether a value occupies only a part of its register; `merge` keeps the other bits."""
+        """Whether the type is ``bit``, ``field``, ``int8`` or ``uint8``, a part of a register; `merge` keeps the rest.
+
+        False for texts with one character in each register: `merge` writes the other halves too.
+        """
         return isinstance(self._codec, BitCodec | FieldCodec)
 
     @property

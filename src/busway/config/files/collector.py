@@ -153,7 +153,10 @@ class CollectorFile(SystemFile):
     listener: Annotated[list[ListenerSection], BeforeValidator(_none_here), NOTHING] = NO_LIST
 
     def class_of(self, device: CollectedDeviceSection) -> str:
-        """Return the poll class of a device's points that name none; empty if it is not clear which."""
+        """Return the poll class of a device's points that name none: the device's, else the only one of the file.
+
+        Empty if the device names none and the file has none or several.
+        """
         return device.poll_class or (next(iter(self.poll_class)) if len(self.poll_class) == 1 else "")
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:

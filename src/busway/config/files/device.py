@@ -594,7 +594,10 @@ def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tupl
 
 
 def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Yield errors for names of points that do not exist, or do not hold the kind of number needed."""
+    """Yield errors for names of points that do not exist, or do not hold the kind of number needed.
+
+    Also for ``t`` and constants such as ``pi`` in a formula, where a point has that name.
+    """
     there = {each.section.name: each.section for each in placed}
     counts = {name: each.path for each in placed for name, _ in each.exists}
     needed = [((*each.path, "scale_from"), each.section.scale_from) for each in placed if each.section.scale_from]

@@ -25,7 +25,10 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """Return the line of a path in the file; for a path that is not there, that of the innermost part that is."""
+    """Return the line of a path in the file; for a path that is not there, that of the innermost part that is.
+
+    It is 1 if no part is there.
+    """
     while path and path not in lines:
         path = path[:-1]
     return lines.get(path, 1)

@@ -60,7 +60,9 @@ class ListenerSection(OptionSection):
 
 
 def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
-    """Yield an error for each listener that uses the same address and port as an earlier one: its path, and a sentence.
+    """Yield an error for each listener that uses the address and port, or the serial port, of an earlier one.
+
+    Each is the path of the later URL, and a sentence. Listeners on port 0 use no port of another.
 
     Args:
         places: the path of each URL in the file, and the URL.

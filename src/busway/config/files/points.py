@@ -426,12 +426,12 @@ class PointSection(WholeSection):
 
     @property
     def is_number(self) -> bool:
-        """Whether values of the point are numbers, not bits, texts or sixteen bits."""
+        """Whether the value type is one of integers, floats, BCD or bit fields; False for a computed point."""
         return self.form is not None and self.form.name.startswith(_NUMBERS)
 
     @property
     def is_whole(self) -> bool:
-        """Whether the raw number in the point's registers is an integer."""
+        """Whether the value type is one of integers, BCD or bit fields; False for a computed point."""
         return self.is_number and self.form is not None and not self.form.name.startswith("float")
 
     @property

@@ -305,7 +305,7 @@ def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
 
 
 def _written(path: Path) -> str | None:
-    """Return the path of a key as text: ``unit[0].point[3].type``."""
+    """Return the path of a key as text: ``unit[0].point[3].type``; None for an empty path."""
     text = ""
     for each in path:
         text += f"[{each}]" if isinstance(each, int) else f".{each}" if text else each
@@ -362,7 +362,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
 
 
 def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
-    """Return the schema class of the table at a path; None if the table has no schema class."""
+    """Return the schema class of the table at a path; None if a key of the path is unknown or has no schema class."""
     for key in path:
         if isinstance(key, int):
             continue
