@@ -88,7 +88,7 @@ class Name:
     pattern: str = ""
 
     def has(self, value: object) -> bool:
-        """Whether a value is a text of the allowed form, or a list that is not empty."""
+        """Whether a value is not empty and, if there is a pattern, matches it as text."""
         return bool(value) and (not self.pattern or re.fullmatch(self.pattern, str(value)) is not None)
 
     def __str__(self) -> str:

@@ -54,7 +54,7 @@ class Summary:
 
     @property
     def changes(self) -> tuple[tuple[str, str, str], ...]:
-        """The checks whose outcome differs from the earlier run, each with its outcome then and now."""
+        """The checks of both runs whose outcome differs: name of the check, its outcome then and now."""
         return tuple(
             (one.check.id, self.baseline[one.check.id], one.outcome.value)
             for one in self.results

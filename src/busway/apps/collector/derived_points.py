@@ -109,7 +109,9 @@ class DerivedPoints:
             self._touched |= set(points)
 
     def computed(self, time: int, half_width: int) -> SampleBatch | None:
-        """Return the samples of all computed points at the end of a round; None if the round read none of their inputs.
+        """Return the samples of all computed points at the end of a round.
+
+        None if there are no computed points, or if the round read none of their inputs.
 
         Args:
             time: time of the samples, nanoseconds since 1970 UTC.

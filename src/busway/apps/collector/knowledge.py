@@ -100,7 +100,7 @@ class DeviceKnowledge:
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
-        """Whether a read from ``start`` to before ``end`` would touch a range that the device was found to refuse."""
+        """Whether a read from ``start`` to before ``end`` would touch a refused range or cross a border, as learnt."""
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:

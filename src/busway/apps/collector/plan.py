@@ -295,7 +295,11 @@ class _Borders:
         return (start, end), ""
 
     def cut_between(self, left: _Place, right: _Place) -> bool:
-        """Whether two neighbouring ranges must not be fetched by one read, because of a border or hole between them."""
+        """Whether two neighbouring ranges must not be fetched by one read.
+
+        They must not if either of them or the hole between them touches an exact block, if a border lies between them,
+        if they are not in one readable range, or if the hole is forbidden or, without readable ranges, not bridged.
+        """
         end, start = left[1], right[0]
         has_hole = start > end
         if self._exact is not None and (

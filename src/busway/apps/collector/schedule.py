@@ -58,7 +58,10 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What a turn showed about its device: that it answers, that it is silent, or nothing because the link was down."""
+    """What a turn showed about its device: that it answers, that it is silent, or, for DOWN, nothing.
+
+    DOWN stands for every request that was not sent: the link was down or overloaded, or the request was invalid.
+    """
 
     ANSWERED = "answered"  # also by an exception: the device lives
     SILENT = "silent"
@@ -496,7 +499,7 @@ class LinkSchedule:
         self._credited_at = now
 
     def _first_silent(self) -> ScheduledDevice | None:
-        """Return the silent device whose probe is due first; None if no device is silent."""
+        """Return the silent device whose probe is due first; None if no device is silent, except in maintenance."""
         while self._silent:
             when, _, name = self._silent[0]
             device = self.devices.get(name)
@@ -506,7 +509,10 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """Return the first request to a device that was never asked; None if there is no such device."""
+        """Return the first request to a device that was never asked; None if there is none to be asked now.
+
+        Devices in maintenance and devices without a read are not asked.
+        """
         for _ in range(len(self._new)):
             device = self.devices.get(self._new.popleft())
             if device is None or device.lives is not None:
@@ -531,7 +537,10 @@ class LinkSchedule:
         return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
 
     def _question(self, now: float) -> Turn | None:
-        """Return the next test read for learning: at most one per device in its shortest poll period."""
+        """Return the next test read for learning: at most one per device in its shortest poll period.
+
+        None if no device has one now; devices that do not answer or are in maintenance are not asked.
+        """
         for _ in range(len(self._asking)):
             device = self.devices.get(self._asking[0])
             if device is None:

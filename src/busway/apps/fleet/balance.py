@@ -89,7 +89,8 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
     """Return the moves of shards (groups of links) that make the loads of a zone's collectors fair.
 
-    Empty if the loads are fair enough (rule 3). At most `MOST_MOVES` moves, and the second one of an exchange.
+    Empty if the loads are fair enough (rule 3), or if all collectors are draining. At most `MOST_MOVES` moves, and the
+    second one of an exchange.
 
     Args:
         owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.

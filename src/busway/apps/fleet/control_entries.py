@@ -173,7 +173,7 @@ def _parsed(entry: Entry) -> CollectorConfiguration | None:
 
 
 async def _may_run(coordinator: Coordinator) -> bool:
-    """Whether a collector of the zone may live: it has joined, and has not ended in order."""
+    """Whether a collector of the zone may live: it has joined, and has not ended in order, as far as can be read."""
     members = await read_entries(coordinator, MEMBERS)
     records = [decode_member(entry.value) for entry in members.values() if entry.value]
     return any(record is None or not record.gone for record in records)

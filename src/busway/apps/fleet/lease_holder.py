@@ -458,7 +458,10 @@ class FleetMember:
             self.clock_error = ahead if ahead > CLOCK_LIMIT else -behind if behind > CLOCK_LIMIT else 0.0
 
     def _clock_problem(self, now: float) -> str:
-        """Return in words that the wall clock is too wrong to own a shard; empty if it is not (rule 6)."""
+        """Return in words that the wall clock is too wrong to own a shard; empty if it is not (rule 6).
+
+        Empty also if more live collectors agree with this clock than with the coordinator's.
+        """
         if not self.clock_error:
             return ""
         others = [each.ahead for each in self._members.values() if each.ahead is not None and self._lives(each, now)]

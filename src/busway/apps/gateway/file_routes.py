@@ -76,7 +76,7 @@ class PlacedListener:
 
     @property
     def is_serial(self) -> bool:
-        """Whether the listener's clients are serial masters, which use units 1…247 only."""
+        """Whether the framing is RTU or ASCII, on a line or a network: clients use units 1…247 only."""
         return self.endpoint.framing != "mbap"
 
 

@@ -86,7 +86,10 @@ def _reached_in_several_ways(
 
 
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
-    """Whether the access rule ``other`` applies to all clients to which ``rule`` applies."""
+    """Whether the access rule ``other`` surely applies to all clients to which ``rule`` applies.
+
+    So it is if each of its conditions (peers, roles, listeners) is missing or equal to that of ``rule``.
+    """
     return (
         other.peers in (None, rule.peers)
         and other.roles in (None, rule.roles)
@@ -151,7 +154,9 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
 
 
 def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
-    """Whether requests by another route may touch items that the access rule of this route refuses or limits.
+    """Whether another route permits some of the items that this one refuses, or permits with another rate or limits.
+
+    False if the same access rule decides both.
 
     Args:
         other: a range of items that are treated alike by the other route.

@@ -148,7 +148,10 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """Return which units, functions or addresses of a refusing route an earlier route forwards; empty if none."""
+    """Return which units, functions or addresses of a refusing route an earlier route forwards; empty if none.
+
+    Empty also for a refusing route that names no units, functions and addresses: it is meant for the rest.
+    """
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
     is_for_all = not refusal.listeners and bool(earlier.listeners)

@@ -195,7 +195,7 @@ class ListenerRoutes:
         return self._looked_through(routes, request)
 
     def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
-        """Return the first route that fits a request, by an index of addresses, fast also for many routes."""
+        """Return what `find` returns, by an index of addresses, fast also for many routes."""
         key = id(routes), request.code, touch.table
         indexed = self._indexed.get(key)
         if indexed is None:
@@ -210,7 +210,7 @@ class ListenerRoutes:
         return Straddles(route)
 
     def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
-        """Return the first route that fits a request, by trying one after the other."""
+        """Return what `find` returns, by trying one route after the other."""
         for route in routes:
             if route.functions and function_of(request) not in route.functions:
                 continue
@@ -256,7 +256,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """Return the one address range that a request touches; None if it touches several, or none."""
+    """Return the one address range that a request touches; None if it touches several or none, or if it is unknown."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -264,7 +264,10 @@ def _touched_at_once(request: Request) -> Span | None:
 
 
 def _within(wanted: AddressRange, request: Request) -> bool | None:
-    """Whether a request lies in an address range: True for wholly, False for not at all, None for partly."""
+    """Whether a request lies in an address range: True for wholly, False for not at all, None for partly.
+
+    False also if it is unknown what the request touches.
+    """
     if isinstance(request, OpaqueRequest):
         return False
     spans = request.spans()

@@ -64,7 +64,7 @@ class AccessInForce:
             rules: the access rules; None: listeners are read-only, unless writes were allowed on the command line.
 
         Returns:
-            None if the server has no policy (`is_guarded`).
+            None if the server needs no policy: ``is_guarded`` is False.
         """
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 

@@ -383,6 +383,8 @@ class _Scanner:
     def _take(self, first: int, count: int, found: dict[int, int]) -> bool:
         """Read a range of the live device into ``found``, and return whether the device has all its items.
 
+        False also if the device does not have the function; then ``offered`` is False.
+
         Raises:
             ModbusError: the device did not answer, or refused the range for another reason; the error names the range.
         """
@@ -421,7 +423,7 @@ def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
 
 
 def _objects(unit: BlockingUnit) -> dict[int, bytes]:
-    """Return the identification objects of the highest level that the live device supports."""
+    """Return the identification objects of the highest level that the live device supports; empty if it has none."""
     for level in _LEVELS:
         objects = _offered(partial(unit.read_device_identification, level))
         if objects:

@@ -181,7 +181,7 @@ class Engine:
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
         """Return the value from which a point's behaviour would continue after a restart, as of its last moment.
 
-        None if the point has no behaviour, or one that depends only on time.
+        None if the point has no behaviour, or one that keeps no state.
 
         Args:
             point: the point.

@@ -224,7 +224,10 @@ class _Reader:
     problems: list[ConfigError] = field(default_factory=list)
 
     def rows(self) -> list[_Row]:
-        """Return the rows of the register map below its header line; without one, none. Adds errors to `problems`."""
+        """Return the rows of the register map below its header line, without empty lines and comments.
+
+        Rows with too many cells are left out; there are none without a valid header line. Adds errors to `problems`.
+        """
         begin, header = self._header_line()
         if header is None:
             self._complain("there is no line with columns; there are " + ", ".join(_NAME_OF_KEY.values()), begin)
@@ -248,7 +251,7 @@ class _Reader:
         return found
 
     def _header_line(self) -> tuple[int, str | None]:
-        """Return the number of the first line with content, and the line; 1 and None if there is none."""
+        """Return number and text of the first line that is neither empty nor a comment; 1 and None if there is none."""
         for number, line in enumerate(self.text.splitlines(), 1):
             if line.strip(" \t,;") and not line.lstrip(" \t\"'").startswith("#"):
                 return number, line
@@ -311,7 +314,10 @@ def _known_in(header: str, delimiter: str) -> int:
 
 
 def _column_of(key: str | None) -> str | None:
-    """Return the column of a register map for the path of a point's key: ``point[3].unit_of_measure`` → ``unit``."""
+    """Return the column of a register map for the path of a point's key: ``point[3].unit_of_measure`` → ``unit``.
+
+    It is the name of the key itself if no column stands for it, None without a key.
+    """
     last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
     return _NAME_OF_KEY.get(last, last or None)
 

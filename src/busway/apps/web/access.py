@@ -251,6 +251,7 @@ class PageAccess:
         """Return the caller by the digest of its token, or without one by its certificate, or the default (rule 5).
 
         Returns None if the caller is refused: the token is wrong, or callers without token and certificate are refused.
+        On a page without tokens a token does not count.
         """
         if digest is not None and self._rules.tokens is not None:
             found: Caller | None = None

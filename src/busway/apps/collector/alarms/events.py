@@ -37,12 +37,12 @@ class AlarmState(StrEnum):
 
     @property
     def is_active(self) -> bool:
-        """Whether the point's value is still beyond the limit of the alarm."""
+        """Whether the alarm was raised and is not cleared, be it acknowledged or not; False while it is PENDING."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.ACKNOWLEDGED)
 
     @property
     def is_unacknowledged(self) -> bool:
-        """Whether the alarm must still be acknowledged."""
+        """Whether the alarm must still be acknowledged, be it active or cleared."""
         return self in (AlarmState.UNACKNOWLEDGED, AlarmState.CLEARED)
 
 
@@ -136,7 +136,9 @@ class RaisedAlarm:
 
 
 def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | None:
-    """Return the alarm as it is after an event; None if it is back to normal.
+    """Return the alarm as it is after an event; None if it is normal then, or its limit was removed.
+
+    It is unchanged by an event that its state does not allow for.
 
     Args:
         alarm: the alarm before; None if it was normal.

@@ -194,7 +194,7 @@ def _function_of(point: Point) -> int:
 
 
 def plain(value: Any) -> CommandValue | None:  # what the point's type says
-    """Return a decoded value of a point as commands record it: number, text, state name or list."""
+    """Return a decoded value of a point as commands record it: a list for a tuple, every other value as it is."""
     return list(value) if isinstance(value, tuple) else value
 
 

@@ -187,7 +187,8 @@ class Delivery:
         """Send the next commits of the store to the sink, and move its cursor.
 
         Returns:
-            Whether later commits wait already. False also if the samples must wait for the clock to be set.
+            Whether later commits wait already. False also if the store cannot be read now, or if the samples must wait
+                for the clock to be set.
 
         Raises:
             SinkDown: some samples may have arrived; the cursor stays, so that all of them are sent again.

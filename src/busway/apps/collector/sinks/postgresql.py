@@ -208,8 +208,8 @@ def number_and_text(value: Value | None) -> tuple[float | None, str | None]:
     """Return a value for the columns ``value`` and ``text`` of the table.
 
     Returns:
-        The value as float, None for a text; and a text, or the digits of an integer that no float can represent, else
-        None.
+        The value as float, None for a text or no value; and a text, or the digits of an integer that no float can
+        represent, else None.
     """
     if value is None or isinstance(value, str):
         return None, value

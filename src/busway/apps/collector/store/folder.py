@@ -109,9 +109,10 @@ def is_alive(process: int) -> bool:
 
 
 def holder_of(folder: Path) -> int | None:
-    """Return the number of the process that writes a store now; None if no process writes it.
+    """Return the number of the process that writes a store now; None if none does, as far as can be told.
 
-    The number is 0 if a process writes the store but its number is not known.
+    The number is 0 if a process writes the store but its number is not known. None also if the lock file cannot be
+    opened, and on systems without file locks.
     """
     if not HAS_LOCKS:
         return None  # no process writes a store here

@@ -89,6 +89,8 @@ def open_part_facts(folder: Path, part: StorePart) -> StorePart:
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
     """Return the intervals in which devices were not read, and gaps, that a segment file holds.
 
+    There are none while its tables are not made yet.
+
     Raises:
         FileNotFoundError: the file is not created yet, or the segment was sealed or dropped.
     """

@@ -155,14 +155,16 @@ class Segment:
             self._database.execute("ROLLBACK")
 
     def log_size(self) -> int:
-        """Return the size of the segment file's write-ahead log in bytes."""
+        """Return the size of the segment file's write-ahead log in bytes; 0 if there is none."""
         try:
             return self._log.stat().st_size
         except FileNotFoundError:
             return 0
 
     def has_ended(self, begun: int, now: int, most: int) -> bool:
-        """Whether the segment is full or too old for another commit, so that the next segment must begin (rule 5).
+        """Whether the next segment must begin before another commit (rule 5).
+
+        It must if ``begun`` and ``now`` are in different slots of `SLOT`, the file is too large, or it `is_stuck`.
 
         Args:
             begun: when the segment began, nanoseconds since 1970 UTC.
@@ -173,7 +175,7 @@ class Segment:
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the segment file's write-ahead log cannot shrink because a reader holds it open."""
+        """Whether the segment file's write-ahead log is above `LOG_STUCK`: a reader keeps it from being shortened."""
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
@@ -251,7 +253,7 @@ def _insert(
 
 
 def is_storable(value: object) -> bool:
-    """Whether the store can keep a value unchanged: a state, a number, a text, an integer of at most 64 bits."""
+    """Whether the store can keep a value unchanged: None, a state, a float, a text, or an integer -2**63…2**64 - 1."""
     if isinstance(value, int):
         return -(2**63) <= value < 2**64
     return value is None or isinstance(value, float | str)
@@ -359,7 +361,10 @@ def is_unmade(error: sqlite3.OperationalError) -> bool:
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
-    """Return the alarm events of a segment file after a commit number, in the order of their commits."""
+    """Return the alarm events of a segment file after a commit number, in the order of their commits.
+
+    There are none while its tables are not made yet.
+    """
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
     except sqlite3.OperationalError as error:
@@ -370,7 +375,10 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """Return the latest state of each accumulator (running total) that has one in a segment file."""
+    """Return the latest state of each accumulator (running total) that has one in a segment file.
+
+    There are none while its tables are not made yet.
+    """
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
     except sqlite3.OperationalError as error:
