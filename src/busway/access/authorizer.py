@@ -146,7 +146,9 @@ class PolicyAuthorizer:
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
     ) -> ExceptionResponse | None:
-        """Return None if the policy permits a request, otherwise the exception reply that refuses it.
+        """Return None if a request may be executed, otherwise the exception reply that refuses it.
+
+        The policy refuses it, or, with exception 04, the audit log: it cannot be written, and takes no writes then.
 
         Function 22 (mask write) can depend on the register's old value if a rule bounds the values. Then it is
         permitted for now if the device is in this process, and decided when the responder reports that value

@@ -48,7 +48,9 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denied request needs an audit line of its own now. If not, it was counted as a repetition.
+        """Whether a denied request needs an audit line of its own now.
+
+        If not, it was counted as a repetition, or in ``others`` if `MOST_APART` combinations are known already.
 
         ``line`` is kept for repetitions, to show the latest denial later.
         """

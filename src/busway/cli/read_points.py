@@ -244,7 +244,10 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a point exists: a member of a repeated group does up to the group's size that the device has reported."""
+    """Whether a point exists: a member of a repeated group does up to the group's size that the device has reported.
+
+    Every point of a group exists as long as the size is not known.
+    """
     for name, place in point.exists:
         record = records.get(name)
         if record is not None and record.reading.value is not None and place > record.reading.value:

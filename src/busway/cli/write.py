@@ -119,7 +119,7 @@ def write(
 
 
 def _read_back(read: Callable[[], _Found]) -> _Found | None:
-    """Return what ``read`` returns after a write; None, with a message on stderr, if the device does not answer."""
+    """Return what ``read`` returns after a write; None, with a message on stderr, if the read fails."""
     try:
         return read()
     except ModbusError as error:

@@ -277,7 +277,7 @@ class Instrument:
         return self.read_bits(registeraddress, 1, functioncode)[0]
 
     def read_bits(self, registeraddress: int, number_of_bits: int, functioncode: int = 2) -> list[int]:
-        """Return bits, each 0 or 1: discrete inputs (function code 2) or coils (1)."""
+        """Return bits, each 0 or 1: discrete inputs (function code 2) or coils (1); none for address 0, a broadcast."""
         _one_of("functioncode", functioncode, (1, 2))
         kind = ReadCoils if functioncode == 1 else ReadDiscreteInputs
         reply = self._ask(kind(_address(registeraddress), number_of_bits))

@@ -104,7 +104,7 @@ class Exchange:
 
     @property
     def is_write(self) -> bool:
-        """Whether the request may change data of the device."""
+        """Whether the request may change data of the device, as declared; False if it is malformed or unknown."""
         return (isinstance(self.request, Request) and self.request.is_write) or any(one.writes for one in self.spans)
 
 

@@ -142,7 +142,11 @@ class Dissector:
     # Framing.
 
     def _is_stream(self, data: bytes) -> bool:
-        """Whether the bytes are several MBAP frames in a row."""
+        """Whether the bytes are to be cut into MBAP frames.
+
+        If no framing is given, they must begin with a whole MBAP frame of a known function, be longer than it, and not
+        end in a valid CRC.
+        """
         if self._framing is not None:
             return self._framing is Framing.MBAP
         end = _end_of_mbap(data, 0)

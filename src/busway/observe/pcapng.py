@@ -36,7 +36,7 @@ class LinkType(IntEnum):
 
 
 class Flow(IntEnum):
-    """Direction of a captured packet, as seen from this program: received or sent."""
+    """Direction of a captured packet, as seen from this program: received, sent, or UNKNOWN."""
 
     UNKNOWN = 0
     INCOMING = 1

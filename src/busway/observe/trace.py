@@ -24,7 +24,7 @@ _log = logging.getLogger("busway.trace")
 
 
 class TraceLevel(IntEnum):
-    """How much of the traffic the log shows: nothing, messages, frames or bytes."""
+    """How much of the traffic the log shows: nothing (CAPTURE and OFF), messages, frames or bytes."""
 
     CAPTURE = -1
     """No log lines; the traffic is recorded in a capture file."""

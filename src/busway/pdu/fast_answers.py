@@ -65,7 +65,8 @@ class Block(Protocol):
             data: their bytes in wire order.
 
         Returns:
-            True if nothing was replaced, because writes are observed and the request has to take the generic path.
+            None, or True if nothing was replaced, because writes are observed and the request has to take the generic
+                path.
         """
 
 
@@ -93,7 +94,7 @@ class DirectModel(Protocol):
     """Interface of a device that lets requests read and write the memory of its tables directly, for speed."""
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return a table's memory if requests may use it directly; None if the table has hooks or gaps.
+        """Return a table's memory if requests may use it directly, without hooks and checks; else None.
 
         Args:
             table: the table.

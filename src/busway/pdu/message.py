@@ -255,7 +255,9 @@ class Request(Message):
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """Return the prepared answer to a repeated read of registers (`busway.pdu.fast_answers.ReadPlan`), or None.
+        """Return the prepared answer to a repeated read of registers (`busway.pdu.fast_answers.ReadPlan`).
+
+        None if the read must take the generic path, and for every class that is no such read.
 
         Args:
             model: the device.

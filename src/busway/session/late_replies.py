@@ -206,7 +206,9 @@ class UnitDoubt:
     # Requests that may be sent.
 
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
-        """Whether a late reply to another request could be taken for the reply to this one (rule 3).
+        """Whether a late reply to another request, or a further unasked one, could be taken for the reply to this one.
+
+        See rule 3.
 
         ``call`` and ``position`` say which request it is: earlier attempts at the same request raise no doubt.
         """

@@ -298,7 +298,10 @@ class FastPath:
         return plan if plan is not None and self._permits(unit, served, pdu) else None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """Return unit and request class of a function code, or twice None if the device cannot answer it from bytes."""
+        """Return unit and request class of a function code, or twice None if the device cannot answer it from bytes.
+
+        The class alone is None if the function is not known.
+        """
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
             return None, None

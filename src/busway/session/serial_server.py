@@ -368,7 +368,7 @@ class SerialServerSession:
             diagnostics.kept_silent(executed=done)
 
     def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
-        """Whether a unit has executed a broadcast, judged by the outcome of `RequestPipeline.answer`.
+        """Whether a unit has executed a broadcast: the outcome of `RequestPipeline.answer` is a normal reply.
 
         A failure is counted.
 

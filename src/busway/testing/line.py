@@ -315,7 +315,7 @@ class PacedLine:
                 self._tell_listeners(now)
 
     def _wake_at(self) -> float | None:
-        """Return when the line's thread must next deliver characters or report a silence."""
+        """Return when the line's thread must next deliver characters or report a silence; None if it has neither."""
         next_byte, next_pause = self._line.deadline(), self._line.pause_at()
         if next_byte is not None and next_pause is not None:
             return min(next_pause, max(next_byte, self._handed_over_at + self._granularity)) - self._transit

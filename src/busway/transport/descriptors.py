@@ -14,7 +14,8 @@ RESERVED: Final = 128
 def is_reserved(descriptor: int) -> bool:
     """Whether a file descriptor is one of those kept for Modbus connections; any other user must close it.
 
-    ``descriptor`` is the number that the system gave to a new connection. Always False on Windows.
+    ``descriptor`` is the number that the system gave to a new connection. Always False on Windows, and where the number
+    of descriptors has no limit.
     """
     if sys.platform == "win32":
         return False

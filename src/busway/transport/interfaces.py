@@ -36,7 +36,10 @@ class Interface:
 
 
 def interfaces_with(host: str) -> tuple[Interface, ...]:
-    """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family."""
+    """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family.
+
+    Only Linux tells them; on other systems there are none.
+    """
     if sys.platform != "linux":
         return ()
     found = _ipv6_interfaces() if ":" in host else _ipv4_interfaces()

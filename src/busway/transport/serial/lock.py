@@ -68,7 +68,10 @@ def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
 
 
 def _who_locked(place: str, processes: Path) -> int | None:
-    """Return the process number in a line of /proc/locks, as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``."""
+    """Return the process number in a line of /proc/locks, as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``.
+
+    None if no line with a process is about ``place``, or the file cannot be read.
+    """
     try:
         lines = (processes / "locks").read_text().splitlines()
     except OSError:

@@ -23,7 +23,7 @@ class Overruns:
         self._lost = self._read()
 
     def more(self) -> bool:
-        """Whether the port has lost characters since the last call."""
+        """Whether the port has lost characters since the last call; False if its driver does not count them."""
         if self._lost is None:
             return False
         before, now = self._lost, self._read()

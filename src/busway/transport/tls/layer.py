@@ -110,7 +110,10 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def eof_received(self) -> bool:
-        """Handle the end of the TCP stream, which some peers do not announce by a TLS message."""
+        """Handle the end of the TCP stream, which some peers do not announce by a TLS message.
+
+        Returns whether the connection stays open for now, because replies are still unsent.
+        """
         if self.state is TlsState.UP:
             return self._tell_end()
         return False
@@ -209,7 +212,10 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._flush()
 
     def _tell_end(self) -> bool:
-        """Tell the upper protocol that the peer has ended its stream; close unless replies are still unsent."""
+        """Tell the upper protocol that the peer has ended its stream; close unless replies are still unsent.
+
+        Returns whether the connection stays open for now.
+        """
         if not self._ended_told and self._above is not None:
             self._ended_told = True
             if not self._above.eof_received():

@@ -83,7 +83,7 @@ class TlsStream:
 
     @property
     def may_hold_more(self) -> bool:
-        """Whether decrypted bytes may remain that did not fit into the buffer of the last read."""
+        """Whether another read may give something: bytes that did not fit into the buffer, or a `TlsFailure`."""
         return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
@@ -96,7 +96,9 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """Return why a connection ended that had no TLS failure; ``error`` is that of the network.
+        """Return why a connection ended that had no TLS failure; ``error`` is that of the network, None without one.
+
+        It is ``error`` itself, or, for a client that never heard anything over TLS, a `TlsFailure`.
 
         Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
         believes itself connected. Only that nothing was ever heard tells that from other ends.

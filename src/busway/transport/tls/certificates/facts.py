@@ -56,7 +56,7 @@ class CertificateFacts:
         return (self.not_after - (time.time() if now is None else now)) / DAY
 
     def validity(self, now: float | None = None) -> str:
-        """Return a warning if the certificate has expired or expires within 30 days; else an empty text."""
+        """Return a warning if the certificate is not valid yet, has expired or expires within 30 days; else empty."""
         moment = time.time() if now is None else now
         if moment < self.not_before:
             return f"is not valid before {date_of(self.not_before)}"
