@@ -121,7 +121,10 @@ class MbapReceiver:
         return self._buffer.kept
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
-        """Return all frames that ``data`` completes, in order. ``now`` is ignored: only the length counts."""
+        """Return all frames that ``data`` completes, in order. ``now`` is ignored: only the length counts.
+
+        A broken stream ends with one `FrameKind.BROKEN`; after that there are none.
+        """
         frames: list[MbapFrame] = []
         if self.broken:
             return frames

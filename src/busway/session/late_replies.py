@@ -382,7 +382,10 @@ class Doubts:
         return self.of(unit).marker(self._number, is_check=is_check)
 
     def in_doubt(self) -> list[int]:
-        """Return the units that may still send late replies, in ascending order."""
+        """Return the units that owe replies to known requests, or have sent a frame unasked, in ascending order.
+
+        A unit of whose late replies only the number is known (``older``) is not among them.
+        """
         return sorted(unit for unit, doubt in self.units.items() if doubt.owed or doubt.unasked is not None)
 
     @property

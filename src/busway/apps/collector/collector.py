@@ -410,7 +410,10 @@ class Collector:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the newest commit of the store; 0 before the first."""
+        """The number of the newest commit of the store.
+
+        Before the first commit since the start it is a number below that of the first; 0 in a new store.
+        """
         assert self._committer is not None
         return self._committer.writer.newest_commit
 

@@ -111,7 +111,7 @@ async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
 
 
 def _running(found: dict[str, Entry]) -> set[str]:
-    """Return the keys of the table entries of collectors that have not ended in order."""
+    """Return the keys of the table entries of collectors that have not ended in order; unreadable ones are left out."""
     members = {key: decode_member(entry.value) for key, entry in found.items() if key.startswith(MEMBERS)}
     return {key for key, record in members.items() if record is not None and not record.gone}
 

@@ -149,7 +149,7 @@ def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -
 
 
 def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
-    """Return the unit numbers that an upstream can have: 0…255 with MBAP framing, 1…247 on serial lines."""
+    """Return the unit numbers that an upstream can have: 0…255 with MBAP framing, 1…247 with RTU and ASCII."""
     return ALL_UNITS if upstream.link.endpoint.framing == "mbap" else SERIAL_UNITS
 
 

@@ -57,6 +57,8 @@ class Reload:
     async def run(self, server: RunningServer, audit: "AuditLog | None") -> list[str]:
         """Read the configuration again, apply it, and return a sentence for each change. One call at a time.
 
+        If there is no change, the one sentence says so.
+
         Args:
             server: the running server.
             audit: its audit log, which is opened again (for log rotation); None without one.
@@ -89,7 +91,7 @@ class Reload:
     async def _apply(
         self, reloaded: "ReloadedConfiguration", server: RunningServer, audit: "AuditLog | None"
     ) -> list[str]:
-        """Apply a reloaded configuration to the running server, and return a sentence for each change."""
+        """Apply a reloaded configuration to the running server, and return a sentence for each change, or for none."""
         new, rules, access = reloaded.configuration, reloaded.rules, self._access
         followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
         done = []

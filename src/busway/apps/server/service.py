@@ -109,6 +109,8 @@ class Service:
     async def reload(self) -> list[str]:
         """Read the configuration again, apply what can change without a restart, and return a sentence for each change.
 
+        If there is no change, the one sentence says so.
+
         To be called in the event loop of the server, which goes on answering meanwhile.
 
         Raises:

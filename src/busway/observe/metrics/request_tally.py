@@ -160,7 +160,10 @@ class RequestTally:
 
 
 def _exception(code: int | None) -> str:
-    """Return an exception code as text for a label: two hexadecimal digits, as in documents."""
+    """Return an exception code as text for a label: two hexadecimal digits, as in documents.
+
+    It is `NO_EXCEPTION` for None, and `OTHER` for a code that `ExceptionCode` does not have.
+    """
     if code is None:
         return NO_EXCEPTION
     return f"{code:02X}" if code in _KNOWN_EXCEPTIONS else OTHER

@@ -625,7 +625,8 @@ def _device_of(sample: CommittedSample) -> str:
 def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
     """Yield the samples of a device in groups for one message each, in order.
 
-    A group has at most `MOST_METRICS` samples, and values of one type for each metric.
+    A group has at most `MOST_METRICS` samples, and values of one type for each metric. There is at least one group,
+    empty if there are no samples.
     """
     begin = 0
     kinds: dict[str, DataType] = {}
