@@ -45,7 +45,7 @@ class SerialFrame:
         unit: address byte, 0…255.
         pdu: function code and data, 1…253 bytes; 254 if a peer breaks that limit.
         raw: the bytes as received: address to CRC, or ``:`` to the delimiter (without parity bits).
-        direction: request or reply, judged from the frames before it; a hint, not a fact.
+        direction: request or reply, judged from the frames before it, or UNKNOWN; a hint, not a fact.
         began, ended: when its first byte began and its last one ended, in seconds, as far as the reads tell.
         recovered: whether it was found inside a damaged chunk. Servers never get such a frame.
     """

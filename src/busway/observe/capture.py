@@ -160,7 +160,7 @@ class Capture:
             interface: number of the line's interface in the file.
             packet: the frame with the headers of a capture file.
             at: when the frame began, in seconds since 1970; None for now.
-            flow: whether it was received or sent.
+            flow: whether it was received or sent, or UNKNOWN.
             comment: comment of the packet; empty for none.
         """
 

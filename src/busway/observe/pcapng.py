@@ -80,7 +80,7 @@ class PcapngWriter:
             interface: number that `add_interface` returned.
             data: the bytes of the packet.
             time: when it was seen, in seconds since 1970.
-            flow: whether it was received or sent.
+            flow: whether it was received or sent, or UNKNOWN.
             comment: comment of the packet; empty for none.
         """
         microseconds = max(round(time * 1e6), 0)

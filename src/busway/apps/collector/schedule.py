@@ -60,7 +60,7 @@ class TurnKind(Enum):
 class TurnOutcome(Enum):
     """What a turn showed about its device: that it answers, that it is silent, or, for DOWN, nothing.
 
-    DOWN stands for every request that was not sent: the link was down or overloaded, or the request was invalid.
+    DOWN says that the link was down or lost its connection, that it was overloaded, or that the request was invalid.
     """
 
     ANSWERED = "answered"  # also by an exception: the device lives

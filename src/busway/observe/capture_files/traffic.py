@@ -93,7 +93,7 @@ class CapturedFrame:
         channel: its connection or line.
         packet: number of the packet that completed it, as Wireshark counts.
         time: seconds since 1970 of that packet.
-        direction: request or reply; on a line judged from the frames before it.
+        direction: request or reply; on a line judged from the frames before it, and UNKNOWN if they do not tell.
         raw: the bytes of the frame.
         unit: unit identifier, 0…255.
         pdu: function code and data.
@@ -119,7 +119,7 @@ class FaultyBytes:
     Attributes:
         channel: the connection or line.
         packet, time: number and time of the packet at which the fault was found.
-        direction: whether the bytes come from the client (request) or the server (reply).
+        direction: REQUEST for bytes from the client, REPLY for bytes from the server; UNKNOWN if that cannot be told.
         fault: what is wrong.
         text: what is wrong, in words and with numbers.
         raw: the bytes, if there are any.
