@@ -89,6 +89,16 @@ def test_a_capture_is_for_its_owner_alone_and_takes_the_place_of_an_old_one(
     assert len({payload[7:] for payload in payloads(file)}) == 2
 
 
+def test_an_old_capture_that_others_can_read_is_for_its_owner_alone_afterwards(
+    run: Callable[..., Any], url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "read.pcapng"
+    assert run("read", url, "4x1", "--capture", str(file)).code == 0
+    file.chmod(0o644)
+    assert run("read", url, "4x1", "--capture", str(file)).code == 0
+    assert stat.S_IMODE(file.stat().st_mode) == 0o600
+
+
 @pytest.mark.parametrize("content", [b"notes", b"\n\r\r\n of another program", b"\xd4\xc3\xb2\xa1" + bytes(20)])
 def test_a_file_that_is_no_capture_of_ours_is_not_overwritten(
     run: Callable[..., Any], url: str, tmp_path: Path, content: bytes

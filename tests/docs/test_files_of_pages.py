@@ -36,10 +36,11 @@ def blocks() -> list[tuple[str, str]]:
 
 
 def check(text: str) -> None:
-    keys = tomllib.loads(text).keys()
+    values = tomllib.loads(text)
+    keys = values.keys()
     if "inputs" in keys:
         assert not read_telegraf(text, "page.toml").omissions
-    elif keys & {"collector", "page_access", "sink"}:
+    elif keys & {"collector", "page_access", "sink"} or any("hosts" in link for link in values.get("link", ())):
         rest = "" if "device" in keys else "".join(REST.values())
         read_source(f"{text}\n{rest}", "page.toml").checked(CollectorFile)
     elif "route" in keys:

@@ -116,7 +116,7 @@ def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
             (frame,) = MbapReceiver().receive(answer)
             assert frame.kind is FrameKind.FRAME
             STANDARD.decode_reply(frame.pdu)
-    assert session.failures == []
+    assert not session.failures
     session.close()
 
 

@@ -493,3 +493,15 @@ async def test_server_that_takes_no_more_reads_nothing_more_and_still_gives_the_
             context.reply(registers(0))
         assert await client.reader.readexactly(6 * len(ANSWER)) == ANSWER * 6
         await client.close()
+
+
+async def test_all_who_wait_for_the_last_connection_to_end_learn_of_its_end() -> None:
+    async with served() as server:
+        client = await Client.of(server)
+        await client.ask()
+        management = server._streams[0].management
+        async with asyncio.timeout(20), asyncio.TaskGroup() as tasks:
+            for _ in range(2):
+                tasks.create_task(management.wait_until_empty())
+            await asyncio.sleep(0)
+            await client.close()

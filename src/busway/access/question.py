@@ -188,7 +188,10 @@ def _pieces_of_malformed(request: MalformedRequest, sub_function: int | None) ->
 
 
 def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
-    """Return everything that requests of a function could read or write: whole tables, or all files."""
+    """Return all that requests of a function could touch: whole tables, or all files, each either read or written.
+
+    A function that touches neither has one piece with ``space`` None; the result is never empty.
+    """
     if issubclass(kind, _OF_FILES):
         return (TouchedRange(FILES, 0, END, issubclass(kind, WriteFileRecord)),)
     found = [

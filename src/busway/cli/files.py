@@ -22,14 +22,16 @@ def open_capture(name: str) -> "Capture":
     """Create a capture file that only its owner can read (0600), replacing an older capture file.
 
     Raises:
-        ConfigError: the file cannot be written, is reached by a link of another user, or is no capture file of busway;
-            the error names the file.
+        ConfigError: the file cannot be written or made private, is reached by a link of another user, or is no capture
+            file of busway; the error names the file.
     """
     from ..observe.capture import Capture, is_capture
     from ..safe_files import open_to_replace
 
     stream = os.fdopen(open_to_replace(name, is_ours=is_capture, kind="capture of busway", mode=PRIVATE), "wb")
     try:
+        if hasattr(os, "fchmod"):
+            os.fchmod(stream.fileno(), PRIVATE)  # an older file may be one that others can read
         return Capture(stream)
     except (OSError, ValueError) as error:
         with contextlib.suppress(OSError):

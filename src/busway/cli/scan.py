@@ -258,7 +258,10 @@ def _text(value: bytes) -> str:
 
 
 def _printable(data: bytes) -> str:
-    """Return the readable part of a server id in brackets; empty if there is none."""
+    """Return the readable part of a server id as text to append: `` (TEXT)``, with the space and the brackets.
+
+    It is the longest run of printable ASCII characters; empty if there is none of three or more.
+    """
     text = max(re.findall(r"[ -~]{3,}", data.decode("latin-1")), key=len, default="").strip()
     return f" ({text})" if text else ""
 

@@ -522,7 +522,11 @@ class AsyncLink:
         return self._link
 
     def _looked_at(self) -> AsyncLinkDriver | None:
-        """Return the driver whose status this link shows; None before the first use, or if ``select`` has no choice."""
+        """Return the driver whose status this link shows; None if there is none.
+
+        It is the link's own one, None before the first use. A link opened with ``select`` has none of its own: it is
+        the one that the next request would use, None if no other link to the endpoint is open or this one is closed.
+        """
         if self._rule is None:
             return self._link
         try:

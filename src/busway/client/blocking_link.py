@@ -11,6 +11,9 @@ Knows when to connect, write, wait and look at the clock; knows no functions or 
    replies, or traffic of others.
 5. Nothing runs between calls, so a connection with a limited hold time is closed at the next call, which opens another
    one; with ``hold=request`` it is closed at the end of the call.
+6. If an exception from outside (``KeyboardInterrupt``) ends a thread between the arrival of bytes and the end of their
+   processing, the connection is closed before more bytes are received: without the lost bytes, register contents could
+   be read as the head of a reply.
 """
 
 import contextlib
@@ -52,6 +55,8 @@ _BLOCKED: Final = 0.01
 """Seconds until a waiting thread checks again whether the connection accepts more bytes."""
 _STARVED: Final = 0.02
 """Longest wait at a socket, in seconds, while requests wait and the links of the client have one common limit."""
+_TORN: Final = "a call was interrupted while it processed received bytes"
+"""Why a connection is closed by rule 6 of this module."""
 _SPIN: Final = 0.0003
 """Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes about that late."""
 
@@ -103,6 +108,7 @@ class BlockingLinkDriver:
         self._turn = threading.Condition(self._lock)  # entered by the lock: `Condition` has two calls of Python for it
         self._leading = False
         self._waiting = 0
+        self._receiving: BlockingConnection | None = None  # not None between calls: a thread was interrupted (rule 6)
         self._connection: BlockingConnection | None = None
         self._buffer = bytearray(RECEIVE_SIZE)
         self.reconnect = reconnect
@@ -419,13 +425,19 @@ class BlockingLinkDriver:
 
     def _receive(self, connection: BlockingConnection) -> None:
         now = time.monotonic()
+        if self._receiving is connection:
+            self._receiving = None
+            self._drop(now, _TORN)
+            return
         if connection.unsent:
             self._flush(now)
             if self._connection is not connection:
                 return
+        self._receiving = connection
         try:
             size = connection.channel.recv_into(self._buffer)
         except BlockingIOError:
+            self._receiving = None
             return
         except OSError as error:
             self._drop(now, network_reason(error))
@@ -439,6 +451,7 @@ class BlockingLinkDriver:
             self._traced().received(bytes(self._buffer[:size]))
         session = self.session
         session.receive(self._buffer, size, now)
+        self._receiving = None
         reconnect = self.reconnect
         if reconnect.state is not ConnectionState.UP or reconnect.failures:
             self._life.replied(now)

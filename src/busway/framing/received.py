@@ -15,7 +15,7 @@ from typing import Protocol, TypeVar
 
 
 class Direction(Enum):
-    """Whether a frame is a request or a reply."""
+    """What a frame is: a request, a reply, or ``UNKNOWN`` if that cannot be told."""
 
     REQUEST = "request"
     REPLY = "reply"

@@ -114,7 +114,12 @@ class HttpService(ThreadingMixIn, TCPServer):
             raise
 
     def verify_request(self, request: Any, client_address: Any) -> bool:
-        """Whether an accepted HTTP connection may stay. Beyond the limit, close an older one or answer 503."""
+        """Whether an accepted HTTP connection may stay; if not, the standard library closes it.
+
+        It may not if ``admit`` refuses it, or if it has one of the reserved descriptors. Beyond the limit of
+        connections the oldest one without a whole request is closed in its favour; if there is none, or at twice the
+        limit, the new one is answered 503 and may not stay.
+        """
         if is_reserved(request.fileno()) or not self._admit(request):
             return False
         most = self._limits.connections

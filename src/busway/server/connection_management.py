@@ -357,7 +357,8 @@ class ConnectionManagement:
     async def wait_until_empty(self) -> None:
         """Wait until all connections of the listener have ended."""
         if self._connections:
-            self._emptied = asyncio.Event()
+            if self._emptied is None or self._emptied.is_set():
+                self._emptied = asyncio.Event()
             await self._emptied.wait()
 
     def close_all(self, *, at_once: bool = False) -> None:

@@ -126,9 +126,9 @@ class ConnectionLife:
     def lost(self, now: float, reason: str) -> None:
         """Record that an open connection ended unexpectedly; its requests in flight are repeated or fail.
 
-        Waiting calls stay in the queue. But after several connections in a row without a valid reply they fail, except
-        those with a request that is about to be repeated; not so if the session itself asked for a new connection
-        (``recycle``).
+        Waiting calls stay in the queue. They fail only if several connections in a row brought no valid reply, and the
+        session had not itself asked for a new connection (``recycle``); even then a call stays that has a request
+        about to be repeated.
         """
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:

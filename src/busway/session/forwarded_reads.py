@@ -197,7 +197,9 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward consecutive known reads in ``buffer``, as many as have a free slot.
+        """Forward the reads at the start of ``buffer``, up to the first that is incomplete or not in ``plans.known``.
+
+        Each takes a transaction slot until it is answered; no more are forwarded than there are free slots.
 
         Args:
             buffer: received bytes.

@@ -608,9 +608,15 @@ class SerialClientSession:
         self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
-        """Count and drop a late reply.
+        """Count and drop a late reply; it is owed no more.
 
-        It is taken for one of ``doubt.older`` if it must be one, else for the reply to the first of ``owed``.
+        If `UnitDoubt.is_older` says so, it is counted off ``doubt.older``. Else it is the reply to the first of
+        ``owed``, and requests sent before that one get no reply any more.
+
+        Args:
+            doubt: the late replies of the unit.
+            owed: those of ``doubt.owed`` that the frame could be (`UnitDoubt.candidates`).
+            frame: the late reply.
         """
         if doubt.is_older(frame.pdu):
             doubt.older_came(frame.pdu)

@@ -48,6 +48,12 @@ def test_what_is_no_address_is_refused(text: str) -> None:
         parse_control_address(text)
 
 
+@pytest.mark.parametrize("text", ["tcp://127.0.0.1:502", "rtu:///dev/ttyUSB0", "https://127.0.0.1:80"])
+def test_the_url_of_a_device_is_refused_with_the_commands_that_take_it(text: str) -> None:
+    with pytest.raises(ConfigError, match=f"{text} is no control service.*busway read, identify or counters"):
+        parse_control_address(text)
+
+
 def test_the_directory_is_made_for_the_user_alone(tmp_path: Path) -> None:
     directory = control_directory({"XDG_RUNTIME_DIR": str(tmp_path)})
     assert directory == tmp_path / "busway"

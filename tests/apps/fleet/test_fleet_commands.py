@@ -165,13 +165,13 @@ async def test_last_values_are_on_a_subject_of_the_device(fleet: Made) -> None:
             asyncio.timeout(60),
         ):
             found: list[dict[str, Any]] = []
-            while len(found) < 2:
+            while not found or found[0]["time"] == found[-1]["time"]:  # two reads may be in one millisecond
                 message = await came.get()
                 assert message.subject == "busway.hall.live.link-0"
                 content = json.loads(message.data)
                 found += [content] if "count" in content["points"] else []
-        assert found[0]["time"] < found[1]["time"]
-        assert found[0]["points"]["count"]["value"] < found[1]["points"]["count"]["value"]
+        assert found[0]["time"] < found[-1]["time"]
+        assert found[0]["points"]["count"]["value"] < found[-1]["points"]["count"]["value"]
 
 
 class Faltering:

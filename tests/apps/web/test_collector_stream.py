@@ -236,8 +236,7 @@ def test_a_point_that_is_read_rarely_is_read_every_second_while_it_is_shown(
         watched_collector(folder, more="[poll_class.rare]\nperiod = 3600\n", profile=RARE) as plant,
         stream_of(plant) as socket,
     ):
-        until_values(socket, p0=1.5)
+        until_values(socket, p0=1.5, p1=7)  # each is read once at the start
         socket.send('{"shown":[1]}')
-        until_values(socket, p1=7)
         plant.device.holding_registers[1] = 55
         until_values(socket, p1=55)

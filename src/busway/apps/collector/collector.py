@@ -466,7 +466,8 @@ class Collector:
         """Return the measured load of each link since the start of the collector, by name of the link.
 
         Returns:
-            Two parts of the time, 0…1: that spent on all requests, and of it that on probes of silent devices.
+            Two shares of the whole time, each 0…1: that of all requests, and that of the probes of silent devices,
+            which the first includes.
         """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {

@@ -58,8 +58,15 @@ def parse_control_address(text: str) -> ControlAddress:
     """Parse the address of a control service: a socket path, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
 
     Raises:
-        ConfigError: the text is empty or has no valid port, or its host is not a loopback address.
+        ConfigError: the text is empty, has another scheme or no valid port, or its host is not a loopback address.
     """
+    scheme, separator, _ = text.partition("://")
+    if separator and scheme != "http" and os.sep not in scheme:
+        raise ConfigError(
+            f"{text} is no control service, which has a socket path or http://127.0.0.1:PORT; a device at a Modbus URL "
+            "is asked by busway read, identify or counters",
+            key=KEY,
+        )
     host_port = text.removeprefix("http://").removesuffix("/")
     _, colon, port_text = text.rpartition(":")
     if not text.startswith("http://") and (os.sep in text or not colon or not port_text.isdigit()):

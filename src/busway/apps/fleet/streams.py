@@ -573,10 +573,11 @@ class StreamSink:
         await self._client.flush(timeout=5)
 
     async def _following(self, jetstream: Any, stream: str, messages: list[Any]) -> list[Any]:
-        """Return the messages that may be sent to the sink now: those that continue its position without a gap.
+        """Return the first of ``messages``, as many as may be sent to the sink now; the caller gives the rest back.
 
-        All of them are returned if the missing ones do not come any more: the stream has dropped them, or has not given
-        them for `MISSING_SECONDS`.
+        They are those before the first gap in the numbers of the stream, counted from the last message that the sink
+        has; there may be none. All are returned if the missing ones do not come any more: the stream has dropped them
+        (counted in ``dropped``), or has not given them for `MISSING_SECONDS`.
 
         Args:
             jetstream: JetStream context of nats-py.

@@ -120,7 +120,10 @@ class SharedConnections:
 
 
 class PageConnection(H11Protocol):
-    """An HTTP connection of the page, until it becomes a WebSocket.
+    """An HTTP connection of the page, until it becomes a WebSocket; adds limits to the protocol of uvicorn.
+
+    It is closed if there are too many connections, or if the head of a request takes longer than `HEAD_SECONDS`. With
+    TLS the subject of the client's certificate is put into ``app_state``.
 
     Args:
         shared: state shared with the other connections of the page.

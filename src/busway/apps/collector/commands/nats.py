@@ -119,9 +119,9 @@ class NatsCommands:
             wait = min(2 * wait, PAUSE_LIMIT)
 
     async def _note(self, error: Exception) -> None:
-        """Keep the text of a connection error that the NATS library reports beside the error that `connect` raises.
+        """Remember the text of an error, to be shown as the cause when connecting fails or the connection ends.
 
-        It is the cause, which the raised error does not tell.
+        Called by the NATS library (``error_cb``): the error that its `connect` raises does not tell the cause.
         """
         self._cause = self._words(error)
 
