@@ -164,6 +164,19 @@ def test_a_file_is_replaced_whole_or_not_at_all_and_its_owner_alone_can_read_it(
     assert list(tmp_path.iterdir()) == [file]
 
 
+@needs_unix
+def test_only_a_file_is_replaced_whole(tmp_path: Path) -> None:
+    pipe, folder = tmp_path / "pipe", tmp_path / "folder"
+    os.mkfifo(pipe)
+    folder.mkdir()
+    for target in (pipe, folder):
+        before = target.stat()
+        with pytest.raises(OSError, match="Not a regular file"):
+            write_whole(target, "text")
+        assert target.stat().st_ino == before.st_ino
+    assert sorted(tmp_path.iterdir()) == [folder, pipe]
+
+
 @pytest.mark.skipif(not hasattr(os, "geteuid") or os.geteuid() != 0, reason="only root gives files away")
 def test_a_file_that_is_replaced_keeps_owner_and_group(tmp_path: Path) -> None:
     file = tmp_path / "a"

@@ -10,6 +10,7 @@ Knows names and kinds of files; knows nothing of their contents.
    its name was given by mistake.
 """
 
+import errno
 import os
 import stat
 from collections.abc import Callable
@@ -129,16 +130,19 @@ def write_whole(path: str | os.PathLike[str], text: str, *, like: os.stat_result
     """Replace or create a file; after a crash or a power failure it has its old or its new contents, never a part.
 
     Args:
-        path: path of the file. If it is a symbolic link, the link itself is replaced.
+        path: path of the file. If it is a symbolic link, the link itself is replaced. A device, a pipe, a socket and a
+            folder are never replaced.
         text: the new contents, written as UTF-8.
         like: status of the file whose owner, group and access rights the new file gets, as far as the user may set
             them; None for access by the owner alone (0600).
 
     Raises:
-        OSError: the file could not be written. If only the folder could not be synchronised to the disk, the file has
-            its new contents already; otherwise it is as it was.
+        OSError: the path names something that is not a file, or the file could not be written. If only the folder
+            could not be synchronised to the disk, the file has its new contents already; otherwise it is as it was.
     """
     target = Path(path)
+    if os.path.lexists(target) and not target.is_symlink() and not target.is_file():
+        raise OSError(errno.EINVAL, "Not a regular file", str(target))
     fresh = target.with_name(f"{target.name}.{os.getpid()}.new")
     fresh.unlink(missing_ok=True)  # of a process of the same number that was killed
     handle = os.open(fresh, os.O_WRONLY | os.O_CREAT | os.O_EXCL | _ALWAYS, 0o600)

@@ -2,6 +2,7 @@
 
 import contextlib
 import json
+import os
 import socket
 import threading
 from collections.abc import Callable, Iterator
@@ -127,6 +128,25 @@ def test_a_must_that_does_not_hold_is_exit_code_1_until_a_baseline_has_it(
     assert "fail     A7   probe-readable: " in first.out
     assert json.loads(last.read_text())["counts"]["fail"] == 1
     assert page.read_text().startswith("# Check of tcp://")
+
+
+def test_a_report_replaces_a_report_and_nothing_else_and_is_refused_before_the_checks(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    notes, pipe = tmp_path / "notes", tmp_path / "pipe"
+    notes.write_text("mine")
+    os.mkfifo(pipe)
+    refusals = [
+        (f"json={notes}", f"{notes}: is there already and is no json report of busway check"),
+        (f"md={tmp_path}", f"{tmp_path}: cannot be opened: it is a directory"),
+        (f"html={pipe}", f"{pipe}: cannot be opened: it is a pipe"),
+        (f"junit={tmp_path}/none/x", f"{tmp_path}/none/x: cannot be written: there is no such folder"),
+    ]
+    for report, words in refusals:
+        result = run("check", "tcp://127.0.0.1:1", "--report", report)
+        assert (result.code, words in result.err) == (2, True), result.err
+    assert notes.read_text() == "mine"
+    assert pipe.is_fifo()
 
 
 @contextlib.contextmanager

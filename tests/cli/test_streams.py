@@ -3,6 +3,7 @@
 import asyncio
 import io
 import os
+import stat
 import subprocess
 import sys
 import threading
@@ -143,12 +144,26 @@ def broken_pipe() -> Any:
     return os.fdopen(writer, "w", encoding="utf-8")
 
 
+FULL = os.makedev(1, 7)
+"""The device that refuses every write for lack of space."""
+
+
+@pytest.fixture
+def full_disk(tmp_path: Path) -> str:
+    """Path of a file that cannot be written for lack of space."""
+    path = "/dev/full"
+    if not os.path.exists(path) or os.stat(path).st_rdev != FULL:
+        path = str(tmp_path / "full")
+        os.mknod(path, 0o666 | stat.S_IFCHR, FULL)
+    return path
+
+
 @pytest.mark.parametrize("command", COMMANDS)
 def test_a_full_disk_is_one_sentence_and_exit_code_8(
-    plant: Plant, command: str, monkeypatch: pytest.MonkeyPatch
+    plant: Plant, full_disk: str, command: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     for arguments in [["--help"], *runs(plant).get(command, ()), *UNTIL_STOPPED.get(command, ())]:
-        with open("/dev/full", "w", encoding="utf-8") as full:
+        with open(full_disk, "w", encoding="utf-8") as full:
             code, said = ended([command, *arguments], monkeypatch, full)
         assert (code, said.splitlines()[-1]) == (
             8,
@@ -195,17 +210,19 @@ def test_json_stays_json_where_the_output_is_ascii(run: Callable[..., Any], plan
 @pytest.mark.parametrize(
     ("redirection", "code"),
     [
-        ("> /dev/full", 8),
+        ("> {full}", 8),
         (">&-", 0),
-        ("2> /dev/full", 0),
+        ("2> {full}", 0),
         ("2>&-", 0),
-        ("> /dev/full 2>&1", 8),
+        ("> {full} 2>&1", 8),
         ("<&-", 0),
         (">&- 2>&- <&-", 0),
     ],
 )
-def test_the_process_ends_with_its_code_and_without_a_traceback(plant: Plant, redirection: str, code: int) -> None:
-    command = f'"$0" -m busway read {plant.url} 4x1 --csv {redirection}'
+def test_the_process_ends_with_its_code_and_without_a_traceback(
+    plant: Plant, full_disk: str, redirection: str, code: int
+) -> None:
+    command = f'"$0" -m busway read {plant.url} 4x1 --csv {redirection.format(full=full_disk)}'
     done = subprocess.run(
         ["sh", "-c", command, sys.executable], capture_output=True, text=True, timeout=30, check=False
     )

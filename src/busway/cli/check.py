@@ -4,16 +4,18 @@ The checks are `busway.apps.check`; here are their arguments, what is printed wh
 """
 
 import json
+import os
 import sys
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING
 
 import typer
 
 from ..codes import LAST_SERIAL_UNIT, TABLE_SIZE, Table
 from ..errors import ConfigError
-from ..safe_files import read_safely, write_whole
+from ..safe_files import check_replaceable, read_safely, write_whole
 from ..values.addresses import parse_address
 from ..values.counts import counted
 from .arguments import CAPTURE, QUIET, URL, VERBOSE, seconds, show_traffic, whole_number
@@ -167,7 +169,13 @@ def _scratch(text: str | None) -> tuple["Items | None", "Items | None"]:
 
 
 def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]]]":
-    from ..apps.check.reports import REPORTS
+    """Return path and form of each report that ``--report`` names.
+
+    Raises:
+        ConfigError: the text is not ``FORM=FILE`` with commas between, a folder is missing, or a file that is no report
+            of the same form would be overwritten.
+    """
+    from ..apps.check.reports import REPORT_BEGINNINGS, REPORTS
 
     files = []
     for part in [] if text is None else text.split(","):
@@ -176,8 +184,16 @@ def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]
             raise ConfigError(
                 f"{', '.join(REPORTS)}, each with =FILE, are needed, not {part.strip()!r}", key="--report"
             )
-        files.append((path, REPORTS[name]))
+        begin = REPORT_BEGINNINGS[name]
+        whole = check_replaceable(path, is_ours=partial(_begins_with, begin), kind=f"{name} report of busway check")
+        if not os.path.isdir(os.path.dirname(whole)):
+            raise ConfigError("cannot be written: there is no such folder", file=path)
+        files.append((whole, REPORTS[name]))
     return files
+
+
+def _begins_with(begin: bytes, head: bytes) -> bool:
+    return head.startswith(begin)
 
 
 def _certificates(text: str | None, *, is_secure: bool) -> "dict[TlsChange, ClientCertificate]":

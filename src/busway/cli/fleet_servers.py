@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final
 
 from ..errors import ConfigError
 from ..extras import require
+from ..safe_files import read_safely, write_whole
 from .output import say
 
 if TYPE_CHECKING:
@@ -214,8 +215,6 @@ def _password(path: Path) -> str:
 
 
 def _read_seed(path: Path) -> bytearray:
-    from ..safe_files import read_safely
-
     return bytearray(read_safely(path, most=_MOST_SEED).strip())
 
 
@@ -228,13 +227,8 @@ def _make_folder(folder: Path) -> None:
 
 def _write(path: Path, text: str) -> None:
     """Replace a file as a whole: a server that reads it meanwhile gets the old contents or the new."""
-    beside = path.with_name(f".{path.name}.new")
     try:
-        beside.unlink(missing_ok=True)
-        handle = os.open(beside, os.O_WRONLY | os.O_CREAT | os.O_EXCL, PRIVATE_FILE)
-        with os.fdopen(handle, "w", encoding="utf-8") as file:
-            file.write(text)
-        beside.replace(path)
+        write_whole(path, text)
     except OSError as error:
         raise _refusal(path, "cannot be written", error) from error
 

@@ -12,6 +12,7 @@ import typer
 from ..errors import ConfigError
 from .arguments import whole_number
 from .exits import ExitCode
+from .files import refuse_to_replace, write_new
 from .output import warn
 
 EXAMPLES = """\b
@@ -43,8 +44,8 @@ def points(
         raise ConfigError(f"must be convert, not {action!r}", key="ACTION")
     if file is None:
         raise ConfigError("convert needs a file", key="FILE")
-    if out is not None and os.path.exists(out) and not force:
-        raise ConfigError("is there already; --force writes over it", key=f"--out {out}")
+    if out is not None:
+        refuse_to_replace(out, force=force)
     found = import_file(
         file, format=kind, address=whole_number(address, "--address", 0, 65_535), counts=dict(map(_count, count))
     )
@@ -54,11 +55,7 @@ def points(
     if out is None:
         print(text, end="")
     else:
-        try:
-            with open(out, "w", encoding="utf-8") as target:
-                target.write(text)
-        except OSError as error:
-            raise ConfigError(f"cannot be written: {error.strerror}", key=f"--out {out}") from error
+        write_new(out, text, force=force, kind="device file")
     return ExitCode.DONE
 
 

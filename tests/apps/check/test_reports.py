@@ -8,7 +8,7 @@ from checked_device import VirtualDialer, target_of
 
 from busway.apps.check.catalogue import checks_for
 from busway.apps.check.check import Check, Evidence, Level, Outcome, Result, Strength
-from busway.apps.check.reports import REPORTS, hex_of
+from busway.apps.check.reports import REPORT_BEGINNINGS, REPORTS, hex_of
 from busway.apps.check.run import CheckRun, Pace
 from busway.apps.check.summary import Summary, baseline_of
 from busway.errors import ConfigError
@@ -89,3 +89,9 @@ def test_every_form_takes_a_real_run(form: str) -> None:
     dialer.add("unit=1")
     results = CheckRun(dialer, target_of("mbap"), Pace()).results(checks_for(target_of("mbap"), Level.READ))
     assert "unit-echoed" in REPORTS[form](summary(tuple(results)))
+
+
+def test_each_report_begins_as_older_reports_are_known_by() -> None:
+    assert REPORTS.keys() == REPORT_BEGINNINGS.keys()
+    for name, form in REPORTS.items():
+        assert form(summary()).encode().startswith(REPORT_BEGINNINGS[name])

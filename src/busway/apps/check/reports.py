@@ -172,3 +172,11 @@ REPORTS: Final[Mapping[str, Callable[[Summary], str]]] = {
     "md": markdown,
 }
 """The functions that make a report, by the name that ``--report`` has for the form."""
+
+REPORT_BEGINNINGS: Final[Mapping[str, bytes]] = {
+    "html": b'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Check of ',
+    "junit": b'<?xml version="1.0" encoding="UTF-8"?>\n<testsuite name=',
+    "json": b'{\n "schema": ',
+    "md": b"# Check of ",
+}
+"""The first bytes of a report, by the name of its form: an older report is known by them, and may be overwritten."""
