@@ -56,3 +56,4 @@ def test_consecutive_values_stand_at_consecutive_places() -> None:
         TableRow(parse_address("4x12"), 2, b"\x04\x05\x06\x07", "uint32"),
     ]
     assert rows[1].raw_text == "0405 0607"
+    assert [TableRow(parse_address("4x1"), None, raw).raw_text for raw in (b"", b"\1")] == ["", "1"]

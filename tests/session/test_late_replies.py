@@ -142,6 +142,13 @@ def test_what_two_links_were_owed_is_put_in_the_order_in_which_it_was_asked() ->
     assert ours.in_doubt() == [1, 7]
 
 
+def test_a_unit_of_whose_late_replies_only_the_number_is_left_is_in_doubt() -> None:
+    doubts = Doubts()
+    doubts.of(3).older[3] = 1
+    doubts.of(4)
+    assert doubts.in_doubt() == [3]
+
+
 # Markers.
 
 

@@ -259,6 +259,13 @@ def test_what_is_no_notation_is_refused_with_those_that_exist(text: str) -> None
             parse_address(text, table=table)
 
 
+@pytest.mark.parametrize("text", ["4x2:float32", "40001:2", "%MW7:int16"])
+def test_what_follows_an_address_is_to_be_given_apart(text: str) -> None:
+    address, rest = text.split(":")
+    with pytest.raises(InvalidRequest, match=f"'{text}' is no address, '{address}' is; give '{rest}' apart from it"):
+        parse_address(text)
+
+
 def test_an_unknown_table_name_is_refused_with_those_that_exist() -> None:
     with pytest.raises(InvalidRequest, match="there is no table 'register', but coil, discrete, input, holding"):
         parse_address("register:1")

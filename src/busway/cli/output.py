@@ -62,8 +62,8 @@ class TableRow:
 
     @property
     def raw_text(self) -> str:
-        """The value's registers in hexadecimal, four digits each; a bit as 0 or 1."""
-        return self.raw.hex(" ", 2) if len(self.raw) > 1 else str(self.raw[0])
+        """The value's registers in hexadecimal, four digits each; a bit as 0 or 1; empty for a value without bytes."""
+        return str(self.raw[0]) if len(self.raw) == 1 else self.raw.hex(" ", 2)
 
 
 def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any], raw: bytes) -> list[TableRow]:

@@ -382,11 +382,8 @@ class Doubts:
         return self.of(unit).marker(self._number, is_check=is_check)
 
     def in_doubt(self) -> list[int]:
-        """Return the units that owe replies to known requests, or have sent a frame unasked, in ascending order.
-
-        A unit of whose late replies only the number is known (``older``) is not among them.
-        """
-        return sorted(unit for unit, doubt in self.units.items() if doubt.owed or doubt.unasked is not None)
+        """Return the units whose next reply could be a late one or one sent unasked, in ascending order."""
+        return sorted(unit for unit, doubt in self.units.items() if doubt.is_owed)
 
     @property
     def is_owed(self) -> bool:

@@ -168,6 +168,9 @@ def _from_text(text: str, table: Table | None, base: int | None) -> Address:
             f"address {shown(text)} looks hexadecimal, but 0x is the prefix of coils and a decimal number follows;"
             f" hexadecimal needs the table's name: holding:0x{match[1]}, coil:0x{match[1]}"
         )
+    begin, colon, rest = text.partition(":")
+    if colon and (_PREFIXED.fullmatch(begin) or _DIGITS.fullmatch(begin) or _MEMORY.fullmatch(begin)):
+        raise InvalidRequest(f"{shown(text)} is no address, {shown(begin)} is; give {shown(rest)} apart from it")
     raise InvalidRequest(
         f"{shown(text)} is no address; write 4x1 or 40001 (1-based; 0x coil, 1x discrete input, 3x input register,"
         " 4x holding register), holding:0 or holding:0x10 (0-based), or %MW0"

@@ -354,7 +354,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
     if section is None:
         return "unknown key"
     known = list(keys_of(section))
-    near = get_close_matches(key, known, 1)
+    near = get_close_matches(key, known, 1, cutoff=0.75)  # at 0.6, the default, ``profile`` is like ``file``
     if near:
         return f"unknown key; is it {near[0]}?"
     only = "the only key allowed here is" if len(known) == 1 else "the keys allowed here are"
