@@ -13,11 +13,13 @@ from waiting import set_forward, until
 
 import busway
 from busway.framing.ascii import encode_ascii
+from busway.framing.received import Received
 from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import AnyRequest
 from busway.server.connection import ServerConnection
 from busway.server.turns import Turns
 from busway.session.responder import Outcome
+from busway.session.serial_server import SerialServerSession
 from busway.testing import SLOW_LORIS, golden_adu, misbehaving_client
 
 pytestmark = pytest.mark.usefixtures("transport")
@@ -354,6 +356,30 @@ async def test_frames_of_a_line_that_come_by_the_hundred_are_answered_in_order(s
         async with asyncio.timeout(30):
             assert await reader.readexactly(len(expected)) == expected
         await _close(writer)
+
+
+@pytest.mark.clause("T29")
+async def test_known_reads_in_rtu_that_wait_for_their_turn_are_answered_without_a_search_for_frames(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    searched: list[int] = []
+    find = SerialServerSession.find
+
+    def count(session: SerialServerSession, data: bytes, now: float) -> list[Received]:
+        searched.append(len(data))
+        return find(session, data, now)
+
+    monkeypatch.setattr(SerialServerSession, "find", count)
+    request = encode_rtu(1, busway.ReadHoldingRegisters(7, 1).encode())
+    reply = encode_rtu(1, registers(7).encode())
+    async with busway.serve("rtu+tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=range(9))}) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
+        async with asyncio.timeout(30):
+            for count_of_requests in (1, 1000):
+                writer.write(request * count_of_requests)
+                assert await reader.readexactly(len(reply) * count_of_requests) == reply * count_of_requests
+        await _close(writer)
+    assert searched == [len(request)]
 
 
 async def test_sixteen_requests_at_once_are_answered_with_one_write_and_no_turn_is_waited_for(
