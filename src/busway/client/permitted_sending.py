@@ -27,7 +27,13 @@ class PermittedConnector:
         self._connector, self._may_send = connector, may_send
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # Any: of whatever transport
-        """Open a connection and return its transport. Raises `LinkDown`, also where nothing may be sent on it."""
+        """Open a connection and return its transport, which is reset instead of sending while that is not permitted.
+
+        ``protocol`` returns the object that gets the events of the transport.
+
+        Raises:
+            LinkDown: sending is not permitted now, and nothing was opened; or the connection cannot be opened.
+        """
         if not self._may_send():
             raise LinkDown(NOT_PERMITTED, kind="other")
         made: list[Any] = []

@@ -130,7 +130,11 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """Return the failure with the dates of the server's certificate, read over a second connection (rule 4).
+        """Return a failure that tells what is wrong with the dates, for one because a certificate is out of date.
+
+        The dates of the server's certificate are read over a second connection, which accepts any dates and over which
+        nothing is sent (rule 4 of the module). If they are good, the failure names the certificate of an authority
+        above.
 
         Returns ``failure`` unchanged if that connection fails.
         """

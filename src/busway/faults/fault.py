@@ -331,7 +331,14 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """Return the request as the fault sees it, or None if the fault does not apply. Counts for the schedule."""
+        """Decide whether the fault applies to a request; to be called once for each request.
+
+        A request that is selected while the fault is on counts for ``skip`` and ``times`` of the schedule, whether the
+        fault then applies to it or not.
+
+        Returns:
+            The request with the fault's own source of random choices; None if the fault does not apply.
+        """
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
         if not self.selection.means(exchange):

@@ -121,7 +121,11 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """Read the listener's certificate; log once a day, and after changes, if it expires soon."""
+        """Return what the listener's certificate says; its file is read only after the TLS context was loaded anew.
+
+        Checks the dates after each reading and once a day. Logs a warning if the certificate is not valid yet, has
+        expired or expires within 30 days.
+        """
         context = self._context
         if self._own is None or self._own_of != context.generation:
             assert self._parameters.certificate is not None  # or there would be no context

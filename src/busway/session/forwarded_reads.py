@@ -66,7 +66,10 @@ class ForwardPlan:
         self.head: bytes = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
-        """Return an exception reply with this code for the client, without its transaction identifier."""
+        """Return the frame of an exception reply to the client, from behind the transaction identifier on.
+
+        It is the rest of the MBAP header (protocol identifier, length, the unit that the client named) and the PDU.
+        """
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
 
     def whole(self, replies: Sequence[Message]) -> Message:

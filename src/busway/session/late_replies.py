@@ -47,11 +47,12 @@ _EXCEPTION: Final = 0x80
 class MarkerKind(Enum):
     """Kinds of marker requests: harmless ones whose reply proves that no older reply will come.
 
-    They are tried in this order.
+    They are tried in this order, after the kind that the unit answered last, and without those that it did not answer.
+    Regular checks (rule 7) use only `_OF_CHECKS`, in the order given there.
     """
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
-    OTHER_LENGTH = "a read that was answered before, with another length"
+    OTHER_LENGTH = "a read that was answered before, but shorter"
     EVENT_COUNTER = "0B"
     EXCEPTION_STATUS = "07"
 

@@ -393,7 +393,10 @@ class SerialServerSession:
         )
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """Send a reply that a responder gave later, by `RequestContext.reply`."""
+        """Send a reply that a responder gave later, by `RequestContext.reply`; `SILENCE` ends the request without one.
+
+        Does nothing for a broadcast, or for a request that was given up.
+        """
         if self._waiting is not context:
             return  # a broadcast, or given up
         self._waiting = None

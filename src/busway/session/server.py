@@ -413,7 +413,7 @@ class TcpServerSession:
         return b""
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """Send a reply that a responder gave later, by `RequestContext.reply`."""
+        """Send a reply that a responder gave later, by `RequestContext.reply`; `SILENCE` ends it without one."""
         if self._waiting and context in self._waiting:
             self._waiting.discard(context)
             self._slots.used -= 1

@@ -518,13 +518,14 @@ class CheckRun:
     # Life.
 
     def _alive(self, check: Check, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
-        """Read the probe after a check, on new connections if needed, and return the check's outcome and reason.
+        """Read the probe after a check, by up to three tries, and return the check's outcome and reason.
 
-        A check that passed becomes a failure if the device answered only later, and the check did not expect that the
-        connection closes.
+        A new connection is made before the first try if the check has left none open or ended other than with `PASSED`
+        or `NOT_OFFERED`, and after each try that is not answered. If a check that passed needs more than one try, it
+        becomes `FAILED`, or `WARNED` if it is no must; not if it accepts that the connection is closed.
 
         Raises:
-            _DiedError: the device does not answer.
+            _DiedError: no try was answered.
             LinkDown: no connection can be made.
         """
         expects_close = any(isinstance(step, Ask) and step.accepts.closed for step in check.steps)

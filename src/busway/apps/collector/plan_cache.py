@@ -248,9 +248,11 @@ class PlanBook:
         return self._probe
 
     def _reads_to_probe(self) -> Sequence[PlannedRead]:
-        """Return reads of different widths: those of the plans, or the widest ones where a register has no known price.
+        """Return the reads from which `probes_for` makes test reads of different widths.
 
-        Plans for a slow line may have reads of one width alone.
+        If the seconds per register are certain, as on a line, they are the reads of the plans. Else they are as wide as
+        the rules allow, planned as if registers cost almost nothing: where registers have turned out to be slow, as on
+        a line behind a gateway, the reads of the plans may all have one width, which tells too little.
         """
         if self._is_fixed:
             return [read for kept in self._plans.values() for read in kept.plan.reads]

@@ -213,10 +213,13 @@ class ListenerRouter:
     def _forward(
         self, context: RequestContext, request: Request, route: Route, forwarder: Forwarder
     ) -> Message | Forwarding:
-        """Return how a request is forwarded by a route; or its reply, if values are remembered or it is invalid there.
+        """Return how a request is forwarded by a route, or the reply if it need not or cannot be forwarded.
 
-        Exception 02: a shifted address does not exist. Exception 03: the registers of the device are too wide for so
+        A read may be answered with remembered values, if the route has them. The reply is exception 02 if the address
+        that the route shifts the request to does not exist, and 03 if the registers of the device are too wide for so
         many in one reply.
+
+        ``forwarder`` is that of the route's upstream.
         """
         width = forwarder.upstream.register_width
         if width != NARROW and isinstance(request, ReadRegisters) and request.count * width > MAX_DATA:

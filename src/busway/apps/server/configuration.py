@@ -148,7 +148,10 @@ class Configuration:
         return connect(link.url, shared=shared, **link.options)
 
     def _link_to_open(self, name: str) -> NamedLink:
-        """Return a link of the file, after setting the limit of connections of this process that the file has."""
+        """Return the declaration of a link that the caller is about to open, as `link` does, with the same error.
+
+        First sets the limit of this process's connections, if the file has one (``supported_connections``).
+        """
         supported = self.file.client.supported_connections
         if supported is not None:
             from ...client.registry import limit_local_connections

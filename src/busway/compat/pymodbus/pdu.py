@@ -199,7 +199,12 @@ class KnownRequest(ModbusPDU):
     responds: ClassVar[type["KnownResponse"]]
 
     def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:
-        """Return the response object for a reply message of busway; ``own`` has no effect for standard functions."""
+        """Return the response object for a reply message of busway.
+
+        Args:
+            reply: the reply.
+            own: classes that the program registered; not used, because a standard function has its own.
+        """
         response = self.responds(dev_id=self.dev_id)
         response.take(reply)
         return response
@@ -832,7 +837,12 @@ class DiagnosticBase(KnownRequest):
         return diagnostic_request(self.sub_function_code, message)
 
     def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:
-        """Return the response object for a reply message of busway; ``own`` has no effect for standard functions."""
+        """Return the response object for a reply message of busway.
+
+        Args:
+            reply: the reply.
+            own: classes that the program registered; not used, because a standard function has its own.
+        """
         response = DiagnosticResponse(dev_id=self.dev_id)
         response.sub_function_code = self.sub_function_code
         response.take(reply)

@@ -86,7 +86,10 @@ def _as_list(value: object) -> object:
 
 
 def _as_bytes(value: object) -> object:
-    """Accept bytes in a device file written as text, or as ``{ hex = "…" }``."""
+    """Return the bytes that a device file gives as text, in UTF-8, or as ``{ hex = "…" }``.
+
+    Raises `ValueError` for everything else.
+    """
     if isinstance(value, str):
         return value.encode("utf-8")
     if isinstance(value, dict) and set(value) == {"hex"} and isinstance(value["hex"], str):

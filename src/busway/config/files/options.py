@@ -34,7 +34,11 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 
 class OptionSection(Section):
-    """Base of file sections with declared options among their keys."""
+    """Base of file sections that have options of parameter classes among their keys.
+
+    A subclass gets the keys by `with_options_of`. When a section is read, each parameter class checks its options
+    together, except those in ``checked_later``.
+    """
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
     """The parameter classes whose options are keys of the section."""

@@ -63,7 +63,7 @@ class ClientSection(LinkKeys):
     """``[client]``: options for all links whose URL scheme has them."""
 
     supported_connections: Annotated[
-        int | None, Range(1, 65_535), "connections that the process may have opened at once; None: no limit."
+        int | None, Range(1, 65_535), "connections that the process may have open at once; None: the default, 10 000."
     ] = None
 
 

@@ -156,11 +156,12 @@ class NatsSink:
         """Publish messages, and wait until the stream has acknowledged them all.
 
         Args:
-            messages: subject, payload and key of each.
+            messages: subject, payload and key of each; the stream recognises repeated messages by the key
+                (``Nats-Msg-Id``).
 
         Raises:
-            SinkRefused: a message is too large. Others of the messages may not have arrived.
-            SinkDown: the server or the stream does not accept messages now.
+            SinkRefused: a message is too large for the server or the stream. Some of the messages may have arrived.
+            SinkDown: the server or the stream does not accept messages now. Some of them may have arrived.
         """
         nats = import_module("nats")
         if self._client is None or self._jetstream is None:

@@ -440,7 +440,10 @@ class Manifest:
         return [MaintenanceRow(*row) for row in self._all("SELECT * FROM maintenance ORDER BY device")]
 
     def begin_maintenance(self, row: MaintenanceRow) -> None:
-        """Record in the store that a device is in maintenance, with begin and reason; an earlier record is replaced."""
+        """Record in the store that a device is in maintenance, since when, why and by whom; replaces an earlier record.
+
+        Raises `sqlite3.Error`: nothing was recorded.
+        """
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO maintenance VALUES (?, ?, ?, ?)", astuple(row))
 

@@ -136,7 +136,10 @@ class Lag:
         self._seen = math.nan
 
     def value(self, time: float) -> float:
-        """Return the lagging value at a time, on its way to a target computed by a formula."""
+        """Return the value at a time, on its way to the target that the last `observe` computed.
+
+        Without a target, or at a time before that of an earlier call, the value stays as it is.
+        """
         if math.isfinite(self._seen):
             way = self._value - self._seen
             self._value = self._seen + way * math.exp(min(self._time - time, 0.0) / self._time_constant)
