@@ -11,9 +11,12 @@ Knows when to connect, write, wait and look at the clock; knows no functions or 
    replies, or traffic of others.
 5. Nothing runs between calls, so a connection with a limited hold time is closed at the next call, which opens another
    one; with ``hold=request`` it is closed at the end of the call.
-6. If an exception from outside (``KeyboardInterrupt``) ends a thread between the arrival of bytes and the end of their
-   processing, the connection is closed before more bytes are received: without the lost bytes, register contents could
-   be read as the head of a reply.
+6. An exception from outside (``KeyboardInterrupt``) may end a thread under the lock, in the midst of a change: a value
+   half-received, a slot taken. `LinkLock.is_torn` tells the next thread that takes the lock. It closes the connection
+   and lets session and driver begin again (`BlockingLinkDriver.begin_again`); threads that wait see another
+   ``_generation``, and give their calls to the session again, as after any lost connection.
+7. No wait depends on another thread for longer than `_LOOK`. The leader holds ``_lead``, and gives it back whatever ends
+   it: CPython raises no interrupt between an exception and the first call of a ``finally`` block.
 """
 
 import contextlib
@@ -25,7 +28,7 @@ import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from ..errors import LinkDown
+from ..errors import LinkDown, ModbusError
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
@@ -40,7 +43,7 @@ from .connector import Connector
 from .kept_late_replies import KEPT
 from .polling import ExactPoll, Poll
 from .registry import LOCAL, LocalConnectionStatus, status_of
-from .scope import ClientScope
+from .scope import ClientScope, LinkLock
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
 from .state_observers import DISCONNECTED, OnState, StateObservers
@@ -55,8 +58,10 @@ _BLOCKED: Final = 0.01
 """Seconds until a waiting thread checks again whether the connection accepts more bytes."""
 _STARVED: Final = 0.02
 """Longest wait at a socket, in seconds, while requests wait and the links of the client have one common limit."""
-_TORN: Final = "a call was interrupted while it processed received bytes"
-"""Why a connection is closed by rule 6 of this module."""
+_LOOK: Final = 0.25
+"""Longest wait of a thread, in seconds, until it looks whether the leader is still there, and the link in order."""
+_DIALLING: Final = 0.01
+"""Seconds until `BlockingLinkDriver.connect` looks again whether another thread has made the connection."""
 _SPIN: Final = 0.0003
 """Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes about that late."""
 
@@ -104,11 +109,11 @@ class BlockingLinkDriver:
         self._spin = 0.0
         if settings.line is not None and settings.line.port is not None:
             self._spin = _SPIN if settings.line.opening.precise_timing else 0.0
-        self._lock = threading.Lock() if scope is None else scope.lock
-        self._turn = threading.Condition(self._lock)  # entered by the lock: `Condition` has two calls of Python for it
-        self._leading = False
-        self._waiting = 0
-        self._receiving: BlockingConnection | None = None  # not None between calls: a thread was interrupted (rule 6)
+        self._guard = LinkLock() if scope is None else scope.guard
+        self._lock = self._guard.lock
+        self._generation = 0  # how often the link has begun again (rule 6)
+        self._lead = threading.Lock()
+        self._waiters: dict[Call, threading.Lock] = {}  # released when the thread of the call has to look
         self._connection: BlockingConnection | None = None
         self._buffer = bytearray(RECEIVE_SIZE)
         self.reconnect = reconnect
@@ -135,65 +140,68 @@ class BlockingLinkDriver:
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
         """
-        with self._lock:
-            now = time.monotonic()
-            if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
-                self._let_go(now)
-            may_have_ended = now - self.last_used > _IDLE_SECONDS and self._line is None
-            if may_have_ended and self._connection is not None and not self.session.in_flight:
-                # Before the session has the call: a connection that ends here fails no call.
-                self._look_at_idle_connection(self._connection, now)
-            if self._connection is None or self._life.closed:
-                self._refuse_while_down(call, now)
-            connection = self._connection
-            adu = None if connection is None or connection.unsent else self.session.send_now(call, now)
-            if adu is None:
-                self.session.submit(call, now)
-            try:
-                if connection is not None:
-                    self._begin(connection, adu, now)
-                leads = self._wait_for_turn(call)
-            except BaseException:
+        guard = self._guard
+        try:
+            with self._lock:
+                if guard.is_torn:
+                    self._repair()
+                guard.is_torn = True
+                try:
+                    self._begin(call)
+                except ModbusError:
+                    guard.is_torn = False
+                    raise
+                generation = self._generation
+                guard.is_torn = False
+            while not call.ended:
+                generation = self._follow(call, generation) if call.owner is None else self._head(call, generation)
+        except BaseException:
+            if call.submitted and not call.ended:
                 self._cancel(call)
-                raise
-            if not leads:
-                self._used()
-        if leads:
-            self._lead(call)
+            raise
+        finally:
+            if call.owner is not None:
+                call.owner.release()
 
     def connect(self) -> None:
         """Open the connection now, instead of at the first request. Raises `LinkDown`.
 
         Does nothing if the link is connected, or closed for good.
         """
-        with self._lock:
-            while self._leading and self._connection is None and not self._life.closed:
-                self._waiting += 1
-                self._turn.wait()
-                self._waiting -= 1
-            if self._connection is not None or self._life.closed:
-                return
-            refusal = self._life.refusal(time.monotonic())
-            if refusal is not None:
-                raise refusal
-            self._leading = True
+        guard = self._guard
+        lead: threading.Lock | None = None
         try:
-            with self._lock:
-                while not self._life.closed and (
-                    pause := self._pause(time.monotonic())
-                ):  # the first one was lost just now
-                    self._turn.wait(pause)
-            failure = self._make_connection()
-            if failure is not None:
-                raise failure
+            while True:
+                with self._lock:
+                    if guard.is_torn:
+                        self._repair()
+                    guard.is_torn = True
+                    is_done = self._connection is not None or self._life.closed
+                    if lead is None and not is_done and self._lead.acquire(blocking=False):
+                        lead = self._lead
+                    is_old = lead is not None and lead is not self._lead  # the link has begun again
+                    now = time.monotonic()
+                    pause = _DIALLING if lead is None or is_old else self._pause(now)
+                    refusal = None if is_done else self._life.refusal(now)
+                    guard.is_torn = False
+                if is_done:
+                    return
+                if refusal is not None:
+                    raise refusal
+                if is_old and lead is not None:
+                    lead.release()
+                    lead = None
+                elif pause:
+                    time.sleep(min(pause, _DIALLING))
+                elif (failure := self._make_connection(lead)) is not None:
+                    raise failure
         finally:
-            with self._lock:
-                self._leading = False
-                self._turn.notify_all()
+            if lead is not None:
+                lead.release()
 
     def on_state(self, callback: OnState) -> Callable[[], None]:
         """Register a callback for new states of the connection. Returns a function that removes it."""
-        with self._lock:
+        with self._lock:  # nothing of the session changes here
             if self.observers is None:
                 self.observers = StateObservers(self.reconnect.state)
             return self.observers.add(callback)
@@ -203,18 +211,27 @@ class BlockingLinkDriver:
 
         Requests in flight are repeated or fail, as after a loss of the connection.
         """
+        guard = self._guard
         with self._lock:
+            if guard.is_torn:
+                self._repair()
+            guard.is_torn = True
             if self._connection is not None:
                 now = time.monotonic()
                 if self._is_used():
                     self._drop(now, DISCONNECTED)
                 else:
                     self._release(now, DISCONNECTED)
-                self._turn.notify_all()
+            self._wake_all()
+            guard.is_torn = False
 
     def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
+        guard = self._guard
         with self._lock:
+            if guard.is_torn:
+                self._repair()
+            guard.is_torn = True
             closed_before, self._life.closed = self._life.closed, True
             LOCAL.discard(self)
             now = time.monotonic()
@@ -225,10 +242,11 @@ class BlockingLinkDriver:
             self._done()
             if self._line is not None:
                 KEPT.keep(self.name, self._line.doubts)
-            self._turn.notify_all()
+            self._wake_all()
             if self._scope is not None and not closed_before:
                 self._scope.leave(self)
                 self._scope.serve(now)
+            guard.is_torn = False
 
     def status(self) -> LocalConnectionStatus:
         """Return state, traffic and counters of the link at this moment."""
@@ -241,15 +259,28 @@ class BlockingLinkDriver:
 
     def make_room(self) -> bool:
         """Close the connection if no call uses it, to make room for another link's. Returns whether it was closed."""
-        if not self._turn.acquire(blocking=False):
+        guard = self._guard
+        if self._lock.locked():
             return False  # a thread is using it
-        try:
-            if self._connection is None or self._is_used():
-                return False
-            self._release(time.monotonic(), "another connection needed the place")
-            return True
-        finally:
-            self._turn.release()
+        with self._lock:
+            if guard.is_torn:
+                self._repair()
+            guard.is_torn = True
+            is_free = self._connection is not None and not self._is_used()
+            if is_free:
+                self._release(time.monotonic(), "another connection needed the place")
+            guard.is_torn = False
+            return is_free
+
+    def enter(self, scope: ClientScope) -> None:
+        """Count the requests of the link towards the limit of a scope, from now on."""
+        guard = self._guard
+        with self._lock:
+            if guard.is_torn:
+                self._repair()
+            guard.is_torn = True
+            scope.enter(self)
+            guard.is_torn = False
 
     def serve(self, now: float) -> None:
         """Send waiting requests, because other links of the client have put slots for requests in flight back.
@@ -259,83 +290,177 @@ class BlockingLinkDriver:
         if self.session.has_calls and self._connection is not None:
             self._transmit(now)
 
+    # After an interrupt.
+
+    def _repair(self) -> None:
+        """Let the link, or all links of its scope, begin again: a thread was interrupted under the lock (rule 6)."""
+        if self._scope is None:
+            self.begin_again()
+            return
+        for link in self._scope.links():
+            if isinstance(link, BlockingLinkDriver):
+                link.begin_again()
+        self._scope.refill()
+
+    def begin_again(self) -> None:
+        """Close the connection and forget all calls; threads that wait give theirs to the session again.
+
+        Call it with the lock held.
+        """
+        if self._connection is not None:
+            self._connection.close()
+            self._connection = None
+        self._life.begin_again()
+        self._lead = threading.Lock()
+        self._generation += 1
+        self._wake_all()
+        self._waiters.clear()
+
+    def _resume(self, call: Call, now: float) -> None:
+        """Give a call to the session again, because the link has begun again."""
+        self.session.resume(call, now)
+        if self._life.closed:
+            self._life.ended(now)
+        self._done()
+
     # Turns.
 
-    def _begin(self, connection: BlockingConnection, adu: bytes | None, now: float) -> None:
-        """Send what a new call brings: its frames if it need not wait, otherwise what may leave of the queue."""
-        if adu is not None:
-            if self._send(connection, adu, now):
-                self.last_used = now
-            return
-        if self._line is not None:
-            self._look_at_line()
-        self._transmit(now)
+    def _begin(self, call: Call) -> None:
+        """Give a new call to the session, send what need not wait, and become the leader if there is none."""
+        now = time.monotonic()
+        if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
+            self._let_go(now)
+        may_have_ended = now - self.last_used > _IDLE_SECONDS and self._line is None
+        if may_have_ended and self._connection is not None and not self.session.in_flight:
+            # Before the session has the call: a connection that ends here fails no call.
+            self._look_at_idle_connection(self._connection, now)
+        if self._connection is None or self._life.closed:
+            self._refuse_while_down(call, now)
+        connection = self._connection
+        adu = None if connection is None or connection.unsent else self.session.send_now(call, now)
+        if adu is None:
+            self.session.submit(call, now)
+        if connection is not None:
+            if adu is not None:
+                if self._send(connection, adu, now):
+                    self.last_used = now
+            else:
+                if self._line is not None:
+                    self._look_at_line()
+                self._transmit(now)
+        if call.ended:
+            self._used()
+        elif self._lead.acquire(blocking=False):
+            call.owner = self._lead
 
-    def _wait_for_turn(self, call: Call) -> bool:
-        """Wait until the call is complete (returns False), or until this thread must be the leader (returns True).
+    def _follow(self, call: Call, generation: int) -> int:
+        """Wait until the call is complete, or this thread is the leader: then ``call.owner`` is the lock it holds.
 
-        Call it with the lock held. See rule 2 of the module: the leader sends and receives for all waiting threads.
+        ``generation`` is that in which the session got the call. Returns the present one.
         """
-        while not call.ended:
-            if not self._leading:
-                self._leading = True
-                return True
-            deadline = self.session.deadline()
-            now = time.monotonic()
-            pause = None if deadline is None else max(deadline - now, 0.0)
-            if self._connection is not None and self._connection.unsent:  # perhaps the leader does not wait for room
-                pause = _BLOCKED if pause is None else min(pause, _BLOCKED)
-            self._waiting += 1
-            self._turn.wait(pause)
-            self._waiting -= 1
-            self._tick(time.monotonic())
-        return False
+        guard = self._guard
+        is_late = False  # whether this thread has waited, so that something may be due
+        while True:
+            with self._lock:
+                if guard.is_torn:
+                    self._repair()
+                guard.is_torn = True
+                now = time.monotonic()
+                if generation != self._generation:
+                    generation = self._generation
+                    self._resume(call, now)
+                elif is_late:
+                    self._tick(now)
+                if call.ended:
+                    self._used()
+                elif self._lead.acquire(blocking=False):
+                    call.owner = self._lead
+                if call.ended or call.owner is not None:
+                    self._waiters.pop(call, None)
+                    guard.is_torn = False
+                    return generation
+                deadline = self.session.deadline()
+                pause = _LOOK if deadline is None else min(max(deadline - now, 0.0), _LOOK)
+                if self._connection is not None and self._connection.unsent:  # perhaps the leader waits for no room
+                    pause = min(pause, _BLOCKED)
+                waiter = self._waiter(call)
+                guard.is_torn = False
+            waiter.acquire(timeout=pause)
+            is_late = True
 
-    def _lead(self, call: Call) -> None:
-        """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete."""
+    def _head(self, call: Call, generation: int) -> int:
+        """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete.
+
+        ``generation`` is that in which the session got the call. Returns the present one, early if the link has begun
+        again: then this thread is no longer the leader.
+        """
+        guard = self._guard
         connected: BlockingConnection | None = None
         ready: bool | None = None  # how the last wait at the connection ended: False by time; None: there was none
-        try:
-            while True:
-                with self._lock:
-                    if ready and connected is not None and connected is self._connection:
-                        self._receive(connected)
-                    ended, pause = call.ended, 0.0
-                    if not ended:
-                        now = time.monotonic()
-                        pause = self._pause(now)
-                        if not pause or ready is False or self._connection is None or self._line is not None:
-                            self._tick(now)
-                            ended = call.ended
-                            pause = self._pause(now)
-                    if ended:
-                        self._stand_down(call)
-                        return
-                    connected = self._connection
-                    if connected is not None and 0 < pause <= self._spin:
-                        self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
-                        pause = self._pause(time.monotonic())
-                ready = None
-                if connected is not None:
-                    ready = connected.wait(pause)
-                elif pause > 0:
-                    with self._lock:
-                        self._turn.wait(pause)
-                else:
-                    self._make_connection()
-        except BaseException:
+        while True:
             with self._lock:
-                self._stand_down(call)
-            raise
+                if guard.is_torn:
+                    self._repair()
+                guard.is_torn = True
+                if generation != self._generation:
+                    self._stand_down(call)
+                    self._resume(call, time.monotonic())
+                    guard.is_torn = False
+                    return self._generation
+                if ready and connected is not None and connected is self._connection:
+                    self._receive(connected)
+                ended, pause = call.ended, 0.0
+                if not ended:
+                    now = time.monotonic()
+                    pause = self._pause(now)
+                    if not pause or ready is False or self._connection is None or self._line is not None:
+                        self._tick(now)
+                        ended = call.ended
+                        pause = self._pause(now)
+                if ended:
+                    self._stand_down(call)
+                    self._used()
+                    guard.is_torn = False
+                    return generation
+                connected = self._connection
+                if connected is not None and 0 < pause <= self._spin:
+                    self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
+                    pause = self._pause(time.monotonic())
+                waiter = self._waiter(call) if connected is None and pause > 0 else None
+                guard.is_torn = False
+            ready = None
+            if connected is not None:
+                ready = connected.wait(pause)
+            elif waiter is not None:
+                waiter.acquire(timeout=min(pause, _LOOK))
+            else:
+                self._make_connection(call.owner)
 
     def _stand_down(self, call: Call) -> None:
-        """End this thread's time as the leader; another waiting thread is woken to become it. Call it with the lock."""
-        self._leading = False
-        if not call.ended:
-            self._cancel(call)
-        if self._waiting:
-            self._turn.notify_all()
-        self._used()
+        """End this thread's time as the leader, if it is, and wake another waiting thread. Call it with the lock."""
+        self._waiters.pop(call, None)
+        lead = call.owner
+        if lead is not None:
+            call.owner = None
+            lead.release()
+        if self._waiters:
+            waiter = self._waiters.pop(next(iter(self._waiters)))
+            if waiter.locked():
+                waiter.release()
+
+    def _waiter(self, call: Call) -> threading.Lock:
+        """Return the lock at which the thread of a call waits; it is released when that thread has to look."""
+        waiter = self._waiters.get(call)
+        if waiter is None:
+            waiter = threading.Lock()
+            waiter.acquire()
+            self._waiters[call] = waiter
+        return waiter
+
+    def _wake_all(self) -> None:
+        for waiter in self._waiters.values():
+            if waiter.locked():
+                waiter.release()
 
     def _pause(self, now: float) -> float:
         """Return the seconds until a request, a timeout or an attempt to connect is due; 0 if one is due now.
@@ -344,6 +469,8 @@ class BlockingLinkDriver:
         """
         deadline = self.session.deadline()
         if self._connection is None:
+            if self.reconnect.state is ConnectionState.CONNECTING:
+                self._life.interrupted(now)  # another leader's attempt: only leaders connect
             if self._life.may_dial(now):
                 return 0.0
             due = self.reconnect.not_before
@@ -357,7 +484,7 @@ class BlockingLinkDriver:
 
     def _is_used(self) -> bool:
         """Whether a thread waits for a reply of this link."""
-        return self._leading or self._waiting > 0
+        return self._lead.locked() or bool(self._waiters)
 
     def _used(self) -> None:
         """Let other links of the client use free slots; with ``hold=request``, close the connection if it is unused."""
@@ -414,9 +541,20 @@ class BlockingLinkDriver:
                 self._drop(now, network_reason(error))
 
     def _cancel(self, call: Call) -> None:
-        """Cancel a call whose thread was interrupted while it waited."""
-        if self.session.cancel(call):
-            self._end_if_stuck(time.monotonic())
+        """Cancel a call whose thread was interrupted while it waited; the next waiting thread becomes the leader."""
+        guard = self._guard
+        with self._lock:
+            if guard.is_torn:
+                self._repair()  # which forgets the call
+                self._stand_down(call)
+                guard.is_torn = False
+                return
+            guard.is_torn = True
+            if self.session.cancel(call):
+                self._end_if_stuck(time.monotonic())
+            self._stand_down(call)
+            self._used()
+            guard.is_torn = False
 
     def _end_if_stuck(self, now: float) -> None:
         """Drop the connection if bytes are unsent after a call has ended, because they would be sent later."""
@@ -425,19 +563,13 @@ class BlockingLinkDriver:
 
     def _receive(self, connection: BlockingConnection) -> None:
         now = time.monotonic()
-        if self._receiving is connection:
-            self._receiving = None
-            self._drop(now, _TORN)
-            return
         if connection.unsent:
             self._flush(now)
             if self._connection is not connection:
                 return
-        self._receiving = connection
         try:
             size = connection.channel.recv_into(self._buffer)
         except BlockingIOError:
-            self._receiving = None
             return
         except OSError as error:
             self._drop(now, network_reason(error))
@@ -451,7 +583,6 @@ class BlockingLinkDriver:
             self._traced().received(bytes(self._buffer[:size]))
         session = self.session
         session.receive(self._buffer, size, now)
-        self._receiving = None
         reconnect = self.reconnect
         if reconnect.state is not ConnectionState.UP or reconnect.failures:
             self._life.replied(now)
@@ -478,17 +609,21 @@ class BlockingLinkDriver:
         self._done()
 
     def _done(self) -> None:
-        """Wake the waiting threads if calls have ended, so that each can see whether its own has."""
+        """Wake the threads whose calls have ended."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
-        if self.session.finished:
-            self.session.finished.clear()
-            if self._waiting:
-                self._turn.notify_all()
+        finished = self.session.finished
+        if finished:
+            if self._waiters:
+                for call in finished:
+                    waiter = self._waiters.pop(call, None)
+                    if waiter is not None and waiter.locked():
+                        waiter.release()
+            finished.clear()
 
     def _look_at_line(self) -> None:
         """Process the bytes that came on a serial line since the last call, and the silence after them."""
-        if not self._leading and self._connection is not None:
+        if not self._lead.locked() and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
 
@@ -536,7 +671,7 @@ class BlockingLinkDriver:
 
     def _refuse_while_down(self, call: Call, now: float) -> None:
         """Raise `LinkDown` if the link is closed, or during the pause after a failed attempt to connect."""
-        if self._life.closed or not self._leading:
+        if self._life.closed or not self._lead.locked():
             refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
                 raise refusal
@@ -555,41 +690,74 @@ class BlockingLinkDriver:
 
     # By the leader, without the lock where it waits.
 
-    def _make_connection(self) -> LinkDown | None:
+    def _make_connection(self, lead: "threading.Lock | None") -> LinkDown | None:
         """Open a connection and send what is due. Returns None, or the error if that failed or the link was closed.
 
-        With that error all waiting calls have ended.
+        With that error all waiting calls have ended. ``lead`` is the lock that the leader holds: if the link has begun
+        again meanwhile, this thread is the leader no more, the connection is closed, and the result is None.
         """
-        with self._lock:
-            self._life.dialled(time.monotonic())
+        guard = self._guard
+        failure: LinkDown | None = None
+        connection: BlockingConnection | None = None
         try:
-            LOCAL.make_room(self, self.name)
-            connection = self._new_connection()
-        except (OSError, ValueError) as error:  # usually a `LinkDown`
-            failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
             with self._lock:
-                self._life.failed(time.monotonic(), failure)
-                self._done()
-            return failure
+                if guard.is_torn:
+                    self._repair()
+                guard.is_torn = True
+                is_leader = lead is self._lead
+                if is_leader:
+                    self._life.dialled(time.monotonic())
+                guard.is_torn = False
+            if not is_leader:
+                return None
+            try:
+                LOCAL.make_room(self, self.name)
+                connection = self._new_connection()
+            except (OSError, ValueError) as error:  # usually a `LinkDown`
+                failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
+            with self._lock:
+                if guard.is_torn:
+                    self._repair()
+                guard.is_torn = True
+                if lead is not self._lead:
+                    failure = None
+                elif connection is None:
+                    assert failure is not None
+                    self._life.failed(time.monotonic(), failure)
+                    self._done()
+                elif self._life.closed:
+                    failure = LinkDown("the link was closed", kind="closed", endpoint=self.name)
+                else:
+                    self._use(connection, time.monotonic())
+                    connection = None
+                guard.is_torn = False
         except BaseException:  # an interrupt of the program: the next caller dials again
-            with self._lock:
-                self._life.interrupted(time.monotonic())
+            self._dial_was_interrupted(lead)
             raise
-        with self._lock:
-            now = time.monotonic()
-            if self._life.closed:
+        finally:
+            if connection is not None and connection is not self._connection:
                 connection.close()
-                return LinkDown("the link was closed", kind="closed", endpoint=self.name)
-            self._connection = connection
-            self.opened = self.last_used = now
-            self._trace = None
-            if self._line is not None:
-                KEPT.hand_over(self.name, self._line.doubts)
-            self._life.connected(now)
-            self._transmit(now)
-            if self._waiting:
-                self._turn.notify_all()  # for those that wait for the connection, and for what could not leave at once
-        return None
+        return failure
+
+    def _use(self, connection: BlockingConnection, now: float) -> None:
+        """Send on a new connection what is due."""
+        self._connection = connection
+        self.opened = self.last_used = now
+        self._trace = None
+        if self._line is not None:
+            KEPT.hand_over(self.name, self._line.doubts)
+        self._life.connected(now)
+        self._transmit(now)
+
+    def _dial_was_interrupted(self, lead: "threading.Lock | None") -> None:
+        guard = self._guard
+        with self._lock:
+            if guard.is_torn:
+                self._repair()
+            guard.is_torn = True
+            if lead is self._lead and self._connection is None:
+                self._life.interrupted(time.monotonic())
+            guard.is_torn = False
 
     def _new_connection(self) -> BlockingConnection:
         channel = self._connector.dial()

@@ -55,8 +55,7 @@ def _made(settings: LinkSettings, shared: bool, scope: ClientScope | None) -> Bl
     connector = connector_for(settings, session, user="busway.connect")
     link = BlockingLinkDriver(connector, session, settings, shared=shared, scope=scope)
     if scope is not None:
-        with scope.lock:
-            scope.enter(link)
+        link.enter(scope)
     return link
 
 

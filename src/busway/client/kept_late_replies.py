@@ -31,11 +31,12 @@ class KeptDoubts:
         if not doubts.is_owed:
             return
         with self._lock:
-            kept = self._by_url.pop(url, None)
+            kept = self._by_url.get(url)
             if kept is not None:
                 kept.add(doubts)
                 doubts = kept
             self._by_url[url] = doubts
+            self._by_url.move_to_end(url)
             if len(self._by_url) > KEPT_AT_MOST:
                 self._by_url.popitem(last=False)
 
@@ -44,9 +45,10 @@ class KeptDoubts:
         if not self._by_url:
             return
         with self._lock:
-            kept = self._by_url.pop(url, None)
-        if kept is not None:
-            doubts.add(kept)
+            kept = self._by_url.get(url)
+            if kept is not None:
+                doubts.add(kept)  # first: an interrupt must not lose it
+                del self._by_url[url]
 
     def clear(self) -> None:
         """Forget everything that is stored; for tests that reuse a URL for another line."""

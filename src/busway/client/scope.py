@@ -6,7 +6,8 @@ Knows links that wait for a slot, and serves them in turn; knows nothing of what
    (Messaging on TCP/IP V1.0b §4.4.1.1 counts per client).
 2. The sessions take their slots for requests in flight from one shared list; a link that frees a slot lets the others
    go first.
-3. Blocking links of one client share a lock, so that no slot is taken twice.
+3. Blocking links of one client share a lock, so that no slot is taken twice. A thread that is interrupted under it
+   may have taken slots for good, so all these links begin again.
 """
 
 import threading
@@ -16,6 +17,20 @@ from typing import Protocol
 
 from ..errors import ConfigError
 from ..session.call import FreeSlots, free_slots
+
+
+class LinkLock:
+    """The lock of a blocking link, or of all links of a scope, and whether a thread was interrupted under it.
+
+    A section takes ``lock``, repairs the links if ``is_torn``, sets it, and clears it as its last act. So it stays set
+    if an exception from outside (``KeyboardInterrupt``) ends the section before.
+    """
+
+    __slots__ = ("is_torn", "lock")
+
+    def __init__(self) -> None:
+        self.lock: threading.Lock = threading.Lock()
+        self.is_torn: bool = False
 
 
 class ScopedLink(Protocol):
@@ -31,13 +46,13 @@ class ClientScope:
     Attributes:
         limit: the most requests in flight on all connections of the client together, 1…16.
         slots: one entry for each further request that may be sent; the sessions take entries and put them back.
-        lock: the lock that all blocking links of the client use in place of their own.
+        guard: the lock that all blocking links of the client use in place of their own.
     """
 
     def __init__(self, limit: int) -> None:
         self.limit = limit
         self.slots: FreeSlots = free_slots(limit)
-        self.lock: threading.Lock = threading.Lock()
+        self.guard: LinkLock = LinkLock()
         self._links: deque[weakref.ref[ScopedLink]] = deque()
 
     @property
@@ -52,6 +67,14 @@ class ClientScope:
     def leave(self, link: ScopedLink) -> None:
         """Remove a link that was closed, so that `serve` no longer calls it."""
         self._links = deque(one for one in self._links if one() not in (None, link))
+
+    def links(self) -> list[ScopedLink]:
+        """Return the open links that count towards this limit."""
+        return [link for one in self._links if (link := one()) is not None]
+
+    def refill(self) -> None:
+        """Put all slots back, because no link has a request in flight any more."""
+        self.slots[:] = free_slots(self.limit)
 
     def serve(self, now: float) -> None:
         """Let the links send waiting requests, in turn, until the limit is reached. ``now`` is the time, in seconds."""

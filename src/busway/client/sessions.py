@@ -81,6 +81,12 @@ class ClientSession(Protocol):
         ``lost`` is False if the client itself closed a connection that no call used.
         """
 
+    def begin_again(self) -> None:
+        """Forget all calls and the closed connection, because an interrupt may have ended a change half-way."""
+
+    def resume(self, call: Call, now: float) -> None:
+        """Take a call back after `begin_again`: what was sent is repeated or fails as after a lost connection."""
+
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with ``error``, because no connection could be opened.
 

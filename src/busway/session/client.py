@@ -84,6 +84,7 @@ class TcpClientSession:
         "_free",
         "_launches_apart",
         "_not_before",
+        "_own_slots",
         "_pace",
         "_pending",
         "_queue",
@@ -118,6 +119,7 @@ class TcpClientSession:
         self._queue = self._tracker.queue
         self._pending: dict[int, RequestInFlight] = {}
         self._batches: deque[PipelinedBatch] = deque()
+        self._own_slots = shared_slots is None
         self._free = free_slots(parameters.max_transactions) if shared_slots is None else shared_slots
         self._expired: dict[int, float] = {}
         self._transaction = first_transaction & 0xFFFF
@@ -222,6 +224,28 @@ class TcpClientSession:
                 error = LinkDown(f"the connection ended before the reply: {reason}", kind="lost", sent=True)
                 self._failed(awaited, awaited.call, error, now, again=True)
         self._pending.clear()
+
+    def begin_again(self) -> None:
+        """Forget all calls and the connection, because an interrupt may have ended a change of them half-way.
+
+        The driver has closed the connection, and gives its calls back with `resume`. Shared slots are not put back.
+        """
+        if self._connected:
+            self.counters.lost_connections += 1
+        self._connected = False
+        self.recycle = ""
+        self._buffer = StreamBuffer()
+        self._batches.clear()
+        self._pending.clear()
+        if self._own_slots:
+            self._free[:] = free_slots(self.parameters.max_transactions)
+        self._tracker.begin_again()
+        if self.breakers is not None:
+            self.breakers.none_decided()
+
+    def resume(self, call: Call, now: float) -> None:
+        """Take a call back after `begin_again`: what was sent is repeated or fails as after a lost connection."""
+        self._tracker.resume(call, now)
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with one error, because no connection could be opened.

@@ -146,6 +146,11 @@ class ConnectionLife:
         self._move(ConnectionEvent.RELEASED, now, reason)
         self._conversation.disconnected(now, reason, lost=False)
 
+    def begin_again(self) -> None:
+        """Forget connection and calls, because an interrupt may have ended a change half-way (`Call`s are resumed)."""
+        self._conversation.begin_again()
+        self.reconnect.begin_again()
+
     def ended(self, now: float) -> None:
         """Fail all waiting calls, because the link was closed for good."""
         self._conversation.unreachable(now, LinkDown("the link was closed", kind="closed"))

@@ -7,7 +7,8 @@ Knows which receiver goes with which framing and its options; knows no port and 
 2. The end delimiter of ASCII may change at any time (function 08/03); what is sent follows what is received.
 """
 
-from collections.abc import Container
+from collections.abc import Callable, Container
+from functools import partial
 
 from ..errors import ConfigError
 from ..framing.ascii import AsciiReceiver, encode_ascii
@@ -32,14 +33,24 @@ class LineFraming:
         send_gap: seconds of silence on the line before a frame may be sent; 0 with ASCII and over a network.
     """
 
-    __slots__ = ("_ascii", "_rtu", "receiver", "send_gap", "timing")
+    __slots__ = ("_ascii", "_make", "_rtu", "receiver", "send_gap", "timing")
 
-    def __init__(self, receiver: SerialReceiver, timing: SerialTiming) -> None:
-        self.receiver: SerialReceiver = receiver
+    def __init__(self, make: Callable[[], SerialReceiver], timing: SerialTiming) -> None:
+        self._make = make
+        self.receiver: SerialReceiver = make()
         self.timing: SerialTiming = timing
-        self._ascii = receiver if isinstance(receiver, AsciiReceiver) else None
-        self._rtu = receiver if isinstance(receiver, RtuReceiver) else None
+        self._ascii = self.receiver if isinstance(self.receiver, AsciiReceiver) else None
+        self._rtu = self.receiver if isinstance(self.receiver, RtuReceiver) else None
         self.send_gap: float = 0.0 if self._ascii is not None or not timing.character else timing.t3_5
+
+    def begin_again(self) -> None:
+        """Replace the receiver by a new one, which has received nothing; an ASCII delimiter set meanwhile stays."""
+        delimiter = None if self._ascii is None else self._ascii.delimiter
+        self.receiver = self._make()
+        self._rtu = self.receiver if isinstance(self.receiver, RtuReceiver) else None
+        self._ascii = self.receiver if isinstance(self.receiver, AsciiReceiver) else None
+        if delimiter is not None:
+            self.delimit_by(delimiter)
 
     @property
     def is_network(self) -> bool:
@@ -96,7 +107,8 @@ def line_framing(
     chosen = parameters or FramingParameters()
     if framing == "ascii":
         return LineFraming(
-            AsciiReceiver(
+            partial(
+                AsciiReceiver,
                 role,
                 timing,
                 functions=functions,
@@ -109,15 +121,16 @@ def line_framing(
             ),
             timing,
         )
-    receiver: SerialReceiver
+    make: Callable[[], SerialReceiver]
     if chosen.strict_timing:
         if not timing.character:
             raise ConfigError("is for serial ports: a network has no times between characters", key="strict_timing")
-        receiver = StrictRtuReceiver(role, timing, functions=functions, units=units, echo=echo, started=started)
+        make = partial(StrictRtuReceiver, role, timing, functions=functions, units=units, echo=echo, started=started)
     else:
         if chosen.gap_limit is not None and chosen.gap_limit < timing.t3_5:
             raise ConfigError(f"must be t3.5 of this line ({timing.t3_5:g} s) or more", key="gap_limit")
-        receiver = RtuReceiver(
-            role, timing, functions=functions, units=units, gap_limit=chosen.gap_limit, echo=echo, started=started
+        limit = chosen.gap_limit
+        make = partial(
+            RtuReceiver, role, timing, functions=functions, units=units, gap_limit=limit, echo=echo, started=started
         )
-    return LineFraming(receiver, timing)
+    return LineFraming(make, timing)

@@ -167,6 +167,15 @@ class RequestQueue:
         caller.calls.append(call)
         self._count(caller, call)
 
+    def clear(self) -> None:
+        """Forget all calls and turns, also in the midst of a change that an interrupt has ended."""
+        self.size = self.waiting = self._passed = self._allowed = 0
+        self.begun.clear()
+        self._callers.clear()
+        self._priority = _Round()
+        self._others = _Round()
+        self._last = None
+
     def add_again(self, call: Call) -> None:
         """Queue a call that has a request to repeat, before the other calls of its caller and regardless of the
         limit.

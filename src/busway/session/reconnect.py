@@ -116,6 +116,10 @@ class Reconnect:
         self.state = target
         return _news(event, reason, failed, target, new_state=before is not target)
 
+    def begin_again(self) -> None:
+        """Have no connection and no attempt in progress, and no pause; failures so far still count."""
+        self.state = ConnectionState.DOWN
+
     @property
     def is_flapping(self) -> bool:
         """Whether a pause follows several connections in a row without a valid reply.

@@ -10,12 +10,15 @@ Knows the queue, retries and the errors a request ends with; knows no framing, a
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
+from typing import Final
 
 from ..errors import LinkDown, ModbusError, NoReply, Overloaded, UnitSuspended, WriteOutcomeUnknown
 from ..options.client import ClientParameters
 from ..pdu.message import Message, Request
 from .call import Call
 from .queue import RequestQueue
+
+_INTERRUPTED: Final = "the connection ended before the reply: another call was interrupted"
 
 
 @dataclass(slots=True)
@@ -99,6 +102,31 @@ class CallTracker:
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1
+
+    def begin_again(self) -> None:
+        """Forget all calls, because an interrupt may have ended a change of them half-way; `resume` takes one back."""
+        self.queue.clear()
+        self.finished.clear()
+        self.deadlines = 0
+
+    def resume(self, call: Call, now: float) -> None:
+        """Take a call back after `begin_again`, with the outcomes that it has; its connection was lost meanwhile.
+
+        Requests that were sent are repeated or fail as after any lost connection (rule 1); the others wait for their
+        turn, regardless of the limit of the queue.
+        """
+        call.open = call.outcomes.count(None)
+        if call.deadline is not None:
+            self.deadlines += 1
+        if not call.open:
+            self.finish(call)
+            return
+        if call.has_more:
+            self.queue.add_again(call)
+        for position in range(call.next):
+            if call.outcomes[position] is None and position not in call.again:
+                error = LinkDown(_INTERRUPTED, kind="lost", sent=True)
+                self.failed(call, position, error, now, again=True)
 
     def withdraw(self, call: Call) -> None:
         """Remove a cancelled call from the queue: no more requests of it are sent, and it is never in ``finished``."""

@@ -316,10 +316,11 @@ class SerialClientSession:
         self._connected = False
         self.recycle = ""
         self.state = MasterState.IDLE
-        awaited, self._awaited = self._awaited, None
+        awaited = self._awaited
         if awaited is not None:
-            self.breakers.not_decided(awaited.unit)
             self._owe(awaited)
+            self._awaited = None  # after it is owed: an interrupt in between must not lose that
+            self.breakers.not_decided(awaited.unit)
             what = "connection" if self._framing.is_network else "port"
             self._failed(
                 awaited,
@@ -327,6 +328,32 @@ class SerialClientSession:
                 now,
                 again=True,
             )
+
+    def begin_again(self) -> None:
+        """Forget all calls and the port, because an interrupt may have ended a change of them half-way.
+
+        The reply to the request in flight stays owed. The driver has closed the port, and gives its calls back with
+        `resume`.
+        """
+        if self._connected:
+            self.counters.lost_connections += 1
+        self._connected = False
+        self.recycle = ""
+        if self._awaited is not None:
+            self._owe(self._awaited)
+            self._awaited = None
+        self.state = MasterState.IDLE
+        self._try_at = 0.0
+        self._framing.begin_again()
+        self._receiver = self._framing.receiver
+        for doubt in self.doubts.units.values():
+            doubt.counting = None
+        self._tracker.begin_again()
+        self.breakers.none_decided()
+
+    def resume(self, call: Call, now: float) -> None:
+        """Take a call back after `begin_again`: what was sent is repeated or fails as after a lost connection."""
+        self._tracker.resume(call, now)
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with one error, because the port could not be opened.
@@ -828,7 +855,8 @@ class SerialClientSession:
             self._found(found, now)
         if self._awaited is None:
             return  # the reply had been held back until it was clear that nothing follows
-        self._awaited = None
+        self._owe(awaited)
+        self._awaited = None  # after it is owed: an interrupt in between must not lose that
         self.counters.timeouts += 1
         unit = awaited.unit
         probing = self.breakers.is_probing(unit)
@@ -836,7 +864,6 @@ class SerialClientSession:
         self.state = MasterState.DRAINING
         self._drain_until = now + self._serial.drain_limit
         self._receiver.expect_nothing()
-        self._owe(awaited)
         self._not_asked_before[unit] = now + self._serial.quiet_window
         if awaited.marker is None:
             self._failed(awaited, self._no_reply(awaited), now, again=not probing and not opened)

@@ -102,6 +102,11 @@ class Breakers:
         if breaker is not None and breaker.state is BreakerState.PROBING:
             breaker.state = BreakerState.OPEN
 
+    def none_decided(self) -> None:
+        """Record that all probes ended without showing whether their units answer."""
+        for unit in self._units:
+            self.not_decided(unit)
+
     def answered(self, unit: int) -> bool:
         """Record a valid reply of a unit, even a late one. Returns whether the reply closed an open circuit breaker."""
         breaker = self._units.pop(unit, None)
