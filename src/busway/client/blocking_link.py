@@ -15,8 +15,8 @@ Knows when to connect, write, wait and look at the clock; knows no functions or 
    half-received, a slot taken. `LinkLock.is_torn` tells the next thread that takes the lock. It closes the connection
    and lets session and driver begin again (`BlockingLinkDriver.begin_again`); threads that wait see another
    ``_generation``, and give their calls to the session again, as after any lost connection.
-7. No wait depends on another thread for longer than `_LOOK`. The leader holds ``_lead``, and gives it back whatever ends
-   it: CPython raises no interrupt between an exception and the first call of a ``finally`` block.
+7. No wait depends on another thread for longer than `_LOOK`. The leader holds ``_lead``, and gives it back whatever
+   ends it: CPython raises no interrupt between an exception and the first call of a ``finally`` block.
 """
 
 import contextlib
@@ -415,6 +415,8 @@ class BlockingLinkDriver:
                     pause = self._pause(now)
                     if not pause or ready is False or self._connection is None or self._line is not None:
                         self._tick(now)
+                        if self._scope is not None and self.session.has_calls:
+                            self._tick_others(self._scope, now)
                         ended = call.ended
                         pause = self._pause(now)
                 if ended:
@@ -607,6 +609,13 @@ class BlockingLinkDriver:
         if session.recycle or session.has_calls:
             self._transmit(now)
         self._done()
+
+    def _tick_others(self, scope: ClientScope, now: float) -> None:
+        """End what has timed out on other links of the scope: a cancelled request has a slot, and no thread waits."""
+        for link in scope.links():
+            if link is not self and isinstance(link, BlockingLinkDriver) and link.session.in_flight:
+                link._tick(now)
+        scope.serve(now)
 
     def _done(self) -> None:
         """Wake the threads whose calls have ended."""
