@@ -321,6 +321,7 @@ class BlockingLinkDriver:
         self.session.resume(call, now)
         if self._life.closed:
             self._life.ended(now)
+        self._transmit(now)  # another thread may have connected already
         self._done()
 
     # Turns.
@@ -432,7 +433,7 @@ class BlockingLinkDriver:
                 guard.is_torn = False
             ready = None
             if connected is not None:
-                ready = connected.wait(pause)
+                ready = connected.wait(min(pause, _LOOK))  # a closed socket's number may be that of the next one
             elif waiter is not None:
                 waiter.acquire(timeout=min(pause, _LOOK))
             else:
