@@ -6,11 +6,11 @@
 `audit_log`         The audit log: an append-only file with one JSON object per line
 `audit_observer`    The observer of a server's requests that records writes and denied requests in the audit log
 `authorizer`        The authorizer of a server: permits or denies every request by the rules of a policy (M6, T15)
-`repeated_denials`  Counts repeated denials of one client by one rule: the audit log gets the first at once
 `fast_path_rights`  The server's fast path under a policy: checks addresses and values and audits writes
 `notation`          Parsers of the units, functions and address ranges that people write in access rules
 `question`          What an access policy needs to know of one request: client, unit, function, items and values
 `rates`             Limits of requests per second by client host: a token bucket for each host
+`repeated_denials`  Counts repeated denials of one client by one rule: the audit log gets the first at once
 `repeats`           Limiter for repeated log messages: the first is logged at once
 `rule_evaluation`   Which rule decides about a request where several apply (the first), compiled once per rights
 `rules`             A rule: which clients and requests it applies to, and what it does; a policy: rules in their order

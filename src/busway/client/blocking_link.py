@@ -429,27 +429,32 @@ class BlockingLinkDriver:
                 if connected is not None and 0 < pause <= self._spin:
                     self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
                     pause = self._pause(time.monotonic())
-                waiter = self._waiter(call) if connected is None and pause > 0 else None
+                if pause > _LOOK:
+                    pause = _LOOK  # also for a socket: the number of a closed one may be that of the next
+                if connected is None and pause > 0:
+                    waiter = self._waiter(call)
                 guard.is_torn = False
             ready = None
             if connected is not None:
-                ready = connected.wait(min(pause, _LOOK))  # a closed socket's number may be that of the next one
-            elif waiter is not None:
-                waiter.acquire(timeout=min(pause, _LOOK))
+                ready = connected.wait(pause)
+            elif pause > 0:
+                waiter.acquire(timeout=pause)
             else:
                 self._make_connection(call.owner)
 
     def _stand_down(self, call: Call) -> None:
         """End this thread's time as the leader, if it is, and wake another waiting thread. Call it with the lock."""
-        self._waiters.pop(call, None)
         lead = call.owner
         if lead is not None:
             call.owner = None
             lead.release()
         if self._waiters:
-            waiter = self._waiters.pop(next(iter(self._waiters)))
-            if waiter.locked():
-                waiter.release()
+            self._waiters.pop(call, None)
+            for other in self._waiters:
+                waiter = self._waiters.pop(other)
+                if waiter.locked():
+                    waiter.release()
+                break
 
     def _waiter(self, call: Call) -> threading.Lock:
         """Return the lock at which the thread of a call waits; it is released when that thread has to look."""

@@ -32,6 +32,8 @@ class KeptDoubts:
             return
         with self._lock:
             kept = self._by_url.get(url)
+            if kept is doubts:
+                return  # closing was interrupted, and is repeated
             if kept is not None:
                 kept.add(doubts)
                 doubts = kept

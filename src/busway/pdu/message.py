@@ -305,9 +305,9 @@ class Request(Message):
         """
         wire = self.encode()
         size, prefix = self.reply_shape()
-        _set_wire(self, wire)
         _set_expected_size(self, size)
         _set_expected_prefix(self, prefix)
+        _set_wire(self, wire)  # last: who finds it takes the request for prepared
         return wire
 
     def remember(self, memo: object) -> None:

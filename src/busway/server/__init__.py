@@ -6,7 +6,7 @@
 `cells`                  Checks how a user declared the items of a table or file: addresses, initial values
 `connection`             The asyncio driver of one accepted connection
 `connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
-`connection_limits`       Connection slots in two pools: which new connection gets one, and which is closed for it
+`connection_limits`      Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
 `counters`               The counters of a server: connections, requests, refusals and bytes
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again

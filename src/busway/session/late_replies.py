@@ -147,9 +147,14 @@ class UnitDoubt:
             if last.is_of(reply.call, reply.position):  # a read that counts off the others must not push them out
                 self.owed[-1] = replace(last, times=last.times + 1)
                 return
-            first = self.owed.pop(0)
+            first = self.owed[0]
             self.older[first.function] = self.older.get(first.function, 0) + first.times
+            del self.owed[0]  # only now: an interrupt may have it owed twice, but never forgotten
         self.owed.append(reply)
+
+    def is_owed_since(self, request: Request, sent: float) -> bool:
+        """Whether the reply to the attempt at ``request`` whose last byte left at ``sent`` is the last one owed."""
+        return bool(self.owed) and self.owed[-1].request is request and self.owed[-1].sent == sent
 
     def is_older(self, pdu: bytes) -> bool:
         """Whether a received PDU must be one of the late replies of which only the number is known (``older``).
@@ -165,8 +170,10 @@ class UnitDoubt:
         It is taken for the earliest of its function, so that no wait ends too early.
         """
         function = pdu[0] & ~_EXCEPTION
-        self.older[function] -= 1
-        if not self.older[function]:
+        left = self.older[function] - 1
+        if left:
+            self.older[function] = left
+        else:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:

@@ -339,8 +339,10 @@ class SerialClientSession:
             self.counters.lost_connections += 1
         self._connected = False
         self.recycle = ""
-        if self._awaited is not None:
-            self._owe(self._awaited)
+        awaited = self._awaited
+        if awaited is not None:
+            if not self.doubts.of(awaited.unit).is_owed_since(awaited.request, awaited.sent):
+                self._owe(awaited)
             self._awaited = None
         self.state = MasterState.IDLE
         self._try_at = 0.0

@@ -6,7 +6,6 @@ serial line gateways").
 `batch`                     Requests of one client that go upstream together, and all clients that wait for them
 `configuration`             Reads the configuration of a gateway from one file, or from a few URLs
 `decoded_reads`             A table of functions that caches decoded reads, because clients repeat theirs
-`upstream_exception_codes`  Exception code (0A or 0B) for the client when an upstream is down, silent or dies
 `file_routes`               The routes and listeners of a gateway file, each with its path in the file
 `forwarding`                Sends batches upstream, and gives each client its reply or exception code
 `gateway`                   The gateway: starts, drains, reloads and stops listeners and upstreams
@@ -21,6 +20,7 @@ serial line gateways").
 `settings`                  The configuration of a gateway as objects: listeners, upstreams and routes
 `status`                    Data classes for the status of a gateway: its listeners, its upstreams, and totals
 `translation`               Translates a client's request for its upstream (unit, addresses, size)
+`upstream_exception_codes`  Exception code (0A or 0B) for the client when an upstream is down, silent or dies
 `upstream`                  One upstream: its connections, their loss and recovery, counters and status
 `upstream_log`              Log lines about an upstream: when it cannot be reached, how many requests got 0A
 `waiter_deadlines`          Deadlines of clients that wait for the same read: each has its own

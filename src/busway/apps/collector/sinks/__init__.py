@@ -21,9 +21,10 @@
 ===================  ===================================================================================================
 
 Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is
-tried again, and how long samples wait for it: `delivery` (`Delivery.run`); `sink_thread` begins a delivery again only
-after an unexpected error. Whether an error means "later" or "refused for good": the file of the sink, by the errors of
-`interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS and options: `options`;
-what an error of a server may show: `hidden_secrets`. Which points there are after a file was read again: `delivery`.
-Topics and subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point: `home_assistant`.
+tried again, and how long samples wait for it: `delivery` (`Delivery.run`, `Delivery._drop_old`); `sink_thread` begins a
+delivery again only after an unexpected error. Whether an error means "later" or "refused for good": the file of the
+sink, by the errors of `interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS
+and options: `options`; what an error of a server may show: `hidden_secrets`. Which points there are after a file was
+read again: `delivery`. Topics and subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point:
+`home_assistant`.
 """
