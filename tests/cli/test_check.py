@@ -149,6 +149,19 @@ def test_a_report_replaces_a_report_and_nothing_else_and_is_refused_before_the_c
     assert pipe.is_fifo()
 
 
+def test_what_the_checks_send_and_receive_is_captured_and_shown(run: Callable[..., Any], tmp_path: Path) -> None:
+    capture = tmp_path / "check.pcapng"
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: new_device()}) as server:
+        url = server.endpoints[0]
+        port = url.rpartition(":")[2]
+        result = run("check", url, "--unit", "1", "--only", "A10", "--capture", str(capture), "-vv")
+    assert result.code == 0
+    assert " > transaction " in result.err
+    assert " < transaction " in result.err
+    replayed = run("replay", str(capture), "--port", port, "--json")
+    assert json.loads(replayed.out.splitlines()[0])["replies"] >= 16
+
+
 @contextlib.contextmanager
 def killed_by_protocol_1() -> Iterator[str]:
     """A device that answers each read with 0, and dies of a request with the protocol identifier 1."""

@@ -31,6 +31,28 @@ def test_minus_infinity_is_no_option(run: Callable[..., Any], url: str, device: 
     assert device.read("4x1", "float32") == float("-inf")
 
 
+def test_a_text_behind_two_dashes_is_no_option(run: Callable[..., Any], url: str, device: Device) -> None:
+    assert run("write", url, "4x1", "--type", "string:4", "--", "-ab").code == 0
+    assert list(device.holding_registers[0:2]) == [0x2D61, 0x6200]
+    assert run("write", url, "4x1", "--type", "string:4", "-ab").code == 2
+
+
+@pytest.mark.parametrize(
+    ("text", "form", "shown"),
+    [
+        ("16777217", "float32", 16777216.0),
+        ("2049", "float16", 2048.0),
+        ("1e-50", "float32", 0.0),
+        ("0.1", "float32", 0.1),
+    ],
+)
+def test_what_is_shown_is_the_value_that_the_registers_hold(
+    run: Callable[..., Any], url: str, text: str, form: str, shown: float
+) -> None:
+    result = run("write", url, "4x1", text, "--type", form, "--verify", "--json")
+    assert (result.code, json.loads(result.out)["value"]) == (0, shown)
+
+
 def test_coils_take_on_and_off(run: Callable[..., Any], url: str, device: Device) -> None:
     result = run("write", url, "0x1", "on", "off", "1", "--json")
     assert result.code == 0

@@ -6,7 +6,7 @@ Knows how arguments are written and how errors name them; sends nothing.
 import contextlib
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import typer
 
@@ -26,7 +26,7 @@ TYPE = typer.Option(
     help="int16…int64, uint16…uint64, float16…float64, bcd16…bcd64, string:N, bits.",
 )
 ORDER = typer.Option("ABCD", "--order", metavar="ORDER", help="Order of bytes and registers: ABCD, CDAB, BADC, DCBA…")
-TIMEOUT = typer.Option(None, "--timeout", metavar="TIME", help="Wait this long for a reply, for each attempt: 1s.")
+TIMEOUT = typer.Option(None, "--timeout", metavar="TIME", help="Wait this long for each reply: 3s; on a line 1s.")
 RETRIES = typer.Option(None, "--retries", metavar="N", help="Further attempts of a read: 1. A write is never repeated.")
 VERBOSE = typer.Option(
     0, "-v", "--verbose", count=True, help="Show messages on stderr; -vv frames too, -vvv every byte."
@@ -99,11 +99,18 @@ def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
     return limits.low, limits.high
 
 
+BEHIND_DASHES: Final[list[str]] = []
+"""Arguments of the command line that stand behind ``--``; the parser of the command fills the list."""
+
+
 def refuse_unknown_option(value: str) -> None:
     """Raise `ConfigError` if a value looks like a misspelt option: one or two minus signs and a letter.
 
-    Negative numbers, ``-inf`` and ``-nan`` are values. For commands whose parser takes unknown options as values.
+    Negative numbers, ``-inf``, ``-nan`` and what stands behind ``--`` are values. For commands whose parser takes
+    unknown options as values.
     """
+    if value in BEHIND_DASHES:
+        return
     if re.match(r"--?[a-zA-Z]", value) and value.lower() not in ("-inf", "-infinity", "-nan"):
         raise ConfigError(f"there is no such option; a text that begins so is written behind --: -- {value}", key=value)
 

@@ -100,7 +100,8 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
                 },
                 "devices": [
                     {"name": each.name, "link": each.link, "state": each.state, "reads": each.reads,
-                     "failures": each.failures, "skipped": each.skipped, "last_error": each.last_error}
+                     "failures": each.failures, "skipped": each.skipped, "last_error": each.last_error,
+                     "unread": list(each.unread)}
                     for each in devices
                 ],
             }
@@ -111,7 +112,10 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
     kept = counted(store.samples, "sample")
     print(f"{kept} kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
     for name, (busy, probing) in collector.loads().items():
-        print(f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % with silent devices", flush=True)
+        print(
+            f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % of it asking silent devices and learning",
+            flush=True,
+        )
     for sink in collector.sink_statuses():
         error = f": {sink.error}" if sink.error else ""
         print(f"  sink {sink.name}: {counted(sink.sent, 'sample')} sent, {sink.lost} lost{error}", flush=True)
@@ -120,3 +124,6 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
             skipped = f", {each.skipped} rounds skipped" if each.skipped else ""
             error = f": {each.last_error}" if each.last_error and each.state != "polled" else ""
             print(f"  device {each.name}: {each.state}{skipped}{error}", flush=True)
+        if each.unread:
+            more = f" and {len(each.unread) - 1} more" if len(each.unread) > 1 else ""
+            print(f"  device {each.name} is not asked for {each.unread[0]}{more}", flush=True)

@@ -7,6 +7,7 @@
 4. A frame that is wrong is explained as far as it goes; the exit code is then 6.
 """
 
+import os
 import re
 import sys
 from collections.abc import Iterable
@@ -105,7 +106,8 @@ def _bytes_of(text: str) -> bytes:
     digits = _SEPARATORS.sub("", text)
     wrong = next((each for each in digits if each not in "0123456789abcdefABCDEF"), None)
     if wrong is not None:
-        raise ConfigError(f"{wrong!r} is no hexadecimal digit", key=_cut(text))
+        what = "it is no capture file (pcap, pcapng)" if os.path.lexists(text) else "there is no file of that name"
+        raise ConfigError(f"{what}, and {wrong!r} is no hexadecimal digit", key=_cut(text))
     if not digits:
         raise ConfigError("there are no bytes", key=repr(text))
     if len(digits) % 2:

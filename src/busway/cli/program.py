@@ -24,6 +24,7 @@ from typer.main import get_command
 from ..errors import ModbusError
 from ..extras import missing_extra
 from ..values.printable import printable
+from .arguments import BEHIND_DASHES
 from .exits import ExitCode, exit_code_of
 from .streams import OutputLostError, ReaderGoneError, discard, guarded_streams
 
@@ -76,6 +77,10 @@ class Command(TyperCommand):
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        BEHIND_DASHES[:] = args[args.index("--") + 1 :] if "--" in args else ()
+        return super().parse_args(ctx, args)
 
     def get_help_option_names(self, ctx: Any) -> list[str]:
         return sorted(super().get_help_option_names(ctx))[::-1]  # the parser's come from a set, in any order

@@ -6,6 +6,7 @@
 4. The first line of a table and of CSV names the columns.
 """
 
+import contextlib
 from collections.abc import Iterable, Iterator
 from datetime import UTC, datetime
 from pathlib import Path
@@ -181,7 +182,7 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
 
     path = Path(name)
     if path.exists():
-        raise ConfigError("exists already; a new file is written", file=name)
+        raise ConfigError("exists already, and nothing was written; name a new file", file=name)
     writer, rows = None, 0
     try:
         for table in tables:
@@ -191,11 +192,14 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
             writer = writer or arrow("parquet").ParquetWriter(path, content.schema, compression="zstd")
             writer.write_table(content.cast(writer.schema))
             rows += content.num_rows
-    except OSError as error:
-        raise ConfigError(f"cannot be written: {error.strerror or error}", file=name) from error
-    finally:
         if writer is not None:
             writer.close()
+    except OSError as error:
+        with contextlib.suppress(OSError):
+            if writer is not None:
+                writer.close()
+        path.unlink(missing_ok=True)  # a part of it would be in the way of the next attempt
+        raise ConfigError(f"cannot be written: {error.strerror or error}", file=name) from error
     say(f"{name} has {counted(rows, 'row')}")
     return ExitCode.DONE
 

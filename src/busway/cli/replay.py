@@ -162,7 +162,7 @@ def _report(
 def _summary(conversations: "CapturedConversations", file: "PacketFile", traffic: "CapturedTraffic") -> Iterator[str]:
     yield f"{counted(len(conversations), 'conversation')} in {counted(file.packets, 'packet')}"
     if traffic.begun_inside:
-        yield f"{counted(traffic.begun_inside, 'connection')} began before the capture"
+        yield f"of {counted(traffic.begun_inside, 'connection')} the capture does not have the beginning"
     if traffic.repeated or traffic.out_of_order:
         again, late = counted(traffic.repeated, "byte"), counted(traffic.out_of_order, "segment")
         yield f"TCP sent {again} again and {late} out of order"

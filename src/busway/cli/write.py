@@ -110,7 +110,8 @@ def write(
     form, values, raw = _parsed(place, texts, kind, order)
     with capturing(capture), opened_unit(url, **reach) as asked:
         asked.write(place, values[0] if place.bit is not None else values, form, function=chosen)
-        rows = [replace(row, written=True) for row in value_rows(place, form, values, raw)]
+        sent = values if form is None else form.decode(raw)  # rounded to the type, as 0.1 is in a float32
+        rows = [replace(row, written=True) for row in value_rows(place, form, sent, raw)]
         held = _read_back(lambda: _held(asked, place, form, raw)) if verify else None
     if held is not None:
         rows = _compared(rows, value_rows(place, form, *held))

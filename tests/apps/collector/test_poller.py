@@ -12,6 +12,7 @@ from waiting import until
 import busway
 from busway.apps.collector.cost import network_cost
 from busway.apps.collector.derived_points import DerivedPoints
+from busway.apps.collector.device_status import status_of
 from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.reply_timeout import SHORTEST
@@ -175,7 +176,7 @@ async def test_a_silent_device_has_one_bad_sample_and_then_an_interval_until_it_
 async def test_the_log_says_why_a_device_is_not_read_and_when_it_answers(caplog: pytest.LogCaptureFixture) -> None:
     bench = Bench([number("a", 4)])
     await bench.until(102)
-    with caplog.at_level("INFO", "busway.collector"):
+    with caplog.at_level("WARNING", "busway.collector"):
         bench.device.error = lambda: NoReply("no reply")
         await bench.until(150)
         bench.device.error = None
@@ -188,7 +189,7 @@ async def test_the_log_says_why_a_device_is_not_read_and_when_it_answers(caplog:
 async def test_a_silent_device_does_not_answer_again_because_its_link_ends(caplog: pytest.LogCaptureFixture) -> None:
     bench = Bench([number("a", 4)])
     await bench.until(102)
-    with caplog.at_level("INFO", "busway.collector"):
+    with caplog.at_level("WARNING", "busway.collector"):
         bench.device.error = lambda: NoReply("no reply")
         await bench.until(150)
         bench.poller.close()
@@ -219,6 +220,20 @@ async def test_a_hole_is_learnt_and_then_not_asked_for_again() -> None:
     await bench.until(170)
     assert {batch.reasons for batch in bench.batches} == {0}
     assert not [each for each in bench.device.asked if each.address <= 17 < each.address + each.count]
+
+
+async def test_a_point_that_is_not_asked_for_any_more_is_told_once_and_stands_in_the_status(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    bench = Bench([number(f"p{at}", at) for at in range(40)])
+    bench.device.holes = [17]
+    await bench.until(170)
+    (told,) = [each.getMessage() for each in caplog.records if each.levelname == "WARNING"]
+    polled = bench.poller.devices["meter"]
+    assert told.startswith("meter/p17 is not read: ")
+    assert told.endswith("; `busway collect learnt FILE --forget meter` has it asked again")
+    assert list(polled.unread) == ["p17"]
+    assert status_of(bench.poller, "meter").unread == (f"p17: {polled.unread['p17']}",)
 
 
 async def test_the_cost_of_reads_is_learnt_from_their_times() -> None:

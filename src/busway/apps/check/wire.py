@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Protocol
 from ...client.connector import TcpConnector
 from ...client.settings import LinkSettings, link_settings
 from ...errors import ConfigError, LinkDown
+from ...observe.line_trace import ConnectionTrace, trace_for
+from ...observe.trace import TRACE
 from ...options.endpoints import Endpoint
 from ...transport.serial.waiting import wait_ready
 from ...transport.tcp import link_down
@@ -125,7 +127,7 @@ class NetworkDialer(_RealTime):
 
     def open(self) -> "NetworkWire":
         """Open a connection. Raises `LinkDown` if that fails."""
-        return NetworkWire(self._connector.dial(), self._url)
+        return NetworkWire(self._connector.dial(), self._settings)
 
     def changed(self, change: TlsChange) -> "Dialer":
         """Return a dialer whose connections have a changed TLS handshake."""
@@ -152,9 +154,7 @@ class _ChangedDialer(_RealTime):
         """
         from .tls_wire import changed_channel
 
-        return NetworkWire(
-            changed_channel(self._settings, self._change, self._certificates), self._settings.endpoint.url
-        )
+        return NetworkWire(changed_channel(self._settings, self._change, self._certificates), self._settings)
 
     def changed(self, change: TlsChange) -> "Dialer":
         """Return a dialer whose connections have this changed handshake instead."""
@@ -164,14 +164,17 @@ class _ChangedDialer(_RealTime):
 class NetworkWire:
     """One TCP or TLS connection, whose socket does not block."""
 
-    def __init__(self, channel: "_Channel", url: str) -> None:
+    def __init__(self, channel: "_Channel", settings: LinkSettings) -> None:
         self._channel = channel
-        self._url = url
+        self._url = settings.endpoint.url
+        self._trace = _trace(settings, channel)
         self._buffer = bytearray(_RECEIVE_SIZE)
 
     def send(self, data: bytes) -> None:
         """Send bytes, in one write if the socket takes them at once. Raises `LinkDown` if the connection has ended."""
         rest = data
+        if self._trace is not None:
+            self._trace.sent(data)
         try:
             while rest:
                 try:
@@ -194,7 +197,10 @@ class NetworkWire:
             except OSError:
                 return None
             else:
-                return bytes(self._buffer[:size]) if size else None
+                data = bytes(self._buffer[:size])
+                if self._trace is not None and data:
+                    self._trace.received(data)
+                return data or None
 
     def close(self) -> None:
         """Close the connection."""
@@ -220,7 +226,7 @@ class SerialDialer(_RealTime):
         assert settings.line is not None
         assert settings.line.port is not None
         self.framing: str = settings.endpoint.framing
-        self._path = settings.endpoint.path
+        self._settings = settings
         self._port = settings.line.port
 
     def changed(self, change: TlsChange) -> "Dialer":
@@ -234,28 +240,34 @@ class SerialDialer(_RealTime):
             LinkDown: the port cannot be opened.
             ConfigError: the port does not have these settings.
         """
-        return SerialWire(self._path, self._port)
+        return SerialWire(self._settings, self._port)
 
 
 class SerialWire:
     """An open serial port."""
 
-    def __init__(self, path: str, settings: object) -> None:
+    def __init__(self, settings: LinkSettings, port: object) -> None:
         from ...transport.serial.blocking import BlockingSerialPort
 
-        self._port = BlockingSerialPort(path, settings)  # type: ignore[arg-type]
+        self._port = BlockingSerialPort(settings.endpoint.path, port)  # type: ignore[arg-type]
+        self._trace = _trace(settings, None)
 
     def send(self, data: bytes) -> None:
         """Send bytes and wait until they have left the port. Raises `LinkDown` if the port has gone."""
+        if self._trace is not None:
+            self._trace.sent(data)
         self._port.write(data)
         self._port.drain(_LONGEST_DRAIN)
 
     def receive(self, timeout: float) -> bytes | None:
         """Return the bytes that come within ``timeout`` seconds; empty if none come, None if the port has gone."""
         try:
-            return self._port.read(timeout)[0]
+            data = self._port.read(timeout)[0]
         except LinkDown:
             return None
+        if self._trace is not None and data:
+            self._trace.received(data)
+        return data
 
     def close(self) -> None:
         """Close the port."""
@@ -263,3 +275,10 @@ class SerialWire:
 
 
 _LONGEST_DRAIN = 10.0
+
+
+def _trace(settings: LinkSettings, carrier: object) -> ConnectionTrace | None:
+    """Return the log of one connection; None if traffic is neither logged nor captured."""
+    if not TRACE.level:
+        return None
+    return trace_for(settings.endpoint.framing, settings.endpoint.url, is_server=False, carrier=carrier)

@@ -23,6 +23,7 @@ class CollectedDeviceStatus:
         worst_wait: the longest delay of a round by requests other than its own, in seconds.
         last_error: the last error of a read; empty if there was none.
         learnt: facts learnt about the device, as sentences.
+        unread: points that no allowed read can fetch, each with its reason, as sentences.
         silent_since: since when its rounds have stopped, because it is silent or in maintenance, nanoseconds since 1970
             UTC; None while it is polled.
     """
@@ -37,6 +38,7 @@ class CollectedDeviceStatus:
     worst_wait: float
     last_error: str
     learnt: tuple[str, ...]
+    unread: tuple[str, ...]
     silent_since: int | None = None
 
 
@@ -65,5 +67,6 @@ def status_of(poller: LinkPoller, name: str) -> CollectedDeviceStatus:
         0.0 if scheduled is None else scheduled.worst_wait,
         device.last_error,
         tuple(device.book.knowledge.lines()),
+        tuple(f"{point}: {reason}" for point, reason in device.unread.items()),
         None if device.suspended is None else device.suspended.begin,
     )

@@ -19,7 +19,7 @@ from typing import Any, Final
 from .cost import NETWORK_REGISTER, ReadCost
 from .knowledge import DeviceKnowledge
 from .learning import BITS_OF_A_REGISTER, CostLearner, MapLearner, ReadOutcome, probes_for, read_of, with_knowledge
-from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, plan_reads, predicted
+from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, Unreadable, plan_reads, predicted
 
 WORTH: Final = 0.05
 """Part of the new plan's time by which the old plan must be slower to be replaced."""
@@ -137,6 +137,11 @@ class PlanBook:
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
         """Return all polled points of the device, each once, those included that it does not have at present."""
         return list(self._all)
+
+    @property
+    def unreadable(self) -> tuple[Unreadable, ...]:
+        """The polled points that no allowed read can fetch, because of the configured rules or of learnt holes."""
+        return self.plan_for(self.classes).unreadable
 
     def plan_for(self, classes: Classes) -> DevicePlan:
         """Return the read plan that fetches the points of some poll classes; from the cache, or else computed now."""

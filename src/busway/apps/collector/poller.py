@@ -122,6 +122,7 @@ class PolledDevice:
         last_error: the last error; empty if there was none.
         maintained: the maintenance that ended last; None if none has.
         suspended: the interval since when it is not polled, because it is silent or in maintenance; None while it is.
+        unread: points that no allowed read can fetch, each with the reason, as last told in the log.
         single: for each point that was read alone, before or after a write, the group with only that point.
     """
 
@@ -133,6 +134,7 @@ class PolledDevice:
     pause: float = 0.0
     ready_at: float = 0.0
     scale_factors: dict[str, int] = field(default_factory=dict)
+    unread: dict[str, str] = field(default_factory=dict)
     reads: int = 0
     failures: int = 0
     last_seconds: float = 0.0
@@ -365,6 +367,8 @@ class LinkPoller:
     async def run(self) -> None:
         """Poll the devices of the link until the task is cancelled, or after `finish`."""
         self._wake = asyncio.Event()
+        for device in self.devices.values():
+            self._tell_unread(device)
         try:
             while not self._is_finishing:
                 turn = self.schedule.next(self._now())
@@ -472,7 +476,7 @@ class LinkPoller:
             device.timeout.answered(ended - began)
             self._latencies.append(ended - began)
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
-                _log.info("%s answers again", device.name)
+                _log.warning("%s answers again", device.name)
                 self._end_interval(device, middle)
         elif result is TurnOutcome.SILENT:
             device.timeout.silent()
@@ -545,6 +549,18 @@ class LinkPoller:
             device.book.failed(read, outcome, code)
         elif alone:
             device.book.succeeded(read, seconds)
+        if turn.kind is TurnKind.QUESTION or outcome is not ReadOutcome.SUCCESS:
+            self._tell_unread(device)
+
+    def _tell_unread(self, device: PolledDevice) -> None:
+        """Log each point that no allowed read can fetch any more; one that was refused is not asked for again."""
+        unread = {each.item.name: each.reason for each in device.book.unreadable}
+        for point, reason in unread.items():
+            if point not in device.unread:
+                learnt = device.book.knowledge.holes
+                again = f"; `busway collect learnt FILE --forget {device.name}` has it asked again" if learnt else ""
+                _log.warning("%s/%s is not read: %s%s", device.name, point, reason, again)
+        device.unread = unread
 
     # Intervals.
 
@@ -558,7 +574,7 @@ class LinkPoller:
 
     def _begin_interval(self, device: PolledDevice, reason: int, at: float) -> None:
         device.suspended = StateInterval(device.name, self._clock.time_ns(at), None, reason)
-        _log.info("%s is not read: %s", device.name, reason_text(reason))
+        _log.warning("%s is not read: %s", device.name, reason_text(reason))
         self._intervals(device.suspended)
 
     def _give(self, device: PolledDevice, batch: SampleBatch) -> None:
