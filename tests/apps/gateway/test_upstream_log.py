@@ -66,6 +66,22 @@ def test_requests_that_got_0a_are_told_once_then_counted(caplog: pytest.LogCaptu
     ]
 
 
+def test_each_silent_unit_is_told_once_in_ten_minutes_with_the_number_of_further_requests(
+    caplog: pytest.LogCaptureFixture,
+) -> None:
+    clock = Clock()
+    line = news(clock)
+    for unit in (7, 7, 9, 7):
+        line.no_answer(unit, "no reply within 1 s")
+    clock.now = 601.0
+    line.no_answer(7, "not asked")
+    assert told(caplog) == [
+        "line hall: a request to unit 7 was answered 0B: no reply within 1 s",
+        "line hall: a request to unit 9 was answered 0B: no reply within 1 s",
+        "line hall: a request to unit 7 was answered 0B: not asked (2 more since the last line)",
+    ]
+
+
 @pytest.mark.real_time
 def test_another_reason_for_0a_is_told_at_once(caplog: pytest.LogCaptureFixture) -> None:
     line = news()

@@ -23,7 +23,7 @@ from ...client.link import AsyncLinkDriver
 from ...client.sessions import ClientSession, client_session_for
 from ...client.settings import LinkSettings
 from ...codes import ExceptionCode
-from ...errors import ConfigError, LinkDown, ModbusError
+from ...errors import ConfigError, LinkDown, ModbusError, NoReply
 from ...options.gateway import UpstreamParameters
 from ...server.status_indicators import StatusIndicator, StatusIndicators
 from ...session.reconnect import ConnectionEvent
@@ -284,7 +284,7 @@ class Upstream:
     def refused(self, error: ModbusError) -> int:
         """Return the exception code that a client gets for the error of a forwarded request.
 
-        The request is counted as refused, and an answer 0A is logged.
+        The request is counted as refused; an answer 0A is logged, and 0B for a unit that did not answer.
         """
         code = code_for(error)
         counters = self.counters
@@ -294,6 +294,8 @@ class Upstream:
             self.news.no_path(cause.message if isinstance(cause, LinkDown) else error.message)
         elif code == ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND:
             counters.no_answer += 1
+            if isinstance(error, NoReply):
+                self.news.no_answer(error.unit, error.message)
         else:
             counters.exceptions += 1
         return code

@@ -1,10 +1,11 @@
-"""Writes log lines about an upstream: when it cannot be reached, and how many requests were answered 0A.
+"""Writes log lines about an upstream: when it cannot be reached, and which requests were answered 0A or 0B.
 
 Knows reasons and times; knows no link and no request.
 
 1. A reason is logged once, and again when it changes. That the upstream is back is logged too.
 2. The first request that is answered 0A is logged with the reason. Later ones are counted, and their number is logged
    once a minute, when the reason changes, or when the upstream is back: a poller would fill the log.
+3. For each unit the first request that is answered 0B is logged, and one in ten minutes with the number of the others.
 """
 
 import logging
@@ -12,10 +13,14 @@ import math
 from collections.abc import Callable
 from typing import Final
 
+from ...access.repeats import Repeats, so_often
+
 _log = logging.getLogger("busway.apps.gateway")
 
 AGAIN_AFTER: Final = 60.0
 """Seconds between log lines about requests answered 0A for the same reason."""
+SILENT_AGAIN_AFTER: Final = 600.0
+"""Seconds between log lines about requests to one unit answered 0B: a line may have many dead units."""
 WAITING: Final = "waiting for it"
 """End of a log line if the gateway tries again by itself; `busway serve` writes the same about its ports."""
 AT_NEED: Final = "tried again when something is asked"
@@ -32,7 +37,17 @@ class UpstreamLog:
         clock: returns the time in monotonic seconds.
     """
 
-    __slots__ = ("_clock", "_endpoint", "_name", "_no_path", "_no_path_reason", "_reason", "_then", "_told_at")
+    __slots__ = (
+        "_clock",
+        "_endpoint",
+        "_name",
+        "_no_path",
+        "_no_path_reason",
+        "_reason",
+        "_silent",
+        "_then",
+        "_told_at",
+    )
 
     def __init__(self, name: str, endpoint: str, *, is_waited_for: bool, clock: Callable[[], float]) -> None:
         self._name = name
@@ -40,6 +55,7 @@ class UpstreamLog:
         self._then = WAITING if is_waited_for else AT_NEED
         self._clock = clock
         self._reason = ""
+        self._silent = Repeats(SILENT_AGAIN_AFTER)
         self._no_path = 0
         self._no_path_reason = ""
         self._told_at = -math.inf
@@ -69,6 +85,13 @@ class UpstreamLog:
         self._no_path += 1
         if self._clock() >= self._told_at + AGAIN_AFTER:
             self._tell_count()
+
+    def no_answer(self, unit: int | None, reason: str) -> None:
+        """Log a request that was answered with exception code 0B because its unit did not answer (rule 3)."""
+        repeated = self._silent.again(str(unit), self._clock())
+        if repeated is not None:
+            text = "line %s: a request to unit %s was answered 0B: %s%s"
+            _log.warning(text, self._name, unit, reason, so_often(repeated))
 
     def _tell_count(self) -> None:
         """Log how many requests were answered with exception 0A since this was last logged."""
