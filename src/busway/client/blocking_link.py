@@ -227,6 +227,13 @@ class BlockingLinkDriver:
 
     def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
+        try:
+            self._close()
+        finally:
+            if self._line is not None:  # also after an interrupt: the next link to the line must know what is owed
+                KEPT.keep(self.name, self._line.doubts)
+
+    def _close(self) -> None:
         guard = self._guard
         with self._lock:
             if guard.is_torn:
@@ -240,8 +247,6 @@ class BlockingLinkDriver:
             self._connector.release()
             self._life.ended(now)
             self._done()
-            if self._line is not None:
-                KEPT.keep(self.name, self._line.doubts)
             self._wake_all()
             if self._scope is not None and not closed_before:
                 self._scope.leave(self)
@@ -250,6 +255,12 @@ class BlockingLinkDriver:
 
     def status(self) -> LocalConnectionStatus:
         """Return state, traffic and counters of the link at this moment."""
+        guard = self._guard
+        if guard.is_torn and not self._lock.locked():  # a callback for new states may ask under the lock
+            with self._lock:
+                if guard.is_torn:
+                    self._repair()
+                    guard.is_torn = False
         connection = self._connection
         local = None
         if connection is not None and isinstance(connection.channel, socket.socket):

@@ -6,6 +6,7 @@ Knows `serialx` and the descriptor under it; knows no Modbus and starts no threa
 2. A port that vanishes ends every call with `LinkDown`; the descriptor is closed by `close` alone.
 """
 
+import contextlib
 import os
 import time
 from typing import TYPE_CHECKING, Self
@@ -65,13 +66,13 @@ class BlockingSerialPort:
             opened = serialx.serial_for_url(
                 self.path, **opening_arguments(settings, pseudo_terminal=self.pseudo_terminal)
             )
-            opened.open()
         except (OSError, serialx.SerialException) as error:
             raise opening_failed(error, port=self.path, settings=str(settings)) from error
         try:
+            opened.open()
             self._descriptor = descriptor_of(opened)
             self._device = OpenDevice(self._descriptor, settings, ioctl)
-        except OSError as error:
+        except (OSError, serialx.SerialException) as error:
             opened.close()
             raise opening_failed(error, port=self.path, settings=str(settings)) from error
         except BaseException:
@@ -225,11 +226,11 @@ class BlockingSerialPort:
         opened, self._serial = self._serial, None
         if opened is None:
             return
-        self._device.release()
         try:
-            opened.close()
-        except OSError:
-            return  # the descriptor is closed all the same; the port had vanished
+            self._device.release()
+        finally:
+            with contextlib.suppress(OSError):  # the descriptor is closed all the same; the port had vanished
+                opened.close()
 
     def _write_whole(self, descriptor: int, data: bytes) -> None:
         left = memoryview(data)
