@@ -57,8 +57,8 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
 
 
 def test_a_newer_format_is_refused_by_name() -> None:
-    with pytest.raises(UnreadableMessage, match="format 2 is not known here"):
-        decode_message(msgpack.packb([2, "anything"]))
+    with pytest.raises(UnreadableMessage, match="format 3 is not known here"):
+        decode_message(msgpack.packb([3, "anything"]))
 
 
 def test_names_differ_by_link_epoch_store_commits_and_part_and_by_nothing_else() -> None:

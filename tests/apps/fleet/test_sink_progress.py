@@ -2,7 +2,7 @@
 
 import asyncio
 import random
-from collections.abc import AsyncGenerator
+from collections.abc import AsyncGenerator, Callable
 from types import SimpleNamespace
 from typing import Any
 
@@ -11,14 +11,19 @@ from waiting import until
 
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinator import Entry
-from busway.apps.fleet.messages import SampleMessage
+from busway.apps.fleet.messages import Chain, SampleMessage
 from busway.apps.fleet.outbox import SinkPlace
 from busway.apps.fleet.streams import MISSING_SECONDS, CursorBook, SinkCursors, SinkProgress, StreamSink
 
 
-def message(collector: str, commits: list[int], complete: int, kept: int) -> SampleMessage:
-    samples = [CommittedSample(commit, "d", "p", commit, 0, commit, 0) for commit in commits]
-    return SampleMessage(collector, "s", "hall", None, 0, complete, kept, 0, 0, samples)
+def message(sender: "Sender", link: str, commits: list[int], complete: int, *, is_first: bool) -> SampleMessage:
+    samples = [CommittedSample(commit, link, "p", commit, 0, commit, 0) for commit in commits]
+    sender.number += 1
+    chain = Chain(1, sender.number, sender.acknowledged, is_first)
+    return SampleMessage(sender.name, "s", link, None, 0, complete, sender.kept, 0, 0, samples, chain)
+
+
+LINKS = ("hall", "roof")
 
 
 class Sender:
@@ -26,7 +31,17 @@ class Sender:
 
     def __init__(self, name: str) -> None:
         self.name = name
-        self.made = self.sent = self.kept = 0
+        self.made = self.sent = self.kept = self.number = self.acknowledged = 0
+
+    def send(self, most: int, publish: Callable[[SampleMessage], bool]) -> None:
+        """Send a batch, a message for each link, until one is not acknowledged; it may be in the stream even so."""
+        commits = list(range(self.sent + 1, min(self.made, self.sent + most) + 1))
+        for link in LINKS:
+            found = message(self, link, commits, self.sent, is_first=link == LINKS[0])
+            if not publish(found):
+                return
+            self.acknowledged = found.chain.number
+        self.sent += len(commits)
 
 
 @pytest.mark.parametrize("seed", range(60))
@@ -36,41 +51,57 @@ def test_what_a_sink_says_that_it_keeps_it_has(seed: int) -> None:
     stream: list[tuple[int, SampleMessage]] = []
     sequence = 0
     progress = SinkProgress(None)
-    has: dict[str, set[int]] = {"one": set(), "two": set()}
-    for _ in range(400):
+    has: dict[str, set[tuple[str, int]]] = {"one": set(), "two": set()}
+
+    def publish(found: SampleMessage) -> bool:
+        nonlocal sequence
+        is_answered = chance.random() < 0.9
+        if is_answered or chance.random() < 0.5:
+            sequence += 1
+            stream.append((sequence, found))
+        return is_answered
+
+    def at_once(found: SampleMessage) -> bool:
+        progress.take(sequence + 1, found)
+        return True
+
+    actions = ["make", "make", "send", "send", "take", "take", "drop", "lose", "again", "restart", "repeat"]
+    for _ in range(600):
         sender = chance.choice(senders)
-        match chance.choice(["make", "make", "send", "send", "take", "take", "drop", "again", "restart", "repeat"]):
+        match chance.choice(actions):
             case "make":
                 sender.made += chance.randrange(4)
             case "send":
-                commits = list(range(sender.sent + 1, min(sender.made, sender.sent + 3) + 1))
-                sequence += 1
-                stream.append((sequence, message(sender.name, commits, sender.sent, sender.kept)))
-                sender.sent += len(commits)
+                sender.send(3, publish)
             case "take" if stream:
                 number, found = stream.pop(0)
-                has[found.collector] |= {each.commit for each in found.samples}
-                progress.take(number, found if chance.random() < 0.97 else None)
+                if chance.random() < 0.97:
+                    has[found.collector] |= {(found.link, each.commit) for each in found.samples}
+                    progress.take(number, found)
+                else:
+                    progress.take(number, None)
             case "drop":
                 del stream[: chance.randrange(3)]
+            case "lose":  # a server that ends loses what it had acknowledged, and uses the numbers again
+                sequence -= min(sequence, chance.randrange(3))
+                stream = [each for each in stream if each[0] <= sequence]
             case "again":
                 sender.sent = sender.kept
             case "restart":
                 progress = SinkProgress(progress.cursors)
             case "repeat" if stream:
                 number, found = stream[0]
-                has[found.collector] |= {each.commit for each in found.samples}
+                has[found.collector] |= {(found.link, each.commit) for each in found.samples}
                 progress.take(number, found)
         for each in senders:
             cursor = progress.cursors.commits.get(f"{each.name}/s", 0)
-            assert has[each.name] >= set(range(1, cursor + 1)), "it says that it keeps what it never had"
+            wanted = {(link, commit) for link in LINKS for commit in range(1, cursor + 1)}
+            assert has[each.name] >= wanted, "it says that it keeps what it never had"
             each.kept = max(each.kept, cursor)
     for each in senders:
-        for begins in (each.kept, each.made):
-            sequence += 1
-            commits = list(range(begins + 1, each.made + 1))
-            found = message(each.name, commits, begins, each.kept)
-            progress.take(sequence + len(stream), found)
+        each.sent = each.kept
+        for _ in range(2):  # the second says that the first is complete
+            each.send(each.made, at_once)
         assert progress.cursors.commits[f"{each.name}/s"] == each.made, "what is sent again is believed"
 
 
@@ -97,7 +128,17 @@ async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_ti
     now = 100.0
     monkeypatch.setattr("busway.apps.fleet.streams.time.monotonic", lambda: now)
     sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
-    sink._progress.take(1, message("one", [1], 0, 0))
+    sender = Sender("one")
+    sender.made = 9
+    sent: list[SampleMessage] = []
+
+    def keep(found: SampleMessage) -> bool:
+        sent.append(found)
+        return True
+
+    for _ in range(3):
+        sender.send(1, keep)
+    sink._progress.take(1, sent[0])
     later = [given(3), given(4)]
     assert await sink._following(Stream(), "s", later) == []
     now += MISSING_SECONDS - 1.0
@@ -105,7 +146,7 @@ async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_ti
     now += 2.0
     assert await sink._following(Stream(), "s", later) == later
     assert await sink._following(Stream(), "s", [given(2), *later]) == [given(2), *later]
-    sink._progress.take(3, message("one", [3], 2, 0))
+    sink._progress.take(3, sent[2])
     assert sink._progress.cursors.commits == {"one/s": 0}
 
 

@@ -3,8 +3,10 @@
 1. The name of a message has collector, store, link, epoch, commits and the round of its sender; no two messages have
    the same name. A sink replaces samples with the same device, point and time.
 2. ``complete`` is a commit of the same collector: the stream has acknowledged every sample up to that commit before
-   this message was sent. A reader that takes the stream in order therefore has them all.
-3. A message of a newer format is refused as a whole; nothing in it is guessed.
+   this message was sent. A reader that takes the stream in order therefore has them all, if the stream has lost none.
+3. A stream can lose messages that it has acknowledged: the last ones, when its server ends, and the oldest, when it is
+   full. By its `Chain` a reader sees that it lacks a message of the sender.
+4. A message of a newer format is refused as a whole; nothing in it is guessed.
 """
 
 from collections.abc import Iterator, Sequence
@@ -18,13 +20,30 @@ from ...extras import require
 from ..collector.store.committed_samples import CommittedSample
 from .lease_times import Epoch
 
-FORMAT: Final = 1
+FORMAT: Final = 2
 MOST_ROWS: Final = 2000
 """Most samples in one message: about 64 kB."""
 
 
 class UnreadableMessage(ModbusError):
     """Error: bytes from a stream are not a message with samples, or have a format that this program does not know."""
+
+
+@dataclass(frozen=True, slots=True)
+class Chain:
+    """The place of a message in all that its sender has sent.
+
+    Attributes:
+        start: a random number for one start of the sender; the numbers of different starts are not related.
+        number: number of the message since that start, from 1; each attempt to send a message has its own.
+        after: the number of the last message that the stream had acknowledged before; 0 for none.
+        is_first: whether it is the first message of a batch: the samples of all links in some commits.
+    """
+
+    start: int = 0
+    number: int = 0
+    after: int = 0
+    is_first: bool = True
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +63,7 @@ class SampleMessage:
         round: a number that the sender changes whenever it begins again, so that a stream that has the earlier message
             takes this one too.
         samples: the samples in the order of their commits; empty in a message that only tells ``complete``.
+        chain: its place in all that the sender has sent.
     """
 
     collector: str
@@ -56,6 +76,7 @@ class SampleMessage:
     part: int
     round: int
     samples: Sequence[CommittedSample]
+    chain: Chain = Chain()
 
     @property
     def name(self) -> str:
@@ -81,6 +102,7 @@ class SampleMessage:
             self.kept,
             self.part,
             self.round,
+            [self.chain.start, self.chain.number, self.chain.after, self.chain.is_first],
             list(places),
             [places[point] for point in point_of],
             commits,
@@ -106,7 +128,8 @@ def decode_message(data: bytes) -> SampleMessage:
         content = msgpack.unpackb(data, strict_map_key=False)
         if content[0] != FORMAT:
             raise UnreadableMessage(f"format {content[0]!r} is not known here: this program is older than its sender")
-        _, collector, store, link, epoch, revision, complete, kept, part, round_number, points, *columns = content
+        _, collector, store, link, epoch, revision, complete, kept, part, round_number, *rest = content
+        (start, number, after, is_first), points, *columns = rest
         samples = [
             CommittedSample(
                 commit, points[place][0], points[place][1], time, half, _unpacked(value), reason, points[place][2]
@@ -124,6 +147,7 @@ def decode_message(data: bytes) -> SampleMessage:
             part,
             round_number,
             samples,
+            Chain(start, number, after, is_first),
         )
     except UnreadableMessage:
         raise

@@ -18,7 +18,7 @@ import asyncio
 import logging
 import secrets
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -26,7 +26,7 @@ from ...errors import ModbusError
 from ..collector.store.committed_samples import CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
 from .lease_times import Epoch
-from .messages import MOST_ROWS, SampleMessage, by_link
+from .messages import MOST_ROWS, Chain, SampleMessage, by_link
 
 OUTBOX: Final = "fleet"
 """The name of the outbox's cursor in the manifest."""
@@ -139,6 +139,7 @@ class Outbox:
         self._waiting: dict[str, _Waiting] = {}
         self._published_at = now()
         self._messages, self._round = 0, secrets.randbits(48)
+        self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
 
     def status(self) -> OutboxStatus:
@@ -176,17 +177,23 @@ class Outbox:
             await self._tell_complete()
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
+        is_first = True
         for message in self._messages_of(found.samples) or [self._message("", 0, [])]:
             try:
-                await self._publish(message)
+                await self._publish(message, is_first=is_first)
+                is_first = False
             except StreamDown:
                 self._round += 1
                 raise
         self._sent = found.last
         return len(found.samples) >= MOST
 
-    async def _publish(self, message: SampleMessage) -> None:
-        await self._stream.publish(message)
+    async def _publish(self, message: SampleMessage, *, is_first: bool) -> None:
+        self._number += 1
+        number = self._number
+        chain = Chain(self._start, number, self._acknowledged, is_first)
+        await self._stream.publish(replace(message, chain=chain))
+        self._acknowledged = number
         self._published_at = self._now()
         self._messages += 1
 
@@ -227,7 +234,7 @@ class Outbox:
     async def _tell_complete(self) -> None:
         """Tell sinks that all stored samples were sent, so that their positions reach the last commit."""
         if self._told < self._sent:
-            await self._publish(self._message("", 0, []))
+            await self._publish(self._message("", 0, []), is_first=True)
             self._told = self._sent
 
     def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:

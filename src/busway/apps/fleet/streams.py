@@ -16,7 +16,7 @@ import json
 import logging
 import time
 from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Final
 
@@ -245,16 +245,17 @@ class SinkCursors:
     Attributes:
         sequence: number of the last message of the stream that the sink has taken; 0 before the first.
         commits: by ``collector/store``, the commit up to which the sink has all samples.
-        proved: the ``collector/store`` of which the next message can raise that commit (`SinkProgress`).
+        proved: the ``collector/store`` of which the next message can raise that commit (`SinkProgress`), each with
+            start and number of its last message that the sink has taken (`Chain`).
     """
 
     sequence: int
     commits: dict[str, int]
-    proved: frozenset[str] = frozenset()
+    proved: dict[str, tuple[int, int]] = field(default_factory=dict)
 
     def encode(self) -> bytes:
         """Return the positions of a sink as bytes for the shared table."""
-        return json.dumps([self.sequence, self.commits, sorted(self.proved)], separators=(",", ":")).encode()
+        return json.dumps([self.sequence, self.commits, self.proved], separators=(",", ":")).encode()
 
 
 class CursorBook:
@@ -286,7 +287,8 @@ class CursorBook:
             try:
                 sequence, commits, proved = json.loads(entry.value)
                 numbers = {str(name): int(number) for name, number in commits.items()}
-                found = SinkCursors(int(sequence), numbers, frozenset(map(str, proved)))
+                taken = {str(name): (int(start), int(number)) for name, (start, number) in proved.items()}
+                found = SinkCursors(int(sequence), numbers, taken)
             except (ValueError, TypeError, AttributeError):
                 found = SinkCursors(0, {})  # it keeps nothing, as far as can be said
             self._cursors[sink] = found
@@ -403,28 +405,30 @@ async def _stored_at(client: Any, stream: str, sequence: int) -> float | None:
 class SinkProgress:
     """Computes up to which commits a sink has all samples, from the messages of the stream that the sink has taken.
 
-    1. While the numbers of the messages have no gap, each message proves that the sink has all samples of its sender up
-       to the commit `SampleMessage.complete`.
-    2. After a gap (the stream dropped messages, or they come again later) nothing is proved of a sender until it has
-       begun again: with a message whose ``complete`` is not above the commit that the sink is known to have.
+    1. While no message of a sender is missing, each proves that the sink has all samples of that sender up to the
+       commit `SampleMessage.complete`. One is missing if the sink has not taken the message that `Chain.after` names.
+       The numbers of the stream do not show that: a server that ends can lose messages that it has acknowledged, and
+       use their numbers again.
+    2. After that nothing is proved of the sender until it has begun again: with the first message of a batch, whose
+       ``complete`` is not above the commit that the sink is known to have.
 
     Args:
         cursors: the position that the sink saved last; None for a new sink.
 
     Attributes:
-        gaps: how many gaps or unreadable messages there were.
+        gaps: how often a message of a sender was missing or unreadable.
     """
 
     def __init__(self, cursors: SinkCursors | None) -> None:
         self._sequence = 0 if cursors is None else cursors.sequence
         self._commits = {} if cursors is None else dict(cursors.commits)
-        self._proved = set[str]() if cursors is None else set(cursors.proved)
+        self._proved = dict[str, tuple[int, int]]() if cursors is None else dict(cursors.proved)
         self.gaps = 0
 
     @property
     def cursors(self) -> SinkCursors:
         """The present position of the sink, to be saved in the shared table."""
-        return SinkCursors(self._sequence, dict(self._commits), frozenset(self._proved))
+        return SinkCursors(self._sequence, dict(self._commits), dict(self._proved))
 
     def take(self, sequence: int, message: SampleMessage | None) -> None:
         """Count a message of the stream as taken by the sink; a message that came before is ignored.
@@ -433,20 +437,22 @@ class SinkProgress:
             sequence: number of the message in the stream.
             message: the decoded message; None if it could not be decoded.
         """
-        if sequence <= self._sequence:
-            return  # it came again
-        if sequence != self._sequence + 1 or message is None:
-            self.gaps += 1
-            self._proved.clear()
-        self._sequence = sequence
+        self._sequence = max(sequence, self._sequence)
         if message is None:
+            self.gaps += 1
             return
-        place = f"{message.collector}/{message.store}"
+        place, chain = f"{message.collector}/{message.store}", message.chain
+        start, number = self._proved.get(place, (-1, -1))
+        if start == chain.start and number >= chain.number:
+            return  # it came again
+        follows = start == chain.start and number >= chain.after
         known = self._commits.get(place, 0)
-        if place not in self._proved and message.complete <= max(known, message.kept):
-            self._proved.add(place)
-        if place in self._proved:
+        if follows or (chain.is_first and message.complete <= max(known, message.kept)):
+            self._proved[place] = chain.start, chain.number
             self._commits[place] = max(known, message.complete)
+        elif place in self._proved:
+            self.gaps += 1
+            del self._proved[place]
 
 
 class StreamSink:
