@@ -8,6 +8,7 @@
 """
 
 import asyncio
+import logging
 import math
 import sys
 import time
@@ -90,6 +91,9 @@ def demo(
     from ..server.loops import run
 
     show_traffic(verbose)
+    logging.getLogger("busway.apps.gateway").setLevel(
+        logging.ERROR
+    )  # a device of the demo dies, and the table shows it
     run(_run(wanted, limit))
     return ExitCode.DONE
 
