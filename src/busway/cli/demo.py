@@ -91,10 +91,13 @@ def demo(
     from ..server.loops import run
 
     show_traffic(verbose)
-    logging.getLogger("busway.apps.gateway").setLevel(
-        logging.ERROR
-    )  # a device of the demo dies, and the table shows it
-    run(_run(wanted, limit))
+    log = logging.getLogger("busway.apps.gateway")
+    level = log.level
+    log.setLevel(logging.ERROR)  # a device of the demo dies by design, and the table shows it
+    try:
+        run(_run(wanted, limit))
+    finally:
+        log.setLevel(level)
     return ExitCode.DONE
 
 
