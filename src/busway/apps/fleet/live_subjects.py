@@ -68,7 +68,7 @@ class LiveSubjects:
             if not self._client.is_connected:
                 continue
             try:
-                for batch in latest.values():
+                for batch in sorted(latest.values(), key=_time_of):  # a point may be in several of them
                     await self._client.publish(
                         f"busway.{self._zone}.live.{subject_token(batch.device)}", encoded_batch(batch)
                     )
@@ -77,6 +77,10 @@ class LiveSubjects:
             except Exception:  # a defect, whatever it is: later values are sent all the same
                 _log.exception("live values cannot be sent; it is tried again")
                 await asyncio.sleep(PAUSE)
+
+
+def _time_of(batch: SampleBatch) -> int:
+    return batch.time
 
 
 def encoded_batch(batch: SampleBatch) -> bytes:
