@@ -43,7 +43,7 @@ def url(line: PacedLine) -> str:
     return f"rtu://{line.paths[1]}?baud=19200"
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_conversation_is_explained_and_summed_up(line: PacedLine, talker: Callable[..., None]) -> None:
     with Busway("sniff", url(line)) as busway:
         busway.wait_for("listening to rtu://")
@@ -70,7 +70,7 @@ def test_a_conversation_is_explained_and_summed_up(line: PacedLine, talker: Call
     assert {byte.port for byte in line.tap} <= {0, -1}  # the listener has sent nothing
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_master_and_a_server_of_ours_are_heard_by_a_third_port(run: Callable[..., Any]) -> None:
     device = busway.Device(holding_registers=10)
     with (
@@ -99,7 +99,7 @@ def test_a_master_and_a_server_of_ours_are_heard_by_a_third_port(run: Callable[.
     assert not statistics["damaged"]
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_json_has_every_field_and_the_statistics_last(line: PacedLine, talker: Callable[..., None]) -> None:
     with Busway("sniff", url(line), "--json") as busway:
         busway.wait_for("listening")
@@ -118,7 +118,7 @@ def test_json_has_every_field_and_the_statistics_last(line: PacedLine, talker: C
     assert statistics["units"]["1"]["response_time"]["mean"] == answered["response_time"]
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_what_was_heard_is_captured(line: PacedLine, talker: Callable[..., None], tmp_path: Path) -> None:
     file = tmp_path / "line.pcapng"
     with Busway("sniff", url(line), "--capture", str(file), "-x") as busway:
@@ -133,14 +133,14 @@ def test_what_was_heard_is_captured(line: PacedLine, talker: Callable[..., None]
     ] == [True, True]
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_listening_ends_with_its_duration(run: Callable[..., Any], line: PacedLine) -> None:
     result = run("sniff", url(line), "--for", "50ms")
     assert result.code == 0
     assert "0 frames in 0.1 s, the line was busy 0.0 %" in result.out
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_port_that_vanishes_is_waited_for_and_heard_again(line: PacedLine, talker: Callable[..., None]) -> None:
     with Busway("sniff", url(line) + "&reopen_first=0.01&reopen_most=0.05") as busway:
         busway.wait_for("listening")
@@ -155,7 +155,7 @@ def test_a_port_that_vanishes_is_waited_for_and_heard_again(line: PacedLine, tal
     assert "4 frames in " in out
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_the_statistics_come_also_where_the_port_is_still_gone_at_the_end(
     line: PacedLine, talker: Callable[..., None]
 ) -> None:

@@ -36,7 +36,7 @@ def line() -> Iterator[PacedLine]:
 
 
 @pytest.mark.parametrize(("scheme", "encode"), [("rtu", encode_rtu), ("ascii", encode_ascii)])
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_conversation_on_a_port_is_heard_in_pairs(line: PacedLine, scheme: str, encode: type) -> None:
     url = f"{scheme}://{line.paths[1]}?baud=19200"
     with (
@@ -55,7 +55,7 @@ def test_a_conversation_on_a_port_is_heard_in_pairs(line: PacedLine, scheme: str
     assert {byte.port for byte in line.tap} == {0}  # the listener has sent nothing
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_what_is_unfinished_at_the_end_is_told(line: PacedLine) -> None:
     with Listening(line_to_hear(f"ascii://{line.paths[1]}")) as listening:
         line.inject(b":0103")
@@ -66,7 +66,7 @@ def test_what_is_unfinished_at_the_end_is_told(line: PacedLine) -> None:
         assert [event.kind for event in listening.finish()] == [Kind.DAMAGED]
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_line_that_vanishes_ends_the_listening(line: PacedLine) -> None:
     with Listening(line_to_hear(f"rtu://{line.paths[1]}")) as listening:
         line.unplug(1)
@@ -74,7 +74,7 @@ def test_a_line_that_vanishes_ends_the_listening(line: PacedLine) -> None:
             heard(listening, 1)
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_port_that_this_process_uses_is_refused(line: PacedLine) -> None:
     heard_line = line_to_hear(f"rtu://{line.paths[1]}")
     with Listening(heard_line), pytest.raises(ConfigError, match="a listener to the line"):
@@ -121,7 +121,7 @@ def test_datagrams_can_only_be_taken_at_this_machine(host: str) -> None:
         Listening(line_to_hear(f"rtu+udp://{host}:4001"))
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 def test_a_port_that_vanishes_is_heard_again_when_it_is_back(line: PacedLine) -> None:
     told: list[str] = []
     with Listening(

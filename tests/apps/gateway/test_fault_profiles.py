@@ -145,7 +145,7 @@ async def ask(link: busway.AsyncLink, row: Row, number: int, unit: int = 1) -> s
 
 
 @pytest.mark.parametrize(("carrier", "row"), CASES, ids=[f"{line}-{row}" for line, row in CASES])
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_the_client_sees_what_is_true_and_the_line_stays_in_step(carrier: str, row: Row) -> None:
     async with faulty_line(carrier, route=row.route, **row.line) as line:
         line.add(row.name, **row.fault)
@@ -196,7 +196,7 @@ async def test_a_write_that_is_ignored_is_0b_and_the_one_that_is_taken_goes_thro
 
 
 @pytest.mark.parametrize("carrier", ["rtu+tcp", "rtu"])
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_whoever_answers_a_broadcast_is_not_taken_for_the_next_one_that_is_asked(carrier: str) -> None:
     async with (
         faulty_line(carrier, turnaround_delay=0.1) as line,
@@ -226,7 +226,7 @@ async def test_wide_registers_go_through_in_their_width_where_the_line_is_told_o
         assert await outcome(link.unit(1).execute(busway.ReadHoldingRegisters(0, 63))) == 3  # too much
 
 
-@pytest.mark.real_time
+@pytest.mark.alone
 async def test_a_device_that_was_slow_for_one_is_answered_in_time_for_the_next() -> None:
     async with (
         faulty_line("rtu", timeout=TIMEOUT, retries=1) as line,

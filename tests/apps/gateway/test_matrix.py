@@ -15,7 +15,7 @@ from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
 from busway.testing.certificates import CertificateFiles, CertificateStore
 
-pytestmark = pytest.mark.real_time
+pytestmark = pytest.mark.alone
 
 BAUD = 115_200
 KINDS = ("tcp", "tls", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp", "rtu", "ascii")
