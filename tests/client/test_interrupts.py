@@ -8,6 +8,7 @@ import threading
 import time
 from collections import Counter
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
@@ -20,7 +21,13 @@ LASTS = 1.5
 """Seconds for which the victim is interrupted."""
 LONGEST = 3.0
 """Seconds within which each call ends; its deadline is two."""
-OPTIONS = {"timeout": 0.5, "retries": 1, "deadline": 2.0, "reconnect_first": 0.01, "reconnect_most": 0.05}
+OPTIONS: dict[str, Any] = {
+    "timeout": 0.5,
+    "retries": 1,
+    "deadline": 2.0,
+    "reconnect_first": 0.01,
+    "reconnect_most": 0.05,
+}
 
 
 class InterruptError(BaseException):
@@ -84,7 +91,7 @@ def quiet_interpreter(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("threading.excepthook", lambda _: None)
 
 
-@pytest.fixture(params=["tcp", "rtu+tcp"])
+@pytest.fixture
 def recorder(request: pytest.FixtureRequest) -> Iterator[tuple[str, Recorder]]:
     found = Recorder(is_rtu=request.param == "rtu+tcp")
     yield f"{request.param}://127.0.0.1:{found.port}", found
@@ -157,15 +164,23 @@ def check(callers: list[Caller], recorder: Recorder) -> None:
     assert max(recorder.written.values()) == 1
 
 
-@pytest.mark.parametrize("options", [{}, {"max_transactions": 4}, {"hold": "request"}], ids=["plain", "four", "held"])
+@pytest.mark.parametrize(
+    ("recorder", "options"),
+    [
+        ("tcp", {}),
+        ("tcp", {"max_transactions": 4}),
+        ("tcp", {"hold": "request"}),
+        ("rtu+tcp", {}),
+        ("rtu+tcp", {"hold": "request"}),
+    ],
+    indirect=["recorder"],
+)
 def test_calls_of_other_threads_end_with_right_values_and_no_write_leaves_twice(
-    recorder: tuple[str, Recorder], options: dict[str, int | str]
+    recorder: tuple[str, Recorder], options: dict[str, Any]
 ) -> None:
     url, device = recorder
-    if url.startswith("rtu") and "max_transactions" in options:
-        pytest.skip("a line has one transaction at a time")
     until = time.monotonic() + LASTS
-    with busway.connect(url, **OPTIONS, **options) as link:  # type: ignore[arg-type]  # options of several types
+    with busway.connect(url, **OPTIONS, **options) as link:
         callers = [Caller(link, number, until) for number in range(3)]
         for caller in callers:
             caller.start()
@@ -179,8 +194,8 @@ def test_links_of_one_scope_lose_no_slot(recorder: tuple[str, Recorder]) -> None
     url, device = recorder
     until = time.monotonic() + LASTS
     with (
-        busway.connect(url, shared=False, scope="client", **OPTIONS) as first,  # type: ignore[arg-type]
-        busway.connect(url, shared=False, scope="client", **OPTIONS) as second,  # type: ignore[arg-type]
+        busway.connect(url, shared=False, scope="client", **OPTIONS) as first,
+        busway.connect(url, shared=False, scope="client", **OPTIONS) as second,
     ):
         callers = [Caller(link, number, until) for number, link in enumerate((first, second, first))]
         for caller in callers:
@@ -196,13 +211,14 @@ def test_a_slot_of_a_cancelled_request_comes_back_though_no_thread_uses_its_link
     device = Recorder(is_rtu=False)
     options = {**OPTIONS, "scope": "client", "retries": 0}
     with (
-        busway.connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", **options) as mute,  # type: ignore[arg-type]
-        busway.connect(f"tcp://127.0.0.1:{device.port}", **options) as link,  # type: ignore[arg-type]
+        busway.connect(f"tcp://127.0.0.1:{silent.getsockname()[1]}", **options) as mute,
+        busway.connect(f"tcp://127.0.0.1:{device.port}", **options) as link,
     ):
         victim = Caller(mute, 0, 0.0)
         victim.until = time.monotonic() + 0.3
         victim.start()
-        time.sleep(0.1)
+        while not victim.is_calling:
+            time.sleep(0.001)
         interrupt_at_random(victim, seed=3)
         victim.join(5)
         assert link.unit(1).read_holding_registers(5, count=1, deadline=2.0) == [5]

@@ -112,10 +112,8 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
     kept = counted(store.samples, "sample")
     print(f"{kept} kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
     for name, (busy, probing) in collector.loads().items():
-        print(
-            f"  link {name}: {100 * busy:.0f} % busy, {100 * probing:.1f} % of it asking silent devices and learning",
-            flush=True,
-        )
+        share = f"{100 * probing:.1f} % for silent devices and learning"
+        print(f"  link {name}: {100 * busy:.0f} % busy, {share}", flush=True)
     for sink in collector.sink_statuses():
         error = f": {sink.error}" if sink.error else ""
         print(f"  sink {sink.name}: {counted(sink.sent, 'sample')} sent, {sink.lost} lost{error}", flush=True)

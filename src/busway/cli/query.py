@@ -194,12 +194,14 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
             rows += content.num_rows
         if writer is not None:
             writer.close()
-    except OSError as error:
+    except BaseException as error:
         with contextlib.suppress(OSError):
             if writer is not None:
                 writer.close()
         path.unlink(missing_ok=True)  # a part of it would be in the way of the next attempt
-        raise ConfigError(f"cannot be written: {error.strerror or error}", file=name) from error
+        if isinstance(error, OSError):
+            raise ConfigError(f"cannot be written: {error.strerror or error}", file=name) from error
+        raise
     say(f"{name} has {counted(rows, 'row')}")
     return ExitCode.DONE
 

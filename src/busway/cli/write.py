@@ -108,10 +108,10 @@ def write(
     if not texts:
         raise ConfigError(f"there is no value to write to {place}", key="VALUE")
     form, values, raw = _parsed(place, texts, kind, order)
+    held_values = values if form is None else form.decode(raw)  # rounded to the type, as 0.1 is in a float32
     with capturing(capture), opened_unit(url, **reach) as asked:
         asked.write(place, values[0] if place.bit is not None else values, form, function=chosen)
-        sent = values if form is None else form.decode(raw)  # rounded to the type, as 0.1 is in a float32
-        rows = [replace(row, written=True) for row in value_rows(place, form, sent, raw)]
+        rows = [replace(row, written=True) for row in value_rows(place, form, held_values, raw)]
         held = _read_back(lambda: _held(asked, place, form, raw)) if verify else None
     if held is not None:
         rows = _compared(rows, value_rows(place, form, *held))

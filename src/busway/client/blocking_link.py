@@ -173,9 +173,7 @@ class BlockingLinkDriver:
         try:
             while True:
                 with self._lock:
-                    if guard.is_torn:
-                        self._repair()
-                    guard.is_torn = True
+                    self._begin_section()
                     is_done = self._connection is not None or self._life.closed
                     if lead is None and not is_done and self._lead.acquire(blocking=False):
                         lead = self._lead
@@ -198,6 +196,8 @@ class BlockingLinkDriver:
         finally:
             if lead is not None:
                 lead.release()
+                with self._lock:
+                    self._wake_all()  # one of those that wait is the leader now
 
     def on_state(self, callback: OnState) -> Callable[[], None]:
         """Register a callback for new states of the connection. Returns a function that removes it."""
@@ -211,11 +211,8 @@ class BlockingLinkDriver:
 
         Requests in flight are repeated or fail, as after a loss of the connection.
         """
-        guard = self._guard
         with self._lock:
-            if guard.is_torn:
-                self._repair()
-            guard.is_torn = True
+            self._begin_section()
             if self._connection is not None:
                 now = time.monotonic()
                 if self._is_used():
@@ -223,7 +220,7 @@ class BlockingLinkDriver:
                 else:
                     self._release(now, DISCONNECTED)
             self._wake_all()
-            guard.is_torn = False
+            self._guard.is_torn = False
 
     def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
@@ -234,11 +231,8 @@ class BlockingLinkDriver:
                 KEPT.keep(self.name, self._line.doubts)
 
     def _close(self) -> None:
-        guard = self._guard
         with self._lock:
-            if guard.is_torn:
-                self._repair()
-            guard.is_torn = True
+            self._begin_section()
             closed_before, self._life.closed = self._life.closed, True
             LOCAL.discard(self)
             now = time.monotonic()
@@ -251,7 +245,7 @@ class BlockingLinkDriver:
             if self._scope is not None and not closed_before:
                 self._scope.leave(self)
                 self._scope.serve(now)
-            guard.is_torn = False
+            self._guard.is_torn = False
 
     def status(self) -> LocalConnectionStatus:
         """Return state, traffic and counters of the link at this moment."""
@@ -270,28 +264,22 @@ class BlockingLinkDriver:
 
     def make_room(self) -> bool:
         """Close the connection if no call uses it, to make room for another link's. Returns whether it was closed."""
-        guard = self._guard
         if self._lock.locked():
             return False  # a thread is using it
         with self._lock:
-            if guard.is_torn:
-                self._repair()
-            guard.is_torn = True
+            self._begin_section()
             is_free = self._connection is not None and not self._is_used()
             if is_free:
                 self._release(time.monotonic(), "another connection needed the place")
-            guard.is_torn = False
+            self._guard.is_torn = False
             return is_free
 
     def enter(self, scope: ClientScope) -> None:
         """Count the requests of the link towards the limit of a scope, from now on."""
-        guard = self._guard
         with self._lock:
-            if guard.is_torn:
-                self._repair()
-            guard.is_torn = True
+            self._begin_section()
             scope.enter(self)
-            guard.is_torn = False
+            self._guard.is_torn = False
 
     def serve(self, now: float) -> None:
         """Send waiting requests, because other links of the client have put slots for requests in flight back.
@@ -302,6 +290,16 @@ class BlockingLinkDriver:
             self._transmit(now)
 
     # After an interrupt.
+
+    def _begin_section(self) -> None:
+        """Begin a section under the lock, after what an interrupt may have left was put in order (rule 6).
+
+        The section ends with ``is_torn`` False. The sections of every call, `run`, `_follow` and `_head`, do the same
+        in place.
+        """
+        if self._guard.is_torn:
+            self._repair()
+        self._guard.is_torn = True
 
     def _repair(self) -> None:
         """Let the link, or all links of its scope, begin again: a thread was interrupted under the lock (rule 6)."""
@@ -727,9 +725,7 @@ class BlockingLinkDriver:
         connection: BlockingConnection | None = None
         try:
             with self._lock:
-                if guard.is_torn:
-                    self._repair()
-                guard.is_torn = True
+                self._begin_section()
                 is_leader = lead is self._lead
                 if is_leader:
                     self._life.dialled(time.monotonic())
@@ -742,9 +738,7 @@ class BlockingLinkDriver:
             except (OSError, ValueError) as error:  # usually a `LinkDown`
                 failure = error if isinstance(error, LinkDown) else link_down(error, endpoint=self.name)
             with self._lock:
-                if guard.is_torn:
-                    self._repair()
-                guard.is_torn = True
+                self._begin_section()
                 if lead is not self._lead:
                     failure = None
                 elif connection is None:
@@ -776,14 +770,11 @@ class BlockingLinkDriver:
         self._transmit(now)
 
     def _dial_was_interrupted(self, lead: "threading.Lock | None") -> None:
-        guard = self._guard
         with self._lock:
-            if guard.is_torn:
-                self._repair()
-            guard.is_torn = True
+            self._begin_section()
             if lead is self._lead and self._connection is None:
                 self._life.interrupted(time.monotonic())
-            guard.is_torn = False
+            self._guard.is_torn = False
 
     def _new_connection(self) -> BlockingConnection:
         channel = self._connector.dial()

@@ -19,6 +19,7 @@ from ...transport.tcp import link_down
 from .check import TlsChange
 
 if TYPE_CHECKING:
+    from ...options.ports import SerialSettings
     from .tls_wire import ClientCertificate
 
 _RECEIVE_SIZE = 65_536
@@ -246,10 +247,10 @@ class SerialDialer(_RealTime):
 class SerialWire:
     """An open serial port."""
 
-    def __init__(self, settings: LinkSettings, port: object) -> None:
+    def __init__(self, settings: LinkSettings, port: "SerialSettings") -> None:
         from ...transport.serial.blocking import BlockingSerialPort
 
-        self._port = BlockingSerialPort(settings.endpoint.path, port)  # type: ignore[arg-type]
+        self._port = BlockingSerialPort(settings.endpoint.path, port)
         self._trace = _trace(settings, None)
 
     def send(self, data: bytes) -> None:
