@@ -269,3 +269,32 @@ async def test_blocking_and_asyncio_links_have_a_connection_each() -> None:
         blocking = busway.connect(server.endpoint)
         blocking.close()
         assert server.accepted == 1
+
+
+def test_a_call_goes_on_as_soon_as_the_connection_that_another_thread_makes_by_name_is_there(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    dial, may_connect, is_connecting = TcpConnector.dial, threading.Event(), threading.Event()
+
+    def slow_dial(connector: TcpConnector) -> object:
+        is_connecting.set()
+        may_connect.wait(10)
+        return dial(connector)
+
+    monkeypatch.setattr(TcpConnector, "dial", slow_dial)
+    monkeypatch.setattr("busway.client.blocking_link._LOOK", 30.0)  # so nothing but the wakeup helps
+    read: list[list[int]] = []
+    with faulty_server(known_device()) as server, busway.connect(server.endpoint, timeout=60.0) as link:
+        connecting = threading.Thread(target=link.connect, daemon=True)
+        connecting.start()
+        assert is_connecting.wait(10)
+        reading = threading.Thread(
+            target=lambda: read.append(link.unit(1).read_holding_registers(7, count=1)), daemon=True
+        )
+        reading.start()
+        while not any(each.queued for each in busway.local_connections()):
+            time.sleep(0.001)
+        may_connect.set()
+        for thread in (connecting, reading):
+            thread.join(10)
+    assert read == [[7]]
