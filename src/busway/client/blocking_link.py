@@ -13,8 +13,8 @@ Knows when to connect, write, wait and look at the clock; knows no functions or 
    one; with ``hold=request`` it is closed at the end of the call.
 6. An exception from outside (``KeyboardInterrupt``) may end a thread under the lock, in the midst of a change: a value
    half-received, a slot taken. `LinkLock.is_torn` tells the next thread that takes the lock. It closes the connection
-   and lets session and driver begin again (`BlockingLinkDriver.begin_again`); threads that wait see another
-   ``_generation``, and give their calls to the session again, as after any lost connection.
+   and lets session and driver begin again (`BlockingLinkDriver.begin_again`); threads that wait see that their calls
+   are not among ``_calls``, and give them to the session again, as after any lost connection.
 7. No wait depends on another thread for longer than `_LOOK`. The leader holds ``_lead``, and gives it back whatever
    ends it: CPython raises no interrupt between an exception and the first call of a ``finally`` block.
 """
@@ -111,7 +111,8 @@ class BlockingLinkDriver:
             self._spin = _SPIN if settings.line.opening.precise_timing else 0.0
         self._guard = LinkLock() if scope is None else scope.guard
         self._lock = self._guard.lock
-        self._generation = 0  # how often the link has begun again (rule 6)
+        self._calls: set[Call] = set()  # those that the session has; none when the link has begun again (rule 6)
+        self._given_up: list[Call] = []  # calls of interrupted threads, until they are cancelled
         self._lead = threading.Lock()
         self._waiters: dict[Call, threading.Lock] = {}  # released when the thread of the call has to look
         self._connection: BlockingConnection | None = None
@@ -151,12 +152,15 @@ class BlockingLinkDriver:
                 except ModbusError:
                     guard.is_torn = False
                     raise
-                generation = self._generation
                 guard.is_torn = False
             while not call.ended:
-                generation = self._follow(call, generation) if call.owner is None else self._head(call, generation)
+                if call.owner is None:
+                    self._follow(call)
+                else:
+                    self._head(call)
         except BaseException:
             if call.submitted and not call.ended:
+                self._given_up.append(call)  # first: a second interrupt must not let it be sent later
                 self._cancel(call)
             raise
         finally:
@@ -225,10 +229,14 @@ class BlockingLinkDriver:
     def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
         try:
+            self._keep_doubts()
             self._close()
         finally:
-            if self._line is not None:  # also after an interrupt: the next link to the line must know what is owed
-                KEPT.keep(self.name, self._line.doubts)
+            self._keep_doubts()  # also after an interrupt: the next link to the line must know what is owed
+
+    def _keep_doubts(self) -> None:
+        if self._line is not None:
+            KEPT.keep(self.name, self._line.doubts)
 
     def _close(self) -> None:
         with self._lock:
@@ -321,13 +329,15 @@ class BlockingLinkDriver:
             self._connection = None
         self._life.begin_again()
         self._lead = threading.Lock()
-        self._generation += 1
+        self._calls.clear()
+        self._given_up.clear()
         self._wake_all()
         self._waiters.clear()
 
     def _resume(self, call: Call, now: float) -> None:
         """Give a call to the session again, because the link has begun again."""
         self.session.resume(call, now)
+        self._calls.add(call)
         if self._life.closed:
             self._life.ended(now)
         self._transmit(now)  # another thread may have connected already
@@ -337,6 +347,8 @@ class BlockingLinkDriver:
 
     def _begin(self, call: Call) -> None:
         """Give a new call to the session, send what need not wait, and become the leader if there is none."""
+        if self._given_up:
+            self._cancel_given_up()
         now = time.monotonic()
         if 0 < self._hold < math.inf:  # held per request it ends with the call, and one made by name begins with it
             self._let_go(now)
@@ -350,6 +362,7 @@ class BlockingLinkDriver:
         adu = None if connection is None or connection.unsent else self.session.send_now(call, now)
         if adu is None:
             self.session.submit(call, now)
+        self._calls.add(call)
         if connection is not None:
             if adu is not None:
                 if self._send(connection, adu, now):
@@ -363,11 +376,8 @@ class BlockingLinkDriver:
         elif self._lead.acquire(blocking=False):
             call.owner = self._lead
 
-    def _follow(self, call: Call, generation: int) -> int:
-        """Wait until the call is complete, or this thread is the leader: then ``call.owner`` is the lock it holds.
-
-        ``generation`` is that in which the session got the call. Returns the present one.
-        """
+    def _follow(self, call: Call) -> None:
+        """Wait until the call is complete, or this thread is the leader: then ``call.owner`` is the lock it holds."""
         guard = self._guard
         is_late = False  # whether this thread has waited, so that something may be due
         while True:
@@ -376,8 +386,9 @@ class BlockingLinkDriver:
                     self._repair()
                 guard.is_torn = True
                 now = time.monotonic()
-                if generation != self._generation:
-                    generation = self._generation
+                if self._given_up:
+                    self._cancel_given_up()
+                if call not in self._calls and not call.ended:
                     self._resume(call, now)
                 elif is_late:
                     self._tick(now)
@@ -388,7 +399,7 @@ class BlockingLinkDriver:
                 if call.ended or call.owner is not None:
                     self._waiters.pop(call, None)
                     guard.is_torn = False
-                    return generation
+                    return
                 deadline = self.session.deadline()
                 pause = _LOOK if deadline is None else min(max(deadline - now, 0.0), _LOOK)
                 if self._connection is not None and self._connection.unsent:  # perhaps the leader waits for no room
@@ -398,11 +409,10 @@ class BlockingLinkDriver:
             waiter.acquire(timeout=pause)
             is_late = True
 
-    def _head(self, call: Call, generation: int) -> int:
+    def _head(self, call: Call) -> None:
         """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete.
 
-        ``generation`` is that in which the session got the call. Returns the present one, early if the link has begun
-        again: then this thread is no longer the leader.
+        Returns early if the link has begun again: then this thread is no longer the leader.
         """
         guard = self._guard
         connected: BlockingConnection | None = None
@@ -412,11 +422,13 @@ class BlockingLinkDriver:
                 if guard.is_torn:
                     self._repair()
                 guard.is_torn = True
-                if generation != self._generation:
+                if self._given_up:
+                    self._cancel_given_up()
+                if call not in self._calls and not call.ended:
                     self._stand_down(call)
                     self._resume(call, time.monotonic())
                     guard.is_torn = False
-                    return self._generation
+                    return
                 if ready and connected is not None and connected is self._connection:
                     self._receive(connected)
                 ended, pause = call.ended, 0.0
@@ -433,7 +445,7 @@ class BlockingLinkDriver:
                     self._stand_down(call)
                     self._used()
                     guard.is_torn = False
-                    return generation
+                    return
                 connected = self._connection
                 if connected is not None and 0 < pause <= self._spin:
                     self._transmit(now + pause)  # finding out what to send takes a tenth of a millisecond
@@ -558,20 +570,24 @@ class BlockingLinkDriver:
                 self._drop(now, network_reason(error))
 
     def _cancel(self, call: Call) -> None:
-        """Cancel a call whose thread was interrupted while it waited; the next waiting thread becomes the leader."""
-        guard = self._guard
+        """Cancel the call of this thread, which was interrupted; the next waiting thread becomes the leader."""
         with self._lock:
-            if guard.is_torn:
-                self._repair()  # which forgets the call
-                self._stand_down(call)
-                guard.is_torn = False
-                return
-            guard.is_torn = True
-            if self.session.cancel(call):
-                self._end_if_stuck(time.monotonic())
+            self._begin_section()
+            self._cancel_given_up()
             self._stand_down(call)
             self._used()
-            guard.is_torn = False
+            self._guard.is_torn = False
+
+    def _cancel_given_up(self) -> None:
+        """Cancel the calls of interrupted threads, if the session has them. Call it with the lock held."""
+        while self._given_up:
+            call = self._given_up[0]
+            if call in self._calls:
+                if self.session.cancel(call):
+                    self._end_if_stuck(time.monotonic())
+                self._calls.discard(call)
+            self._waiters.pop(call, None)
+            del self._given_up[0]
 
     def _end_if_stuck(self, now: float) -> None:
         """Drop the connection if bytes are unsent after a call has ended, because they would be sent later."""
@@ -626,23 +642,25 @@ class BlockingLinkDriver:
         self._done()
 
     def _tick_others(self, scope: ClientScope, now: float) -> None:
-        """End what has timed out on other links of the scope: a cancelled request has a slot, and no thread waits."""
+        """End what has timed out on other links of the scope, and requests there for which no thread waits."""
         for link in scope.links():
             if link is not self and isinstance(link, BlockingLinkDriver) and link.session.in_flight:
                 link._tick(now)
+                if link.session.in_flight and not link._calls:
+                    link._release(now, "another link needed the slot of its cancelled request")
         scope.serve(now)
 
     def _done(self) -> None:
-        """Wake the threads whose calls have ended."""
+        """Let go of the calls that have ended, and wake their threads."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         finished = self.session.finished
         if finished:
-            if self._waiters:
-                for call in finished:
-                    waiter = self._waiters.pop(call, None)
-                    if waiter is not None and waiter.locked():
-                        waiter.release()
+            for call in finished:
+                self._calls.discard(call)
+                waiter = self._waiters.pop(call, None)
+                if waiter is not None and waiter.locked():
+                    waiter.release()
             finished.clear()
 
     def _look_at_line(self) -> None:
