@@ -27,6 +27,7 @@ from busway.testing import faulty_server, known_device
 READ = ReadHoldingRegisters(1, 1)
 READ.prepare()
 pytestmark = [
+    pytest.mark.real_time,
     pytest.mark.filterwarnings("ignore:unclosed <socket"),  # of a connection that was just being made
     pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),  # a point in a finalizer
 ]

@@ -142,6 +142,7 @@ class BlockingLinkDriver:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
         """
         guard = self._guard
+        connected, pause = None, 0.0
         try:
             with self._lock:
                 if guard.is_torn:
@@ -152,7 +153,12 @@ class BlockingLinkDriver:
                 except ModbusError:
                     guard.is_torn = False
                     raise
+                if call.owner is not None and self._line is None:  # it can wait at once, without a section before
+                    connected = self._connection
+                    pause = self._pause(call.submitted)
                 guard.is_torn = False
+            if connected is not None and pause > 0:
+                self._head(call, connected, pause)
             while not call.ended:
                 if call.owner is None:
                     self._follow(call)
@@ -409,14 +415,16 @@ class BlockingLinkDriver:
             waiter.acquire(timeout=pause)
             is_late = True
 
-    def _head(self, call: Call) -> None:
+    def _head(self, call: Call, connected: BlockingConnection | None = None, pause: float = 0.0) -> None:
         """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete.
 
-        Returns early if the link has begun again: then this thread is no longer the leader.
+        Returns early if the link has begun again: then this thread is no longer the leader. The arguments ``connected``
+        and ``pause`` say where to wait first, and for how many seconds.
         """
         guard = self._guard
-        connected: BlockingConnection | None = None
         ready: bool | None = None  # how the last wait at the connection ended: False by time; None: there was none
+        if connected is not None:
+            ready = connected.wait(pause if pause < _LOOK else _LOOK)
         while True:
             with self._lock:
                 if guard.is_torn:
