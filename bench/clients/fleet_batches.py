@@ -20,7 +20,7 @@ import nats
 
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import SampleMessage
+from busway.apps.fleet.messages import Chain, SampleMessage
 from busway.apps.fleet.streams import NatsStream, make_stream
 
 BEGIN = 1_800_000_000 * 10**9
@@ -44,7 +44,7 @@ def message(samples: int, number: int) -> SampleMessage:
         )
         for place in range(samples)
     ]
-    return SampleMessage("west", "store", "hall", Epoch(1, 7), 3, 1000 * number, 0, 0, number, rows)
+    return SampleMessage("west", "store", "hall", Epoch(1, 7), 3, 1000 * number, 0, rows, Chain(1, number))
 
 
 async def repeated(work: Callable[[int], Awaitable[object]], seconds: float) -> tuple[float, float]:

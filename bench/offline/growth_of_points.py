@@ -78,7 +78,7 @@ def packed(size: int) -> tuple[Step, float]:
         )
         for place in range(size)
     ]
-    return SampleMessage("west", "store", "hall", Epoch(1, 7), 3, 1, 0, 0, 1, rows).encode, size
+    return SampleMessage("west", "store", "hall", Epoch(1, 7), 3, 1, 0, rows).encode, size
 
 
 SETTINGS: dict[str, tuple[Callable[[int], tuple[Step, float]], tuple[int, ...]]] = {

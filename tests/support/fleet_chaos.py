@@ -259,6 +259,11 @@ class Run:
         self._stack.close()
 
     @property
+    def _slow(self) -> float:
+        """Seconds that the sink takes for each batch: a mutant is to be killed in them."""
+        return 1.0 if self.scenario.mutant else 0.0
+
+    @property
     def has_stream(self) -> bool:
         """Whether samples go through a stream to a sink."""
         return self.scenario.backend == "nats"
@@ -346,8 +351,7 @@ class Run:
         return self._places["plant"].start("plant.py", settings)
 
     def _start_sink(self) -> None:
-        slow = 0.3 if self.scenario.mutant else 0.0
-        settings = self._settings("sink", rows=str(self.folder / "sink.sqlite"), slow=slow)
+        settings = self._settings("sink", rows=str(self.folder / "sink.sqlite"), slow=self._slow)
         self._sink = self._places["plant"].start("sink.py", settings)
 
     def _start_collector(self, name: str) -> None:
@@ -513,6 +517,7 @@ poll_class = "fast"
             assert self._sink.runs, self._sink.complaints()
             assert time.monotonic() < until, f"the sink got no samples: {self._sink.complaints()}"
             time.sleep(0.2)
+        time.sleep(self._slow / 2)  # a batch has just been kept: the next one is half done by now
         self._sink.kill()
         self._start_sink()
 

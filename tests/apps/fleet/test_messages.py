@@ -4,7 +4,7 @@ from hypothesis import strategies as st
 
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import SampleMessage, UnreadableMessage, by_link, decode_message
+from busway.apps.fleet.messages import Chain, SampleMessage, UnreadableMessage, by_link, decode_message
 
 msgpack = pytest.importorskip("msgpack")
 
@@ -33,9 +33,8 @@ def message(samples: list[CommittedSample], **other: object) -> SampleMessage:
         "revision": 3,
         "complete": 5,
         "kept": 4,
-        "part": 0,
-        "round": 0,
         "samples": samples,
+        "chain": Chain(7, 3, 2, is_first=False),
     }
     return SampleMessage(**{**given_, **other})  # type: ignore[arg-type]
 
@@ -61,21 +60,15 @@ def test_a_newer_format_is_refused_by_name() -> None:
         decode_message(msgpack.packb([3, "anything"]))
 
 
-def test_names_differ_by_link_epoch_store_commits_and_part_and_by_nothing_else() -> None:
-    sample = CommittedSample(5, "meter", "power", 1, 0, 1.0, 0)
-    later = CommittedSample(6, "meter", "power", 2, 0, 1.0, 0)
-    one = message([sample])
+def test_each_attempt_to_send_a_message_has_a_name_of_its_own() -> None:
+    one = message([], chain=Chain(1, 1))
     others = [
-        message([sample], link="roof"),
-        message([sample], epoch=Epoch(1, 8)),
-        message([sample], store="b2"),
-        message([sample], part=1),
-        message([sample], round=1),
-        message([sample, later]),
-        message([], complete=5),
+        message([], chain=Chain(1, 2)),
+        message([], chain=Chain(2, 1)),
+        message([], chain=Chain(1, 1), store="b2"),
+        message([], chain=Chain(1, 1), collector="two"),
     ]
-    assert len({each.name for each in (one, *others)}) == 8
-    assert message([sample], complete=9, kept=9, revision=8).name == one.name
+    assert len({each.name for each in (one, *others)}) == 5
 
 
 def test_samples_are_grouped_by_link_in_their_order() -> None:

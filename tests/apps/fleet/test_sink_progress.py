@@ -20,7 +20,7 @@ def message(sender: "Sender", link: str, commits: list[int], complete: int, *, i
     samples = [CommittedSample(commit, link, "p", commit, 0, commit, 0) for commit in commits]
     sender.number += 1
     chain = Chain(1, sender.number, sender.acknowledged, is_first)
-    return SampleMessage(sender.name, "s", link, None, 0, complete, sender.kept, 0, 0, samples, chain)
+    return SampleMessage(sender.name, "s", link, None, 0, complete, sender.kept, samples, chain)
 
 
 LINKS = ("hall", "roof")

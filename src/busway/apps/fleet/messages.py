@@ -1,7 +1,7 @@
 """Messages that carry the samples of one link in consecutive commits between collectors and sinks, in MessagePack.
 
-1. The name of a message has collector, store, link, epoch, commits and the round of its sender; no two messages have
-   the same name. A sink replaces samples with the same device, point and time.
+1. No two messages have the same name, not even two attempts to send the same samples: a stream drops a message whose
+   name it knows. A sink replaces samples with the same device, point and time.
 2. ``complete`` is a commit of the same collector: the stream has acknowledged every sample up to that commit before
    this message was sent. A reader that takes the stream in order therefore has them all, if the stream has lost none.
 3. A stream can lose messages that it has acknowledged: the last ones, when its server ends, and the oldest, when it is
@@ -59,9 +59,6 @@ class SampleMessage:
         complete: the commit up to which the stream had acknowledged all samples of this store before this message.
         kept: the commit up to which, as the sender knows, all sinks have the samples of this store. The sender begins
             after that commit when it sends again.
-        part: number of this message among those with the same commits of the link, from 0.
-        round: a number that the sender changes whenever it begins again, so that a stream that has the earlier message
-            takes this one too.
         samples: the samples in the order of their commits; empty in a message that only tells ``complete``.
         chain: its place in all that the sender has sent.
     """
@@ -73,16 +70,13 @@ class SampleMessage:
     revision: int
     complete: int
     kept: int
-    part: int
-    round: int
     samples: Sequence[CommittedSample]
     chain: Chain = Chain()
 
     @property
     def name(self) -> str:
         """The name of the message; a stream drops a message whose name it knows already (rule 1)."""
-        first, last = (self.samples[0].commit, self.samples[-1].commit) if self.samples else (0, self.complete)
-        return f"{self.collector}/{self.store}/{self.link}/{self.epoch or 0}/{first}-{last}.{self.part}.{self.round}"
+        return f"{self.collector}/{self.store}/{self.chain.start:x}.{self.chain.number}"
 
     def encode(self) -> bytes:
         """Return the message as bytes in MessagePack. Raises `MissingExtra` without the package msgpack."""
@@ -100,8 +94,6 @@ class SampleMessage:
             self.revision,
             self.complete,
             self.kept,
-            self.part,
-            self.round,
             [self.chain.start, self.chain.number, self.chain.after, self.chain.is_first],
             list(places),
             [places[point] for point in point_of],
@@ -128,7 +120,7 @@ def decode_message(data: bytes) -> SampleMessage:
         content = msgpack.unpackb(data, strict_map_key=False)
         if content[0] != FORMAT:
             raise UnreadableMessage(f"format {content[0]!r} is not known here: this program is older than its sender")
-        _, collector, store, link, epoch, revision, complete, kept, part, round_number, *rest = content
+        _, collector, store, link, epoch, revision, complete, kept, *rest = content
         (start, number, after, is_first), points, *columns = rest
         samples = [
             CommittedSample(
@@ -144,8 +136,6 @@ def decode_message(data: bytes) -> SampleMessage:
             revision,
             complete,
             kept,
-            part,
-            round_number,
             samples,
             Chain(start, number, after, is_first),
         )

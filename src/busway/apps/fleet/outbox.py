@@ -8,10 +8,12 @@ Knows commits and cursors; `streams` knows the engine.
 3. A sink that has taken messages of the stream for `AGAIN_AFTER` seconds without having more samples of this store
    lacks some: all samples are sent again from the commit on that it has. Each time without success the wait is twice as
    long. A sink that takes no messages is away: what is sent to it again would only fill the stream.
-4. Messages that are sent again, after a start, a refusal or by rule 3, have names that the stream does not know. A
-   stream that recognised the name would drop the new message, and might lose the older copy before a sink has it: the
-   sink would then believe that it has everything.
+4. Each attempt to send a message has a name that the stream does not know. A stream that recognised the name would
+   drop the new message, and might lose the older copy before a sink has it.
 5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
+6. Where a sink has commits with numbers that belong to this start, but has them from messages of another, an older copy
+   of the store was put back: the numbers are used twice. The store goes on under a new word, or sinks would pass for
+   having samples that they never saw.
 """
 
 import asyncio
@@ -54,10 +56,12 @@ class SinkPlace:
     Attributes:
         commit: the commit up to which it keeps all samples of one store.
         sequence: the number of the last message of the stream that it has taken, of whatever sender.
+        start: `Chain.start` of the messages that proved ``commit``; 0 if none did.
     """
 
     commit: int
     sequence: int
+    start: int = 0
 
 
 @dataclass(slots=True)
@@ -109,6 +113,8 @@ class Outbox:
         stream: the message stream that gets the samples.
         collector: name of the collector in the messages.
         store: the word that names its store in the messages.
+        newest: the newest commit of the store when the collector started; later commits have higher numbers.
+        rename: changes that word on disk and returns the new one (rule 6).
         link_of: returns by device the name of its link; called before each batch.
         epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
         revision_of: returns the revision of the configuration with which a commit's samples were taken.
@@ -123,6 +129,8 @@ class Outbox:
         *,
         collector: str,
         store: str,
+        newest: int,
+        rename: Callable[[], str],
         link_of: Callable[[], Mapping[str, str]],
         epoch_of: Callable[[str, int], Epoch | None],
         revision_of: Callable[[int], int] = lambda commit: 0,
@@ -130,6 +138,7 @@ class Outbox:
     ) -> None:
         self._manifest, self._stream = manifest, stream
         self._collector, self._store = collector, store
+        self._newest, self._rename = newest, rename
         self._link_of, self._epoch_of, self._revision_of, self._now = link_of, epoch_of, revision_of, now
         self._reader = CommitReader(folder, manifest)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
@@ -138,7 +147,7 @@ class Outbox:
         self._told = -1
         self._waiting: dict[str, _Waiting] = {}
         self._published_at = now()
-        self._messages, self._round = 0, secrets.randbits(48)
+        self._messages = 0
         self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
 
@@ -178,13 +187,9 @@ class Outbox:
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
         is_first = True
-        for message in self._messages_of(found.samples) or [self._message("", 0, [])]:
-            try:
-                await self._publish(message, is_first=is_first)
-                is_first = False
-            except StreamDown:
-                self._round += 1
-                raise
+        for message in self._messages_of(found.samples) or [self._message("", [])]:
+            await self._publish(message, is_first=is_first)
+            is_first = False
         self._sent = found.last
         return len(found.samples) >= MOST
 
@@ -203,23 +208,39 @@ class Outbox:
         Where a sink lacks samples that were sent, sending begins again (rules 1 and 3).
         """
         places = self._stream.places(self._collector, self._store)
+        if any(place.start != self._start and place.commit > self._newest for place in places.values()):
+            await self._begin_under_new_word()
+            return
         kept = min((each.commit for each in places.values()), default=0)
         if kept > self._kept:
             self._kept = min(kept, self._sent)
             lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
             await asyncio.to_thread(self._manifest.set_cursor, OUTBOX, self._kept, lost)
         self._waiting = {name: each for name, each in self._waiting.items() if name in places}
-        lacking = {name: place.commit for name, place in places.items() if self._lacks(name, place)}
+        lacking = {
+            name: place.commit if place.start == self._start else 0
+            for name, place in places.items()
+            if self._lacks(name, place)
+        }
         if lacking:
             begin = max(self._kept, min(lacking.values()))
             _log.warning("%s did not get all: sent again from commit %d on", ", ".join(sorted(lacking)), begin)
             self._sent, self._told = begin, -1
-            self._round += 1
+
+    async def _begin_under_new_word(self) -> None:
+        """Send all that is not known to be kept again, as samples of another store (rule 6)."""
+        self._store = await asyncio.to_thread(self._rename)
+        _log.warning(
+            "sinks have commits that this store has not made: was an older copy of it put back? All is sent again"
+        )
+        self._sent, self._told, self._waiting = self._kept, -1, {}
+        self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
 
     def _lacks(self, name: str, place: SinkPlace) -> bool:
         """Whether a sink lacks samples that were sent, as far as can be seen (rule 3)."""
         now, waiting = self._now(), self._waiting.get(name)
-        if waiting is None or place.commit > waiting.place.commit or place.commit >= self._sent:
+        moves = waiting is None or place.start != waiting.place.start or place.commit > waiting.place.commit
+        if waiting is None or moves or place.commit >= self._sent:
             self._waiting[name] = _Waiting(place, now)
             return False
         if waiting.takes_since is None and place.sequence > waiting.place.sequence:
@@ -234,32 +255,29 @@ class Outbox:
     async def _tell_complete(self) -> None:
         """Tell sinks that all stored samples were sent, so that their positions reach the last commit."""
         if self._told < self._sent:
-            await self._publish(self._message("", 0, []), is_first=True)
+            await self._publish(self._message("", []), is_first=True)
             self._told = self._sent
 
     def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:
         found: list[SampleMessage] = []
         for link, group in by_link(samples, dict(self._link_of())):
             for begin in range(0, len(group), MOST_ROWS):
-                found += self._of_one_epoch(link, begin // MOST_ROWS, group[begin : begin + MOST_ROWS])
+                found += self._of_one_epoch(link, group[begin : begin + MOST_ROWS])
         return found
 
-    def _of_one_epoch(self, link: str, part: int, rows: list[CommittedSample]) -> list[SampleMessage]:
+    def _of_one_epoch(self, link: str, rows: list[CommittedSample]) -> list[SampleMessage]:
         """Return samples of one link as messages, one for each epoch and revision of the configuration.
 
         Args:
             link: name of the link.
-            part: number of this part of the link's samples in the batch, from 0.
             rows: the samples, `MOST_ROWS` at most.
         """
         groups: dict[tuple[Epoch | None, int], list[CommittedSample]] = {}
         for row in rows:
             groups.setdefault((self._epoch_of(link, row.commit), self._revision_of(row.commit)), []).append(row)
-        return [self._message(link, part, each, epoch) for (epoch, _), each in groups.items()]
+        return [self._message(link, each, epoch) for (epoch, _), each in groups.items()]
 
-    def _message(
-        self, link: str, part: int, samples: list[CommittedSample], epoch: Epoch | None = None
-    ) -> SampleMessage:
+    def _message(self, link: str, samples: list[CommittedSample], epoch: Epoch | None = None) -> SampleMessage:
         return SampleMessage(
             self._collector,
             self._store,
@@ -268,7 +286,5 @@ class Outbox:
             self._revision_of(samples[0].commit if samples else self._sent),
             self._sent,
             self._kept,
-            part,
-            self._round,
             samples,
         )

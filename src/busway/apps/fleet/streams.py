@@ -245,8 +245,8 @@ class SinkCursors:
     Attributes:
         sequence: number of the last message of the stream that the sink has taken; 0 before the first.
         commits: by ``collector/store``, the commit up to which the sink has all samples.
-        proved: the ``collector/store`` of which the next message can raise that commit (`SinkProgress`), each with
-            start and number of its last message that the sink has taken (`Chain`).
+        proved: by ``collector/store``, start and number (`Chain`) of the last message that proved that commit; messages
+            after a missing one prove nothing (`SinkProgress`).
     """
 
     sequence: int
@@ -296,7 +296,10 @@ class CursorBook:
     def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
         """Return by sink up to which commit it has the samples of a store: commit 0 if it has nothing of it yet."""
         place = f"{collector}/{store}"
-        return {name: SinkPlace(each.commits.get(place, 0), each.sequence) for name, each in self._cursors.items()}
+        return {
+            name: SinkPlace(each.commits.get(place, 0), each.sequence, each.proved.get(place, (0, 0))[0])
+            for name, each in self._cursors.items()
+        }
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
         """Return the position of one sink and the revision of its table entry; None and 0 if the sink has no entry."""
@@ -411,19 +414,17 @@ class SinkProgress:
        use their numbers again.
     2. After that nothing is proved of the sender until it has begun again: with the first message of a batch, whose
        ``complete`` is not above the commit that the sink is known to have.
+    3. A sender that starts anew begins at ``complete``, even if its earlier start proved more: an older copy of its
+       store may have been put back, and then the commits of both are not the same.
 
     Args:
         cursors: the position that the sink saved last; None for a new sink.
-
-    Attributes:
-        gaps: how often a message of a sender was missing or unreadable.
     """
 
     def __init__(self, cursors: SinkCursors | None) -> None:
         self._sequence = 0 if cursors is None else cursors.sequence
         self._commits = {} if cursors is None else dict(cursors.commits)
         self._proved = dict[str, tuple[int, int]]() if cursors is None else dict(cursors.proved)
-        self.gaps = 0
 
     @property
     def cursors(self) -> SinkCursors:
@@ -439,20 +440,17 @@ class SinkProgress:
         """
         self._sequence = max(sequence, self._sequence)
         if message is None:
-            self.gaps += 1
             return
         place, chain = f"{message.collector}/{message.store}", message.chain
         start, number = self._proved.get(place, (-1, -1))
-        if start == chain.start and number >= chain.number:
+        is_same = start == chain.start
+        if is_same and number >= chain.number:
             return  # it came again
-        follows = start == chain.start and number >= chain.after
-        known = self._commits.get(place, 0)
+        known = self._commits.get(place, 0) if is_same else 0
+        follows = is_same and number >= chain.after
         if follows or (chain.is_first and message.complete <= max(known, message.kept)):
             self._proved[place] = chain.start, chain.number
             self._commits[place] = max(known, message.complete)
-        elif place in self._proved:
-            self.gaps += 1
-            del self._proved[place]
 
 
 class StreamSink:
