@@ -108,7 +108,7 @@ class Sender:
         self.epochs: dict[str, list[tuple[int, int]]] = {}
         self.revisions: list[int] = []
         self.backup: tuple[Path, dict[tuple[str, int], int], set[int]] | None = None
-        self.rows = self.renames = 0
+        self.rows = 0
         self.samples_of: dict[int, dict[tuple[str, int], int]] = {}
         """By start, the samples of that life of the store: after a restore commits are not the same."""
         self.writer = StoreWriter(folder, now=NOW)
@@ -129,18 +129,11 @@ class Sender:
             self,
             collector=self.name,
             store=self.word,
-            newest=self.writer.newest_commit,
-            rename=self.rename,
             link_of=lambda: self.links,
             epoch_of=self.epoch_of,
             revision_of=lambda commit: sum(each <= commit for each in self.revisions),
             now=lambda: self.world.time,
         )
-
-    def rename(self) -> str:
-        self.renames += 1
-        self.word = f"s{self.name}-{self.renames}"
-        return self.word
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
         found = [epoch for first, epoch in self.epochs.get(link, []) if first <= commit]

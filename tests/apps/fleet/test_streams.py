@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import shutil
 from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 from pathlib import Path
 
@@ -21,7 +22,6 @@ from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
-from busway.points import Reason
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
@@ -106,11 +106,11 @@ async def handing_on(server: ForeignServer, sink: KeepingSink) -> AsyncIterator[
             await end_tasks([task])
 
 
-def stored(tmp_path: Path, *names: str, without: Sequence[Reason] = ()) -> set[tuple[str, str, int]]:
+def stored(tmp_path: Path, *names: str, only_values: bool = False) -> set[tuple[str, str, int]]:
     found: set[tuple[str, str, int]] = set()
     for name in names:
         for each in busway.Store(tmp_path / name).read("*/*"):
-            if each.reason not in without:
+            if each.value is not None or not only_values:
                 found.add((each.device, each.point, each.time))
     return found
 
@@ -139,8 +139,7 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 for each in (one, two):
                     await each.collector.flush()
                 # Of an interval without reads a sink gets the begin, if the collector saw it: not one that was over.
-                over = (Reason.OWNERSHIP, Reason.SKIPPED)
-                kept = await asyncio.to_thread(stored, tmp_path, "one", "two", without=over)
+                kept = await asyncio.to_thread(stored, tmp_path, "one", "two", only_values=True)
                 newest = {each: each.collector.newest_commit for each in (one, two)}  # of all that was read before
                 for each in (one, two):
                     assert each.outbox is not None
@@ -149,3 +148,26 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 assert kept <= has, "what all sinks are said to keep, the sink has"
         assert has <= stored(tmp_path, "one", "two"), "nothing comes that no store has"
         assert handed.error is None
+
+
+async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_ones_of_it(tmp_path: Path) -> None:
+    sink = KeepingSink()
+    folder, copy = tmp_path / "one", tmp_path / "copy"
+    with nats_server(tmp_path) as server:
+        async with devices_of(1) as devices, handing_on(server, sink):
+            for start in range(3):
+                async with sending(tmp_path, server, "one", devices) as one:
+                    outbox = one.outbox
+                    assert outbox is not None
+                    before = one.collector.newest_commit
+                    await until(lambda one=one, before=before: one.collector.newest_commit > before + 5, 60)  # type: ignore[misc]
+                    await one.collector.flush()
+                    kept = await asyncio.to_thread(stored, tmp_path, "one", only_values=True)
+                    newest = one.collector.newest_commit
+                    await until(lambda outbox=outbox, newest=newest: outbox.status().kept >= newest, 60)  # type: ignore[misc]
+                    assert kept <= set(sink.kept)
+                if start == 0:
+                    shutil.copytree(folder, copy)
+                if start == 1:
+                    shutil.rmtree(folder)
+                    copy.rename(folder)

@@ -260,8 +260,6 @@ class FleetCollector:
             self._stream,
             collector=self.member.name,
             store=self.ownership.store,
-            newest=self.collector.newest_commit,
-            rename=self.ownership.rename_store,
             link_of=lambda: self._link_of,
             epoch_of=self.ownership.epoch_of,
             revision_of=self.ownership.revision_of,

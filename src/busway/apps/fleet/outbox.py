@@ -11,9 +11,8 @@ Knows commits and cursors; `streams` knows the engine.
 4. Each attempt to send a message has a name that the stream does not know. A stream that recognised the name would
    drop the new message, and might lose the older copy before a sink has it.
 5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
-6. Where a sink has commits with numbers that belong to this start, but has them from messages of another, an older copy
-   of the store was put back: the numbers are used twice. The store goes on under a new word, or sinks would pass for
-   having samples that they never saw.
+6. What a sink says that it has counts only if messages of this start have proved it. If an older copy of the store was
+   put back, its numbers are used twice, and a sink may have commits of the newer one.
 """
 
 import asyncio
@@ -113,8 +112,6 @@ class Outbox:
         stream: the message stream that gets the samples.
         collector: name of the collector in the messages.
         store: the word that names its store in the messages.
-        newest: the newest commit of the store when the collector started; later commits have higher numbers.
-        rename: changes that word on disk and returns the new one (rule 6).
         link_of: returns by device the name of its link; called before each batch.
         epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
         revision_of: returns the revision of the configuration with which a commit's samples were taken.
@@ -129,8 +126,6 @@ class Outbox:
         *,
         collector: str,
         store: str,
-        newest: int,
-        rename: Callable[[], str],
         link_of: Callable[[], Mapping[str, str]],
         epoch_of: Callable[[str, int], Epoch | None],
         revision_of: Callable[[int], int] = lambda commit: 0,
@@ -138,7 +133,6 @@ class Outbox:
     ) -> None:
         self._manifest, self._stream = manifest, stream
         self._collector, self._store = collector, store
-        self._newest, self._rename = newest, rename
         self._link_of, self._epoch_of, self._revision_of, self._now = link_of, epoch_of, revision_of, now
         self._reader = CommitReader(folder, manifest)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
@@ -207,40 +201,26 @@ class Outbox:
 
         Where a sink lacks samples that were sent, sending begins again (rules 1 and 3).
         """
-        places = self._stream.places(self._collector, self._store)
-        if any(place.start != self._start and place.commit > self._newest for place in places.values()):
-            await self._begin_under_new_word()
-            return
+        places = {
+            name: place if place.start == self._start else replace(place, commit=0)  # rule 6
+            for name, place in self._stream.places(self._collector, self._store).items()
+        }
         kept = min((each.commit for each in places.values()), default=0)
         if kept > self._kept:
             self._kept = min(kept, self._sent)
             lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
             await asyncio.to_thread(self._manifest.set_cursor, OUTBOX, self._kept, lost)
         self._waiting = {name: each for name, each in self._waiting.items() if name in places}
-        lacking = {
-            name: place.commit if place.start == self._start else 0
-            for name, place in places.items()
-            if self._lacks(name, place)
-        }
+        lacking = {name: place.commit for name, place in places.items() if self._lacks(name, place)}
         if lacking:
             begin = max(self._kept, min(lacking.values()))
             _log.warning("%s did not get all: sent again from commit %d on", ", ".join(sorted(lacking)), begin)
             self._sent, self._told = begin, -1
 
-    async def _begin_under_new_word(self) -> None:
-        """Send all that is not known to be kept again, as samples of another store (rule 6)."""
-        self._store = await asyncio.to_thread(self._rename)
-        _log.warning(
-            "sinks have commits that this store has not made: was an older copy of it put back? All is sent again"
-        )
-        self._sent, self._told, self._waiting = self._kept, -1, {}
-        self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
-
     def _lacks(self, name: str, place: SinkPlace) -> bool:
         """Whether a sink lacks samples that were sent, as far as can be seen (rule 3)."""
         now, waiting = self._now(), self._waiting.get(name)
-        moves = waiting is None or place.start != waiting.place.start or place.commit > waiting.place.commit
-        if waiting is None or moves or place.commit >= self._sent:
+        if waiting is None or place.commit > waiting.place.commit or place.commit >= self._sent:
             self._waiting[name] = _Waiting(place, now)
             return False
         if waiting.takes_since is None and place.sequence > waiting.place.sequence:

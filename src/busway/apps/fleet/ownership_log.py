@@ -71,7 +71,7 @@ class OwnershipLog:
         folder: folder of the store; this process must hold the store's lock.
 
     Attributes:
-        store: a random word that names this store, the same at every start until `rename_store`.
+        store: a random word that names this store, the same at every start.
 
     Raises:
         ConfigError: the file cannot be used.
@@ -100,14 +100,6 @@ class OwnershipLog:
         )
         for each in self.all():
             self._epochs.setdefault(each.link, []).append((each.after_commit, each.epoch))
-
-    def rename_store(self) -> str:
-        """Give the store another word, on disk and in ``store``, and return it. Raises `sqlite3.Error`."""
-        word = secrets.token_hex(6)
-        with self._lock:
-            self._database.execute("UPDATE identity SET store = ?", (word,))
-            self.store = word
-        return word
 
     def close(self) -> None:
         """Close the file that records which links were owned."""
