@@ -2,6 +2,7 @@
 
 import os
 import re
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -29,8 +30,9 @@ def started(lines: str) -> list[int]:
 
 
 @pytest.mark.real_time
-def test_ctrl_c_ends_the_demonstration_and_all_that_it_has_started(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("end", [signal.SIGINT, signal.SIGHUP], ids=["ctrl-c", "closed terminal"])
+def test_ctrl_c_or_a_closed_terminal_ends_the_demonstration_and_all_that_it_has_started(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, end: signal.Signals
 ) -> None:
     needed("nats-server")
     monkeypatch.setenv("TMPDIR", str(tmp_path))
@@ -40,8 +42,8 @@ def test_ctrl_c_ends_the_demonstration_and_all_that_it_has_started(
         assert len(started(said)) == 3
         assert all(map(lives, started(said)))
         assert list(tmp_path.iterdir())
-        program.stop()
-        assert program.process.returncode == 0
+        program.process.send_signal(end)
+        assert program.process.wait(60) == 0
     assert not any(map(lives, started(said)))
     assert not list(tmp_path.iterdir())
 

@@ -482,7 +482,10 @@ poll_class = "fast"
             self._engines[name].start()
 
     def _cut(self, happened: Happened) -> None:
-        """Pull the cable of a collector for longer than its leases hold."""
+        """Pull the cable of a collector for longer than its leases hold; elsewhere, keep the coordinator from it."""
+        if not self.is_parted:
+            self._away(happened)
+            return
         happened.whom = self._any()
         host = self._places[happened.whom].host
         assert host is not None

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 from .collect_status import open_demo_page, print_status
 from .demo import started_plant
 from .output import say
-from .signals import stop_event
+from .signals import on_hangup, stop_event
 
 COLLECTOR_FILE = """\
 [collector]
@@ -47,7 +47,7 @@ async def collect_demo(limit: float, page: str) -> None:
     from ..apps.collector.collector import Collector
     from ..apps.collector.configuration import load_collector
 
-    with stop_event() as stop:
+    with stop_event() as stop, on_hangup(stop.set):
         async with AsyncExitStack() as stack:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="busway-demo-")))
             _, url = await started_plant(stack, 0)

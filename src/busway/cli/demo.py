@@ -25,7 +25,7 @@ from ..values.counts import counted
 from .arguments import QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
 from .output import print_aligned, warn
-from .signals import stop_event
+from .signals import on_hangup, stop_event
 
 if TYPE_CHECKING:
     from ..apps.gateway.gateway import Gateway
@@ -104,7 +104,7 @@ def demo(
 async def _run(port: int, limit: float | None) -> None:
     from ..client.aio import open_link
 
-    with stop_event() as stop:
+    with stop_event() as stop, on_hangup(stop.set):
         async with AsyncExitStack() as stack:
             plant, url = await started_plant(stack, port)
             link = await stack.enter_async_context(open_link(url, shared=False, timeout=2.0, max_transactions=3))

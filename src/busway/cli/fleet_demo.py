@@ -22,7 +22,7 @@ from ..errors import ConfigError, LinkDown
 from ..extras import require
 from ..values.counts import counted
 from .output import say
-from .signals import stop_event
+from .signals import on_hangup, stop_event
 
 if TYPE_CHECKING:
     from ..apps.fleet.zone_watch import ZoneWatch
@@ -91,7 +91,7 @@ async def fleet_demo(limit: float) -> None:
     program = shutil.which("nats-server") or shutil.which("nats-server", path=SERVER_FOLDERS)
     if program is None:
         raise ConfigError("is not installed: apt-get install nats-server", key="nats-server")
-    with stop_event() as stop:
+    with stop_event() as stop, on_hangup(stop.set):
         async with AsyncExitStack() as stack:
             folder = Path(stack.enter_context(TemporaryDirectory(prefix="busway-fleet-demo-")))
             demo = FleetDemo(stack, folder)

@@ -49,7 +49,7 @@ async def write_point(
         table: the coordinator of the zone.
         zone: name of the zone.
         words: device, point and value.
-        key: identifies the write for ever, so that it is sent once; None for a new key.
+        key: identifies the write, so that it is sent once; None for a new key.
         by: name of who writes; None for the account of this process.
         seconds: time in which the write may be sent to the device.
         as_json: whether to print the answer as JSON.

@@ -116,6 +116,7 @@ def test_an_hour_of_faults(tmp_path: Path) -> None:
             faults += len(longer.faults)
             problems = judged(logs, scenario.bounds)
             assert not problems, "\n".join([f"seed {seed}", *problems, made.story()])
+            made.struck(logs)
             lengths[scenario.backend] += [end - begin for _, begin, end in holes(logs, 1.0)]
         print(f"{seed - 100} runs, {faults} faults; holes in seconds below:")
         for backend, of_backend in lengths.items():

@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import time
 from collections.abc import AsyncGenerator, AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -312,6 +313,30 @@ async def _after_marks(entries: AsyncGenerator[Entry, None]) -> Entry:
         if entry is not SNAPSHOT_BEGINS:
             return entry
     raise AssertionError("the watch has ended")
+
+
+async def test_an_entry_has_the_time_of_its_change_by_the_servers_clock(served: Backend) -> None:
+    async with served.opened() as one:
+        before = time.time()
+        revision = await one.create("member.west", b"a")
+        (made,) = await snapshot(one)
+        await one.replace("member.west", b"b", revision)
+        (changed,) = await snapshot(one)
+        after = time.time()
+    assert made.time is not None
+    assert changed.time is not None
+    assert before - 0.01 <= made.time < changed.time <= after + 0.01
+
+
+async def test_a_bucket_that_forgets_entries_is_refused_by_name(servers: dict[str, Backend]) -> None:
+    backend = servers["nats"]
+    async with backend.opened("forgets") as one:
+        jetstream = one.client.jetstream()  # type: ignore[attr-defined]
+        info = await jetstream.stream_info("KV_busway-forgets")
+        await jetstream.update_stream(info.config.evolve(max_age=3600.0))
+    with pytest.raises(ConfigError, match="the bucket busway-forgets forgets entries after 3600 s, leases too"):
+        async with backend.opened("forgets"):
+            pass
 
 
 async def test_a_database_that_does_not_sync_is_refused_by_name() -> None:

@@ -355,6 +355,12 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
         )
     if info.config.storage != api.StorageType.FILE:
         raise ConfigError(f"the bucket {bucket} is kept in memory only: delete it, and it is made anew", key="bucket")
+    if info.config.max_age:
+        raise ConfigError(
+            f"the bucket {bucket} forgets entries after {info.config.max_age:g} s, leases too: "
+            f"'nats stream edit {stream} --max-age 0'",
+            key="bucket",
+        )
     return info
 
 

@@ -5,7 +5,8 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 1. A change is one ``UPDATE … WHERE revision = …``; the database compares and sets.
 2. Each change is told by ``NOTIFY`` with its key. A watch reads the entries with these keys, and compares the revisions
    of all entries every `COMPARE_EVERY` seconds, so that changes whose notification was lost are found.
-3. Changes that were confirmed must survive a crash of the server: ``fsync`` and ``synchronous_commit`` must be on.
+3. Each entry has the time of its change by the server's clock, by which collectors see that their own is wrong.
+4. Changes that were confirmed must survive a crash of the server: ``fsync`` and ``synchronous_commit`` must be on.
 """
 
 import asyncio
@@ -35,18 +36,20 @@ COMPARE_EVERY: Final = 2.0
 OLDEST: Final = 120_000
 _SCHEMA: Final = """
 CREATE TABLE IF NOT EXISTS busway_fleet (
-    zone text NOT NULL, key text NOT NULL, value bytea NOT NULL, revision bigint NOT NULL, PRIMARY KEY (zone, key)
+    zone text NOT NULL, key text NOT NULL, value bytea NOT NULL, revision bigint NOT NULL,
+    changed timestamptz NOT NULL, PRIMARY KEY (zone, key)
 );
 CREATE SEQUENCE IF NOT EXISTS busway_fleet_revision;
 """
 _CREATE: Final = """
-INSERT INTO busway_fleet VALUES ($1, $2, $3, nextval('busway_fleet_revision'))
+INSERT INTO busway_fleet VALUES ($1, $2, $3, nextval('busway_fleet_revision'), clock_timestamp())
 ON CONFLICT DO NOTHING RETURNING revision, pg_notify($4, $2)
 """
 _REPLACE: Final = """
-UPDATE busway_fleet SET value = $3, revision = nextval('busway_fleet_revision')
+UPDATE busway_fleet SET value = $3, revision = nextval('busway_fleet_revision'), changed = clock_timestamp()
 WHERE zone = $1 AND key = $2 AND revision = $5 RETURNING revision, pg_notify($4, $2)
 """
+_READ: Final = "SELECT key, value, revision, extract(epoch FROM changed)::float8 FROM busway_fleet WHERE zone = $1"
 
 
 async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "PostgresqlCoordinator":
@@ -235,18 +238,14 @@ class PostgresqlCoordinator:
 
     async def _read(self, connection: Any, prefix: str, keys: list[str] | None) -> list[Entry]:
         if keys is None:
-            rows = await connection.fetch(
-                "SELECT key, value, revision FROM busway_fleet WHERE zone = $1 ORDER BY revision", self._zone
-            )
+            rows = await connection.fetch(f"{_READ} ORDER BY revision", self._zone)
         elif keys:
-            rows = await connection.fetch(
-                "SELECT key, value, revision FROM busway_fleet WHERE zone = $1 AND key = ANY($2) ORDER BY revision",
-                self._zone,
-                keys,
-            )
+            rows = await connection.fetch(f"{_READ} AND key = ANY($2) ORDER BY revision", self._zone, keys)
         else:
             return []
-        return [Entry(key, bytes(value), revision) for key, value, revision in rows if key.startswith(prefix)]
+        return [
+            Entry(key, bytes(value), revision, time) for key, value, revision, time in rows if key.startswith(prefix)
+        ]
 
     async def close(self) -> None:
         """Close all connections to PostgreSQL at once. The shared table stays as it is."""
