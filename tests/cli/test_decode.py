@@ -138,3 +138,9 @@ def test_a_megabyte_is_explained_in_seconds(run: Callable[..., Any], frame: str)
     result = run("decode", "-", "--json", stdin=frame * (1_000_000 // (len(frame) // 2)) + "\n")
     assert result.code in (0, 6)
     assert time.process_time() - began < 30  # it takes one on a machine of today
+
+
+def test_file_that_is_not_there_is_said_with_what_else_is_taken(run: Callable[..., Any]) -> None:
+    result = run("decode", "nofile")
+    assert result.code == 2
+    assert "nofile: there is no file of that name, and 'n' is no hexadecimal digit; what goes here: " in result.err

@@ -134,7 +134,7 @@ def test_a_simulation_file_is_written_once_and_says_whom_it_stands_for(
     assert "left out, they did not answer: units 2" in result.err
     assert run("simulate", str(plant), "--check").out.splitlines() == [
         "unit 1: 2 points, 0 with a behaviour",
-        "fault unit 1, typical delay: late, on",
+        "fault unit 1, typical delay: late, on; delay=0.01, units=1",
     ]
     again = run("replay", capture, "--simulate", str(plant))
     assert (again.code, again.out) == (2, "")

@@ -111,6 +111,12 @@ def test_fault_of_a_file_that_cannot_be_is_said_with_its_line(file: Path) -> Non
     assert done.stderr.startswith(f"{file}:24: fault[0].parameters.seconds: must be 0…86400, not -1")
 
 
+def test_place_of_the_page_is_refused_with_an_example_of_its_own(file: Path) -> None:
+    done = _run(str(file), "--api", "foo")
+    assert done.returncode == 2
+    assert "--api: an address such as 127.0.0.1:8502 is needed, not 'foo'" in done.stderr
+
+
 def test_list_needs_no_file() -> None:
     done = _run("--list-faults")
     assert done.returncode == 0

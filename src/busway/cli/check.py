@@ -84,9 +84,10 @@ def check(
     from ..apps.check.run import CheckRun, Pace
     from ..apps.check.summary import Summary
     from ..apps.check.wire import dialer_for
-    from ..options.endpoints import parse_endpoint
+    from ..options.endpoints import parse_endpoint, require_host
 
     endpoint = parse_endpoint(url)
+    require_host(endpoint)
     dialer = dialer_for(endpoint, certificates=_certificates(certificates, is_secure=endpoint.carrier == "tls"))
     chosen = _level(level)
     target = _target(dialer.framing, dialer.has_connections, unit, probe, scratch, kind)

@@ -262,7 +262,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
     except ImportError as error:
         raise MissingExtra(error.name or "starlette", "web", purpose="the page", key="--api") from error
 
-    host_and_port(api, "--api")
+    host_and_port(api, "--api", "127.0.0.1:8502")
     token = None if token_file is None else read_text(token_file).strip()
     return ControlPage(simulation, api, token=token, name=Path(file).stem)
 
