@@ -106,7 +106,10 @@ def _bytes_of(text: str) -> bytes:
     digits = _SEPARATORS.sub("", text)
     wrong = next((each for each in digits if each not in "0123456789abcdefABCDEF"), None)
     if wrong is not None:
-        what = "it is no capture file (pcap, pcapng)" if os.path.lexists(text) else "there is no file of that name"
+        what = "there is no file of that name"
+        if os.path.lexists(text):
+            is_empty = os.path.isfile(text) and not os.path.getsize(text)
+            what = "the file is empty" if is_empty else "it is no capture file (pcap, pcapng)"
         raise ConfigError(
             f"{what}, and {wrong!r} is no hexadecimal digit; "
             "what goes here: frames in hexadecimal, a capture file, or - for standard input",
