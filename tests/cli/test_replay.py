@@ -121,6 +121,13 @@ def test_a_truncated_file_says_how_much_was_read(run: Callable[..., Any], tmp_pa
     assert "3 packets were read" in result.err
 
 
+def test_a_truncated_file_of_one_packet_says_so_in_the_singular(
+    run: Callable[..., Any], tmp_path: Path, talk: Talk
+) -> None:
+    result = run("replay", written(tmp_path, pcap(talk.packets[:2])[:-3]))
+    assert "1 packet was read" in result.err
+
+
 def test_standard_input_is_read(run: Callable[..., Any], talk: Talk) -> None:
     assert "unit 2" in run("replay", "-", stdin=pcap(talk.packets)).out
 
