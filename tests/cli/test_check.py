@@ -236,3 +236,20 @@ def test_udp_is_refused_with_what_can_be_checked(run: Callable[..., Any]) -> Non
     result = run("check", "udp://127.0.0.1:1")
     assert result.code == 2
     assert "TCP, TLS and serial ports" in result.err
+
+
+def test_scratch_items_are_refused_at_a_level_that_writes_nothing(run: Callable[..., Any], checked: str) -> None:
+    result = run("check", checked, "--unit", "1", "--scratch", "4x101:8")
+    assert result.code == 2
+    assert "--scratch: goes with --level write or disruptive; level read writes nothing" in result.err
+
+
+def test_level_write_without_scratch_says_that_no_write_is_tried(run: Callable[..., Any], checked: str) -> None:
+    result = run("check", checked, "--unit", "1", "--level", "write", "--only", "A10")
+    assert "no check of writes is made: --scratch 4x101:8,0x1:8 would name" in result.err
+
+
+def test_number_of_checks_is_the_same_before_and_after(run: Callable[..., Any], checked: str) -> None:
+    result = run("check", checked, "--unit", "1", "--level", "write", "--scratch", "4x101:8", "--idle", "50ms")
+    announced = result.err.split("busway: ")[1].split(" check")[0]
+    assert result.out.splitlines()[-1].startswith(f"{announced} check")

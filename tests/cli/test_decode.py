@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -138,3 +139,17 @@ def test_a_megabyte_is_explained_in_seconds(run: Callable[..., Any], frame: str)
     result = run("decode", "-", "--json", stdin=frame * (1_000_000 // (len(frame) // 2)) + "\n")
     assert result.code in (0, 6)
     assert time.process_time() - began < 30  # it takes one on a machine of today
+
+
+def test_file_that_is_not_there_is_said_with_what_else_is_taken(run: Callable[..., Any]) -> None:
+    result = run("decode", "nofile")
+    assert result.code == 2
+    assert "nofile: there is no file of that name, and 'n' is no hexadecimal digit; what goes here: " in result.err
+
+
+def test_empty_file_is_said_to_be_empty(run: Callable[..., Any], tmp_path: Path) -> None:
+    empty = tmp_path / "empty.log"
+    empty.touch()
+    result = run("decode", str(empty))
+    assert result.code == 2
+    assert "the file is empty" in result.err

@@ -61,3 +61,13 @@ def test_a_level_that_is_refused_is_asked_lower(run: Callable[..., Any], peer: C
 
 def test_no_connection_ends_as_5(run: Callable[..., Any], closed_port: str) -> None:
     assert run("identify", closed_port).code == 5
+
+
+def test_silent_device_is_told_as_silent_once(run: Callable[..., Any], peer: Callable[..., str]) -> None:
+    def keep_silent(request: bytes) -> bytes:
+        return b""
+
+    result = run("identify", peer(keep_silent), "--timeout", "50ms", "--retries", "0")
+    assert result.code != 0
+    assert "is not offered" not in result.err
+    assert len(result.err.splitlines()) == 1

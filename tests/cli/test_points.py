@@ -25,6 +25,12 @@ def telegraf(tmp_path: Path) -> Path:
     return file
 
 
+def test_convert_says_that_a_file_is_not_there(run: Callable[..., Any], tmp_path: Path) -> None:
+    result = run("points", "convert", str(tmp_path / "nofile"))
+    assert result.code == 2
+    assert "cannot be read: no such file or directory" in result.err
+
+
 def test_the_device_file_goes_to_stdout_and_the_report_to_stderr(run: Callable[..., Any], telegraf: Path) -> None:
     result = run("points", "convert", str(telegraf))
     assert result.code == 0
@@ -48,7 +54,7 @@ def test_a_file_that_is_there_is_not_written_over(run: Callable[..., Any], teleg
         (["import", "x"], ["convert", "'import'"]),
         (["convert"], ["needs a file"]),
         (["convert", "nothing.toml"], ["nothing.toml", "no such file"]),
-        (["convert", "x.bin"], ["--from", "telegraf"]),
+        (["convert", __file__], ["--from", "telegraf"]),
         (["convert", "x.toml", "--from", "excel"], ["excel", "sunspec"]),
         (["convert", "x.json", "--count", "NPt"], ["--count", "NAME=N"]),
         (["convert", "x.json", "--count", "NPt=0"], ["--count NPt", "1…10000"]),

@@ -182,3 +182,9 @@ def test_help_names_its_options_in_one_order(seed: str) -> None:
         env={**os.environ, "PYTHONHASHSEED": seed}, capture_output=True, text=True, timeout=60, check=True,
     ).stdout  # fmt: skip
     assert "  -h, --help " in help_text
+
+
+def test_misspelt_command_gets_the_nearest_one(run: Callable[..., Any]) -> None:
+    result = run("raed")
+    assert result.code == 2
+    assert "there is no command 'raed'; is it read?" in result.err

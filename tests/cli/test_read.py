@@ -147,7 +147,7 @@ def test_a_bad_argument_costs_one_sentence_that_names_it_and_nothing_is_sent(
 @pytest.mark.parametrize("url", ["plc.local", "tcp://", "http://x", "tcp://host:99999", "tcp://127.0.0.1?speed=3"])
 def test_a_bad_url_costs_one_sentence_that_names_it(run: Callable[..., Any], url: str) -> None:
     result = run("read", url, "4x1", "--timeout", "50ms", "--retries", "0")
-    assert result.code in (2, 5)  # an empty host is this machine, where nobody may listen on port 502
+    assert result.code in (2, 5)  # a name without an address ends as 5
     assert len(result.err.splitlines()) == 1
     assert url.split("?")[0] in result.err
 
@@ -209,3 +209,21 @@ def test_a_unit_is_named_as_the_command_line_names_it(run: Callable[..., Any], u
     assert result.code == 2
     assert "--unit 1" in result.err
     assert "link.unit" not in result.err
+
+
+@pytest.mark.parametrize("empty", ["tcp://", "tcp://:5020", "rtu+tcp://:4001"])
+def test_a_url_without_a_host_is_refused(run: Callable[..., Any], empty: str) -> None:
+    result = run("read", empty, "4x1")
+    assert result.code == 2
+    assert "the host is missing, as in" in result.err
+
+
+@pytest.mark.parametrize("arguments", [["4x1"], ["4x1", "--type", "int16"], ["4x1.3"], ["0x1"]])
+def test_an_order_without_effect_is_refused(run: Callable[..., Any], url: str, arguments: list[str]) -> None:
+    result = run("read", url, *arguments, "--order", "CDAB")
+    assert result.code == 2
+    assert "--order: " in result.err
+
+
+def test_an_order_that_swaps_the_bytes_of_one_register_is_taken(run: Callable[..., Any], url: str) -> None:
+    assert run("read", url, "4x1", "--order", "BADC").code == 0

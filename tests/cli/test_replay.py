@@ -121,6 +121,13 @@ def test_a_truncated_file_says_how_much_was_read(run: Callable[..., Any], tmp_pa
     assert "3 packets were read" in result.err
 
 
+def test_a_truncated_file_of_one_packet_says_so_in_the_singular(
+    run: Callable[..., Any], tmp_path: Path, talk: Talk
+) -> None:
+    result = run("replay", written(tmp_path, pcap(talk.packets[:2])[:-3]))
+    assert "1 packet was read" in result.err
+
+
 def test_standard_input_is_read(run: Callable[..., Any], talk: Talk) -> None:
     assert "unit 2" in run("replay", "-", stdin=pcap(talk.packets)).out
 
@@ -134,7 +141,7 @@ def test_a_simulation_file_is_written_once_and_says_whom_it_stands_for(
     assert "left out, they did not answer: units 2" in result.err
     assert run("simulate", str(plant), "--check").out.splitlines() == [
         "unit 1: 2 points, 0 with a behaviour",
-        "fault unit 1, typical delay: late, on",
+        "fault unit 1, typical delay: late, on; delay=0.01, units=1",
     ]
     again = run("replay", capture, "--simulate", str(plant))
     assert (again.code, again.out) == (2, "")

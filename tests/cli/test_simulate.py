@@ -205,7 +205,7 @@ def test_an_option_that_cannot_be_is_refused_by_its_name(
 @pytest.mark.parametrize(
     ("words", "sentence"),
     [
-        (["--api", "nonsense"], "--api: an address such as 127.0.0.1:9502 is needed, not 'nonsense'"),
+        (["--api", "nonsense"], "--api: an address such as 127.0.0.1:8502 is needed, not 'nonsense'"),
         (["--api-token", "token"], "--api-token: goes with --api only"),
     ],
 )

@@ -70,14 +70,17 @@ def test_faults_of_the_file_and_of_the_command_line_are_played(file: Path) -> No
         finally:
             process.kill()
     assert process.returncode == 0
-    assert "fault monday: answers exception 06 for a minute" in said
+    assert "fault monday: answers exception 06 for some time; seconds=60, units=3" in said
     assert "fault unit=255: answers as unit 255" in said
 
 
 def test_check_names_the_faults_and_plays_none(file: Path) -> None:
     done = _run(str(file), "--check", "--fault", "late:delay=2,units=1-3")
     assert done.returncode == 0
-    assert done.stdout.splitlines()[-2:] == ["fault monday: busy, off", "fault late: late, on"]
+    assert done.stdout.splitlines()[-2:] == [
+        "fault monday: busy, off; seconds=60, units=3",
+        "fault late: late, on; delay=2, units=1-3",
+    ]
 
 
 @pytest.mark.parametrize(
@@ -85,6 +88,12 @@ def test_check_names_the_faults_and_plays_none(file: Path) -> None:
     [
         ("lazy", "--fault lazy: lazy: there is no fault profile 'lazy'; there are late,"),
         ("late:delay=x", "--fault late:delay=x: delay: must be a number, true or false, not 'x'"),
+        (
+            "noise",
+            "--fault noise: it would never strike: noise strikes on RTU and ASCII, on a line or over a network only, "
+            "and no listener is one of them",
+        ),
+        ("hole:units=9", "--fault hole:units=9: it would never strike: no unit 9 is simulated; there are 3, 4"),
         ("late:delay=-1", "--fault late:delay=-1: delay: must be 0…86400, not -1"),
     ],
 )
@@ -102,7 +111,37 @@ def test_fault_of_a_file_that_cannot_be_is_said_with_its_line(file: Path) -> Non
     assert done.stderr.startswith(f"{file}:24: fault[0].parameters.seconds: must be 0…86400, not -1")
 
 
+def test_place_of_the_page_is_refused_with_an_example_of_its_own(file: Path) -> None:
+    done = _run(str(file), "--api", "foo")
+    assert done.returncode == 2
+    assert "--api: an address such as 127.0.0.1:8502 is needed, not 'foo'" in done.stderr
+
+
 def test_list_needs_no_file() -> None:
     done = _run("--list-faults")
     assert done.returncode == 0
     assert [line.split()[0] for line in done.stdout.splitlines() if not line.startswith(" ")] == list(FAULT_PROFILES)
+
+
+def test_fault_of_lines_is_taken_where_a_listener_has_frames_of_lines(file: Path) -> None:
+    done = _run(str(file), "--check", "--fault", "noise", "--listen", "rtu+tcp://127.0.0.1:0")
+    assert done.returncode == 0
+    assert done.stdout.splitlines()[-1] == "fault noise: noise, on; size=3, before=true, after=true"
+
+
+def test_fault_of_the_file_that_no_request_can_meet_is_told(file: Path) -> None:
+    file.write_text(FILE.replace("units = 3\non = false", "units = 9"))
+    done = _run(str(file), "--check")
+    assert done.returncode == 0
+    assert "busway: fault monday never strikes: no unit 9 is simulated; there are 3, 4" in done.stderr
+
+
+def test_begin_and_end_of_a_timed_fault_are_told_without_a_request(file: Path) -> None:
+    done = _run(str(file), "--fault", "wedged:from=0.1,for=0.1", "--for", "2s")
+    assert done.returncode == 0
+    told = [line for line in done.stderr.splitlines() if "wedged" in line]
+    assert told == [
+        "busway: fault wedged: the socket is up and Modbus is dead; from=0.1, for=0.1; begins in 0.1 s",
+        "busway: fault wedged begins",
+        "busway: fault wedged ends",
+    ]

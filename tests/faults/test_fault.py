@@ -150,3 +150,11 @@ def test_connection_is_admitted_only_if_every_fault_does_and_closes_at_the_earli
 
 def test_silence_is_no_answer_at_all() -> None:
     assert SILENCE == b""
+
+
+def test_schedule_says_when_it_changes_next() -> None:
+    assert Schedule().next_change(5) is None
+    once = Schedule(after=14, lasts=4)
+    assert [once.next_change(at) for at in (0, 14, 17, 18)] == [14, 18, 18, None]
+    again = Schedule(after=1, lasts=2, every=10)
+    assert [again.next_change(at) for at in (0, 1, 3, 11, 12)] == [1, 3, 11, 13, 13]

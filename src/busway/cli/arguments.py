@@ -15,6 +15,7 @@ from ..values.durations import duration
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
+    from ..values import Address, ValueType
 
 URL = typer.Argument(..., metavar="URL", help="The device: tcp://10.0.0.5, tcp://host:5020.")
 UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="Unit identifier, 0…255. On TCP 255, the device itself.")
@@ -158,3 +159,26 @@ def show_traffic(verbose: int) -> None:
     logger = logging.getLogger("busway.trace")
     logger.handlers[:] = [handler]
     logger.propagate = False
+
+
+def check_order(place: "Address", form: "ValueType[Any] | None", order: str) -> None:
+    """Check that ``--order`` changes something at an address.
+
+    Args:
+        place: the address.
+        form: the value type, in that order; None for one bit.
+        order: the text of ``--order``.
+
+    Raises:
+        ConfigError: it is given, and there is one bit, or one register whose bytes it leaves in their order.
+    """
+    if order == "ABCD":
+        return
+    if form is None or place.bit is not None:
+        raise ConfigError(f"{place} is one bit and has no order", key="--order")
+    if form.registers == 1 and form.order in ("", "AB"):
+        raise ConfigError(
+            f"{order} has no effect on {form.name}, which is one register; a type of several goes with it, "
+            "such as --type float32",
+            key="--order",
+        )

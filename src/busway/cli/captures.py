@@ -98,9 +98,8 @@ def say_what_was_left_out(file: "PacketFile", traffic: "CapturedTraffic", frames
         frames: number of Modbus frames that were shown.
     """
     if file.truncated_at is not None:
-        warn(
-            f"the file ends inside a record at offset {file.truncated_at}; {counted(file.packets, 'packet')} were read"
-        )
+        packets = counted(file.packets, "packet", "was")
+        warn(f"the file ends inside a record at offset {file.truncated_at}; {packets} read")
     if frames:
         return
     if traffic.other_ports:

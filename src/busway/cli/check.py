@@ -80,17 +80,20 @@ def check(
 ) -> int:
     """Check a device against the specification."""
     from ..apps.check.catalogue import checks_for
-    from ..apps.check.check import Outcome
+    from ..apps.check.check import Level, Outcome
     from ..apps.check.run import CheckRun, Pace
     from ..apps.check.summary import Summary
     from ..apps.check.wire import dialer_for
-    from ..options.endpoints import parse_endpoint
+    from ..options.endpoints import parse_endpoint, require_host
 
     endpoint = parse_endpoint(url)
+    require_host(endpoint)
     dialer = dialer_for(endpoint, certificates=_certificates(certificates, is_secure=endpoint.carrier == "tls"))
     chosen = _level(level)
     target = _target(dialer.framing, dialer.has_connections, unit, probe, scratch, kind)
     target = replace(target, is_secure=endpoint.carrier == "tls")
+    if scratch is not None and chosen < Level.WRITE:
+        raise ConfigError(f"goes with --level write or disruptive; level {level} writes nothing", key="--scratch")
     files = _report_files(report)
     before = {} if baseline is None else _baseline(baseline)
     checks = checks_for(target, chosen, [] if only is None else [name.strip() for name in only.split(",")])
@@ -100,7 +103,10 @@ def check(
         seconds(idle, "--idle", high=3600),
     )
     show_traffic(verbose)
-    say(f"{counted(len(checks), 'check')} of {endpoint.url}, unit {target.unit}, level {chosen.name.lower()}")
+    made = len(checks) + any(check.writes for check in checks)  # restoring what they wrote is one more
+    say(f"{counted(made, 'check')} of {endpoint.url}, unit {target.unit}, level {chosen.name.lower()}")
+    if chosen >= Level.WRITE and scratch is None:
+        say("no check of writes is made: --scratch 4x101:8,0x1:8 would name the items that may be written")
     results = []
     with capturing(capture):
         for result in CheckRun(dialer, target, pace).results(checks):

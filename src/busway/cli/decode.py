@@ -106,8 +106,15 @@ def _bytes_of(text: str) -> bytes:
     digits = _SEPARATORS.sub("", text)
     wrong = next((each for each in digits if each not in "0123456789abcdefABCDEF"), None)
     if wrong is not None:
-        what = "it is no capture file (pcap, pcapng)" if os.path.lexists(text) else "there is no file of that name"
-        raise ConfigError(f"{what}, and {wrong!r} is no hexadecimal digit", key=_cut(text))
+        what = "there is no file of that name"
+        if os.path.lexists(text):
+            is_empty = os.path.isfile(text) and not os.path.getsize(text)
+            what = "the file is empty" if is_empty else "it is no capture file (pcap, pcapng)"
+        raise ConfigError(
+            f"{what}, and {wrong!r} is no hexadecimal digit; "
+            "what goes here: frames in hexadecimal, a capture file, or - for standard input",
+            key=_cut(text),
+        )
     if not digits:
         raise ConfigError("there are no bytes", key=repr(text))
     if len(digits) % 2:

@@ -4,12 +4,13 @@
    levels are tried from the highest down.
 2. Report server id (17).
 3. Each of the two functions that a device does not offer is named on stderr. It is an error only if it offers neither.
+   A device that answers neither is silent: that is said once.
 """
 
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
-from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError
+from ..errors import ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply
 from .arguments import CAPTURE, CSV, JSON, RETRIES, TIMEOUT, UNIT, URL, VERBOSE, opened_unit
 from .exits import ExitCode
 from .files import capturing
@@ -44,7 +45,7 @@ def identify(
     if as_json and as_csv:
         raise ConfigError("does not go with --json", key="--csv")
     facts: list[Fact] = []
-    failures: list[ModbusError] = []
+    failures: dict[str, ModbusError] = {}
     questions: tuple[tuple[str, Callable[[BlockingUnit], list[Fact]]], ...] = (
         ("device identification (43/14)", _identification),
         ("server id (17)", _server_id),
@@ -59,10 +60,14 @@ def identify(
             except (LinkDown, InvalidRequest, ConfigError):
                 raise
             except ModbusError as error:
-                failures.append(error)
-                warn(f"{name} is not offered: {error}")
-    if len(failures) == len(questions):
-        raise failures[0]
+                failures[name] = error
+    errors = list(failures.values())
+    if len(errors) == len(questions) and all(isinstance(one, NoReply) for one in errors):
+        raise errors[0]
+    for name, failure in failures.items():
+        warn(f"{name} is not {'answered' if isinstance(failure, NoReply) else 'offered'}: {failure}")
+    if len(errors) == len(questions):
+        raise errors[0]
     _show(facts, as_json=as_json, as_csv=as_csv)
     return ExitCode.DONE
 

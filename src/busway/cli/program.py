@@ -119,7 +119,11 @@ class Program(TyperGroup):
 
     def resolve_command(self, ctx: Any, args: list[str]) -> Any:
         if args[0] not in COMMANDS and not ctx.resilient_parsing:
-            ctx.fail(f"there is no command {args[0]!r}, but {', '.join(COMMANDS)}")
+            from difflib import get_close_matches  # here: it is needed for this sentence alone
+
+            near = get_close_matches(args[0], COMMANDS, 1)
+            hint = f"; is it {near[0]}?" if near else f", but {', '.join(COMMANDS)}"
+            ctx.fail(f"there is no command {args[0]!r}{hint}")
         return super().resolve_command(ctx, args)
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:

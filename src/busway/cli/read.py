@@ -30,6 +30,7 @@ from .arguments import (
     UNIT,
     URL,
     VERBOSE,
+    check_order,
     opened_unit,
     seconds,
     whole_number,
@@ -154,6 +155,7 @@ def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool)
             raise InvalidRequest(f"{place}: one bit of a register has no type {kind}")
         form = value_type(kind or "uint16" if place.bit is None else f"bit:{place.bit}", order)
         limit, items = MAX_READ_REGISTERS, form.registers_for(count)
+    check_order(place, form, order)
     if items > limit and not split:
         raise InvalidRequest(
             f"{place}: {count} values are {items} {place.table.label}s, and one request reads at most {limit};"

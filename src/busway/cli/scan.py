@@ -13,7 +13,7 @@ import typer
 from ..client.scanning import LISTEN_SECONDS, FoundUnit, UnitScan, refuse_busy_line, units_to_ask
 from ..codes import LAST_SERIAL_UNIT
 from ..errors import ConfigError
-from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..pdu.encapsulated import OBJECT_NAMES
 from ..values.counts import counted
 from .arguments import CAPTURE, JSON, QUIET, VERBOSE, seconds, show_traffic, whole_number
@@ -53,6 +53,7 @@ def scan(
 ) -> int:
     """Find the units that answer."""
     endpoint = parse_endpoint(url)
+    require_host(endpoint)
     settings = list(_settings(endpoint, baud, parity))
     asked = _units(units, endpoint)
     longest = seconds(timeout, "--timeout", low=0.001, high=60)

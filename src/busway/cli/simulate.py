@@ -3,7 +3,8 @@
 1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
    the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
 2. Units and behaviours stay those of the start; SIGHUP reads policy, address lists and certificates again.
-3. ``--fault`` switches on a fault of the file, or a fault profile; what the fault does is printed on stderr.
+3. ``--fault`` switches on a fault of the file, or a fault profile; what the fault does is printed on stderr, and so are
+   begin and end of one that has a time. A fault that no request can meet is refused.
 4. With ``--api`` the address of the page goes to stderr once it answers. A token that was made here stands behind
    ``#``; a token from a file is not shown.
 """
@@ -11,7 +12,7 @@
 import asyncio
 import math
 import re
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
 from pathlib import Path
@@ -64,6 +65,8 @@ if TYPE_CHECKING:
     from ..apps.server.service import Service
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.hosting import ControlPage
+    from ..faults.fault import AppliedFault
+    from ..faults.switchboard import FaultStatus
 
 EXAMPLES = """\b
 Examples:
@@ -162,7 +165,7 @@ def simulate(
     from ..server.loops import run
 
     source = chosen_source(file, device, map_file, unit, listener_changes(priority))
-    simulation = _loaded(source, fault or (), keeps_state=not check, **options)
+    simulation = _loaded(source, fault or (), listen or (), keeps_state=not check, **options)
     if check:
         _print_units(simulation)
         return ExitCode.DONE
@@ -188,29 +191,43 @@ def simulate(
     return ExitCode.DONE
 
 
-def _loaded(source: Chosen, faults: Iterable[str], *, keeps_state: bool, **options: Any) -> "Simulation":
+def _loaded(
+    source: Chosen,
+    faults: Iterable[str],
+    listen: Collection[str],
+    *,
+    keeps_state: bool,
+    **options: Any,  # of different types
+) -> "Simulation":
     """Return the simulation of a source, with the faults of ``--fault`` switched on; it does not run yet.
 
     Args:
         source: where the simulation comes from.
         faults: the texts of ``--fault``.
+        listen: the endpoints of ``--listen``; empty for those of the source.
         keeps_state: whether the state of an earlier run is loaded. False for the check of a file, which must not touch
             it.
         options: keyword arguments of `Simulation`.
 
     Raises:
-        ConfigError: the source or a fault is invalid.
+        ConfigError: the source or a fault is invalid, or a fault could never strike.
     """
-    from ..apps.simulator.added_faults import put_on_by_words
+    from ..apps.simulator.added_faults import put_on_by_words, why_it_never_strikes
     from ..apps.simulator.simulation import Simulation
 
     declaration = source.load()
     simulation = Simulation(declaration if keeps_state else replace(declaration, state=None), **options)
+    endpoints = listen or [str(one.endpoint) for one in simulation.listeners]
     for words in faults:
         try:
-            put_on_by_words(simulation.board, words)
+            status = simulation.board.status(put_on_by_words(simulation.board, words))
         except ConfigError as error:
             raise ConfigError(str(error), key=f"--fault {words}") from error
+        if why := why_it_never_strikes(status, endpoints, simulation.units):
+            raise ConfigError(f"it would never strike: {why}", key=f"--fault {words}")
+    for status in simulation.board:
+        if status.is_on and (why := why_it_never_strikes(status, endpoints, simulation.units)):
+            warn(f"fault {status.name} never strikes: {why}")
     return simulation
 
 
@@ -245,7 +262,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
     except ImportError as error:
         raise MissingExtra(error.name or "starlette", "web", purpose="the page", key="--api") from error
 
-    host_and_port(api, "--api")
+    host_and_port(api, "--api", "127.0.0.1:8502")
     token = None if token_file is None else read_text(token_file).strip()
     return ControlPage(simulation, api, token=token, name=Path(file).stem)
 
@@ -259,17 +276,36 @@ def check_file(file: str) -> None:
 
 
 def _print_units(simulation: "Simulation") -> None:
+    from ..apps.simulator.added_faults import fault_details
+
     for unit in simulation.units.values():
         moving = sum(point.behaviour != "" for point in unit.points.values())
         name = f" {unit.name}:" if unit.name else ""
         print(f"unit {unit.unit}:{name} {counted(len(unit.points), 'point')}, {moving} with a behaviour")
     for each in simulation.board:
-        print(f"fault {each.name}: {each.fault_profile}, {'on' if each.is_on else 'off'}")
+        details = fault_details(each)
+        with_them = f"; {details}" if details else ""
+        print(f"fault {each.name}: {each.fault_profile}, {'on' if each.is_on else 'off'}{with_them}")
+
+
+def _announce_fault(status: "FaultStatus") -> None:
+    """Say what a fault that is switched on does, with its parameters, and when it begins if that is later."""
+    from ..apps.simulator.added_faults import fault_details
+
+    details, after = fault_details(status), status.selection.schedule.after
+    told = [status.happens, *([details] if details else []), *([f"begins in {after:g} s"] if after else [])]
+    say(f"fault {status.name}: {'; '.join(told)}")
+
+
+def _tell_fault_time(fault: "AppliedFault", begins: bool) -> None:
+    say(f"fault {fault.label} {'begins' if begins else 'ends'}")
 
 
 async def _simulate(
     simulation: "Simulation", service: "Service", page: "ControlPage | None", limit: float | None
 ) -> None:
+    from ..apps.simulator.fault_times import tell_fault_times
+
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
             await stack.enter_async_context(read_again_on_hangup(service))
@@ -286,7 +322,9 @@ async def _simulate(
                 warn(sentence)
             for each in simulation.board:
                 if each.is_on:
-                    say(f"fault {each.name}: {each.happens}")
+                    _announce_fault(each)
             announce(service)
+            times = asyncio.create_task(tell_fault_times(simulation.board, _tell_fault_time))
+            stack.callback(times.cancel)
             with suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), limit)

@@ -28,6 +28,7 @@ from .arguments import (
     UNIT,
     URL,
     VERBOSE,
+    check_order,
     opened_unit,
     refuse_unknown_option,
     whole_number,
@@ -211,9 +212,11 @@ def _parsed(
             raise InvalidRequest(f"{place} is one bit and has no type {kind}")
         if place.bit is not None and len(texts) > 1:
             raise InvalidRequest(f"{place} is one bit, but there are {len(texts)} values")
+        check_order(place, None, order)
         states = [parse_bit(text) for text in texts]
         return None, states, bytes(states)
     form = value_type(kind or "uint16", order)
+    check_order(place, form, order)
     try:
         values = [form.parse(text) for text in texts]
         return form, values, form.encode(values)

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..errors import ConfigError
 from ..options.client import ClientParameters, ManagementParameters
 from ..options.declaration import Mark, declared
-from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from ..options.offer import LINKS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
@@ -111,6 +111,7 @@ def link_settings(
         ConfigError: the URL or an option is invalid, or an option has no effect for this endpoint.
     """
     endpoint = parse_endpoint(url)
+    require_host(endpoint)
     if ssl_context is not None:
         _check_context(endpoint, {**endpoint.options, **options})
     offer = Offer.at(endpoint, "client", LINKS)

@@ -207,7 +207,12 @@ class FaultyConnection:
 
 
 def _carriers(connection: TappedConnection) -> frozenset[Carrier]:
-    found = {Carrier.TCP if connection.framing == "mbap" else Carrier.SERIAL}
-    if connection.carrier in _CONNECTED:
+    return carriers_of(connection.framing, connection.carrier)
+
+
+def carriers_of(framing: str, carrier: str) -> frozenset[Carrier]:
+    """Return the kinds of transport that a connection with this framing over this carrier belongs to."""
+    found = {Carrier.TCP if framing == "mbap" else Carrier.SERIAL}
+    if carrier in _CONNECTED:
         found.add(Carrier.CONNECTION)
     return frozenset(found)

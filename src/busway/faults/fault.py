@@ -208,6 +208,23 @@ class Schedule:
             elapsed %= self.every
         return self.lasts is None or elapsed < self.lasts
 
+    @property
+    def is_timed(self) -> bool:
+        """Whether a fault begins later than it is switched on, or ends by itself after a time."""
+        return self.after > 0 or self.lasts is not None
+
+    def next_change(self, elapsed: float) -> float | None:
+        """Return when a fault begins or ends next, in seconds after it was switched on; None if it stays as it is."""
+        if elapsed < self.after:
+            return self.after
+        if self.lasts is None:
+            return None
+        if not self.every:
+            end = self.after + self.lasts
+            return end if elapsed < end else None
+        begun = self.after + (elapsed - self.after) // self.every * self.every
+        return begun + self.lasts if elapsed < begun + self.lasts else begun + self.every
+
     def is_turn(self, chosen: int) -> bool:
         """Whether a fault applies to the next request, after ``chosen`` requests to which it could have applied."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
@@ -329,6 +346,18 @@ class AppliedFault:
         if self._since is None:
             self._since = now
         return self.selection.schedule.is_time(now - self._since)
+
+    def next_change(self, now: float) -> float | None:
+        """Return when the schedule of the fault begins or ends next, in seconds of ``now``; None if it does not.
+
+        As with `is_on`, the schedule of a fault that was just switched on starts at the first call.
+        """
+        if not self.enabled:
+            return None
+        if self._since is None:
+            self._since = now
+        change = self.selection.schedule.next_change(now - self._since)
+        return None if change is None else self._since + change
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
         """Decide whether the fault applies to a request; to be called once for each request.

@@ -22,7 +22,7 @@ from ..server.server import Server
 from ..session.responder import Responder
 from .clock import Clock
 from .connections import FaultyTap
-from .fault import AppliedFault, Faults, Schedule, Selection
+from .fault import EVERYWHERE, AppliedFault, Carrier, Faults, Schedule, Selection
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES
 from .responder import FaultyResponder
@@ -40,6 +40,7 @@ class FaultStatus:
         struck: number of requests it has changed and of connections it has refused or closed.
         parameters: all parameters of the fault profile, with their values.
         selection: which requests it applies to.
+        carriers: the kinds of transport on which it can occur.
     """
 
     name: str
@@ -49,6 +50,7 @@ class FaultStatus:
     struck: int
     parameters: Mapping[str, Any]  # of the types that the fault profile declares
     selection: Selection
+    carriers: frozenset[Carrier] = EVERYWHERE
 
 
 class FaultSwitchboard:
@@ -160,4 +162,5 @@ class FaultSwitchboard:
             struck=applied.struck,
             parameters={**({} if known is None else known.options), **fault.options},
             selection=applied.selection,
+            carriers=fault.carriers,
         )

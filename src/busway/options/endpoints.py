@@ -9,7 +9,7 @@ reports an option that it does not have.
     rtu:///dev/ttyUSB0?baud=19200&parity=even     ascii:///dev/ttyS1
     rtu+tcp://host:4001   ascii+tcp://host:4001   rtu+udp://host:4001   ascii+udp://host:4001
 
-An empty host means every interface for a listener and 127.0.0.1 for a client.
+An empty host means every interface for a listener; a client refuses it (`require_host`).
 
 An IP address without a scheme is tcp. Any other text without one is refused with a suggested URL: the name of a serial
 port does not say whether its framing is RTU or ASCII.
@@ -175,6 +175,12 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     if port is None:
         raise ConfigError(f"{url}: the port is missing; {scheme} has no usual one")
     return Endpoint(scheme, host=parts.hostname or "", port=port, options=options)
+
+
+def require_host(endpoint: Endpoint) -> None:
+    """Check that an endpoint says which peer a client is to reach. Raises `ConfigError` if it has no host."""
+    if endpoint.carrier != "serial" and not endpoint.host:
+        raise ConfigError(f"{endpoint.url}: the host is missing, as in {endpoint.scheme}://127.0.0.1:{endpoint.port}")
 
 
 def _with_scheme(text: str) -> str:

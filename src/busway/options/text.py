@@ -164,12 +164,13 @@ def _words(kind: type) -> str:
     return {bool: "on or off", int: "a whole number", float: "a number", str: "a text"}.get(kind, kind.__name__)
 
 
-def host_and_port(text: str, key: str) -> tuple[str, int]:
+def host_and_port(text: str, key: str, example: str = "127.0.0.1:9502") -> tuple[str, int]:
     """Split ``127.0.0.1:9502`` or ``[::1]:9502`` into host and port, 0…65535.
 
     Args:
         text: the address.
         key: name of the option with the address, for errors.
+        example: an address that errors show.
 
     Raises:
         ConfigError: the text is no such address.
@@ -177,7 +178,7 @@ def host_and_port(text: str, key: str) -> tuple[str, int]:
     host, colon, port = text.rpartition(":")
     is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))
     if not (colon and host.strip("[]") and is_bare and port.isascii() and port.isdigit()):
-        raise ConfigError(f"an address such as 127.0.0.1:9502 is needed, not {text!r}", key=key)
+        raise ConfigError(f"an address such as {example} is needed, not {text!r}", key=key)
     if int(port) > 65_535:
-        raise ConfigError(f"an address such as 127.0.0.1:9502 is needed; a port is 0…65535, not {port}", key=key)
+        raise ConfigError(f"an address such as {example} is needed; a port is 0…65535, not {port}", key=key)
     return host.strip("[]"), int(port)

@@ -1,5 +1,6 @@
 """Frames found in packets: connections, directions, missing bytes, other ports, lines."""
 
+import io
 from collections.abc import Sequence
 from ipaddress import IPv4Address
 
@@ -11,7 +12,8 @@ from hypothesis import strategies as st
 from busway.framing.ascii import encode_ascii
 from busway.framing.received import Direction
 from busway.framing.rtu import encode_rtu
-from busway.observe.capture_files.packet_file import CapturedPacket
+from busway.observe.capture import Capture
+from busway.observe.capture_files.packet_file import CapturedPacket, PacketFile
 from busway.observe.capture_files.traffic import (
     CapturedFrame,
     CapturedTraffic,
@@ -84,6 +86,16 @@ def test_a_connection_that_begins_before_the_capture_is_taken_up_at_a_frame() ->
         ChannelEnding.CAPTURE_ENDS,
     ]
     assert traffic.begun_inside == 1
+
+
+def test_a_capture_of_busway_has_the_beginning_of_its_connections() -> None:
+    stream = io.BytesIO()
+    with Capture(stream) as capture:
+        capture.stream(("127.0.0.1", 40001), ("127.0.0.1", 502)).sent(bytes.fromhex(ASKED))
+        written = stream.getvalue()
+    traffic = CapturedTraffic()
+    assert told(events(list(PacketFile(io.BytesIO(written), "x.pcapng")), traffic))[0] == (REQUEST, 1, hexed(ASKED))
+    assert traffic.begun_inside == 0
 
 
 def test_missing_bytes_are_told_and_the_next_frame_is_found() -> None:

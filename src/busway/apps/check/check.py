@@ -122,6 +122,10 @@ class TlsChange(Enum):
     NO_ROLE = "with a certificate without a role"
 
 
+_ANY_EXCEPTION: Final = 255
+"""Number of accepted exception codes from which on they are not listed: all of them, or all but one."""
+
+
 @dataclass(frozen=True, slots=True)
 class Accepts:
     """What a device may do after one request; anything else is a fault. As text: the possibilities in words.
@@ -144,10 +148,11 @@ class Accepts:
 
     def __str__(self) -> str:
         codes = " or ".join(f"{code:02X}" for code in sorted(self.exceptions))
+        exception = "any exception" if len(self.exceptions) >= _ANY_EXCEPTION else f"exception {codes}"
         words = [
             "a reply" if self.reply and self.exact is None else "",
             f"the reply {self.exact.hex(' ')}" if self.exact is not None else "",
-            f"exception {codes}" if codes else "",
+            exception if codes else "",
             "silence" if self.silence else "",
             "a closed connection" if self.closed else "",
         ]

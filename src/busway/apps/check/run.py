@@ -362,8 +362,8 @@ class CheckRun:
     def results(self, checks: Sequence[Check]) -> Iterator[Result]:
         """Run the checks in their order, and yield the result of each as soon as it is known.
 
-        If scratch items were written, they are restored at the end, and one more result (`RESTORED`) tells whether that
-        succeeded; the iterator has to be used up or closed.
+        If a check writes scratch items, they are restored at the end, and one more result (`RESTORED`) tells whether
+        that succeeded; the iterator has to be used up or closed.
 
         Raises:
             LinkDown: no connection to the device can be made at the beginning. Nothing was sent.
@@ -380,7 +380,9 @@ class CheckRun:
         finally:
             fault = scratch.restore()
             self._talk.close()
-        if scratch.is_saved:
+        if not scratch.is_saved and any(check.writes for check in checks):
+            yield Result(RESTORED, Outcome.UNDECIDED, "nothing was written", self._talk.take_evidence())
+        elif scratch.is_saved:
             yield Result(
                 RESTORED,
                 Outcome.FAILED if fault else Outcome.PASSED,

@@ -49,6 +49,7 @@ def import_file(
         raise ConfigError(f"there is no such format, but {', '.join(FORMATS)}", key=format)
     chosen = format or _ENDINGS.get(path[path.rfind(".") :].lower() if "." in path else "")
     if chosen is None:
+        read_text(path)  # a file that is not there has no format either
         raise ConfigError("its name says no format; --from says which: " + ", ".join(FORMATS), file=path)
     if chosen == "csv":
         if format is None and is_modpoll(read_text(path)):

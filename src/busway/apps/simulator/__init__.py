@@ -6,6 +6,7 @@
 `device_text`      Writes units as the text of a device file; reading that text gives the same units
 `engine`           The engine of a simulation: which points change at each moment, in which order, and to which values
 `added_faults`     Adds faults to a simulation from `[[fault]]` sections and command-line words
+`fault_times`      Tells when the faults of a simulation begin and end by their schedules
 `includes`         Loads a simulation file with all files that it includes; every error names its line in its own file
 `plant`            The plant of the demonstration, as three devices: a tank with pump and consumers, a meter
 `points`           Named points of a served device for the program that serves it

@@ -5,16 +5,19 @@ Knows the schema and the fault profiles; reads no file.
 1. An error has the path of the key in its section, which the reader of the file turns into a line.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
+from typing import Final
 
 from ...config.files.fault_sections import FaultSection, parse_fault_words
 from ...config.files.lines import Path
 from ...config.files.schema import Source
 from ...errors import ConfigError
-from ...faults.fault import Schedule
+from ...faults.connections import carriers_of
+from ...faults.fault import Carrier, Schedule
 from ...faults.profile import FaultProfile, FaultProfileTable
 from ...faults.profiles import FAULT_PROFILES
-from ...faults.switchboard import FaultSwitchboard
+from ...faults.switchboard import FaultStatus, FaultSwitchboard
+from ...options.endpoints import parse_endpoint
 
 
 def fault_problems(
@@ -114,6 +117,69 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
         return text
     section = parse_fault_words(text)
     return _put_on(board, section, section.name)
+
+
+MET_ON: Final = {
+    frozenset({Carrier.TCP}): "Modbus TCP, TLS and UDP",
+    frozenset({Carrier.SERIAL}): "RTU and ASCII, on a line or over a network",
+    frozenset({Carrier.CONNECTION}): "connections over TCP or TLS",
+}
+"""The transports on which a fault strikes that does not strike everywhere."""
+
+
+def why_it_never_strikes(status: FaultStatus, endpoints: Iterable[str], units: Collection[int]) -> str:
+    """Return why a fault strikes no request that a simulation can get, as a sentence; empty if it can strike.
+
+    Args:
+        status: the fault.
+        endpoints: URLs of the listeners.
+        units: the units of the simulation. 0, for broadcasts, is always among those that a request can have.
+
+    Raises:
+        ConfigError: an endpoint is none.
+    """
+    carriers = status.carriers
+    chosen = status.selection.units
+    parsed = [parse_endpoint(one) for one in endpoints]
+    if parsed and not any(carriers & carriers_of(one.framing, one.carrier) for one in parsed):
+        return f"{status.fault_profile} strikes on {MET_ON[carriers]} only, and no listener is one of them"
+    if chosen is not None and not {0, *units}.intersection(chosen):
+        wanted = ", ".join(str(one) for one in sorted(chosen)[:8]) + (", …" if len(chosen) > 8 else "")
+        there_are = ", ".join(str(one) for one in sorted(units)[:8]) + (", …" if len(units) > 8 else "")
+        return f"no unit {wanted} is simulated; there {'is' if len(units) == 1 else 'are'} {there_are}"
+    return ""
+
+
+def fault_details(status: FaultStatus) -> str:
+    """Return the parameters of a fault and what it is limited to, in the words of ``--fault``: ``delay=2, from=14``.
+
+    Parameters without a value are left out; so are limits that a fault does not have. Items are not shown.
+    """
+    selection, schedule = status.selection, status.selection.schedule
+    told: dict[str, object] = {name: value for name, value in status.parameters.items() if value is not None}
+    told |= {
+        key: _runs(numbers)
+        for key, numbers in (("units", selection.units), ("functions", selection.functions))
+        if numbers is not None
+    }
+    if selection.probability < 1:
+        told["probability"] = selection.probability
+    times = {"from": schedule.after, "for": schedule.lasts, "every": schedule.every, "skip": schedule.skip}
+    told |= {key: value for key, value in times.items() if value or (key == "for" and value is not None)}
+    if schedule.times is not None:
+        told["times"] = schedule.times
+    return ", ".join(f"{key}={_shown(value)}" for key, value in told.items())
+
+
+def _runs(numbers: Collection[int]) -> str:
+    """Return numbers in their order, consecutive ones as a range: ``1-3+7``."""
+    runs: list[list[int]] = []
+    for one in sorted(numbers):
+        if runs and one == runs[-1][1] + 1:
+            runs[-1][1] = one
+        else:
+            runs.append([one, one])
+    return "+".join(str(low) if low == high else f"{low}-{high}" for low, high in runs)
 
 
 def fault_profile_lines(fault_profiles: FaultProfileTable = FAULT_PROFILES) -> list[str]:

@@ -92,7 +92,7 @@ HOLE = FaultProfile(
 )
 BUSY = FaultProfile(
     "busy",
-    "answers exception 06 for a minute",
+    "answers exception 06 for some time",
     ("core#51103",),
     "passes the exception on, and serves other units meanwhile",
     _busy,

@@ -265,7 +265,9 @@ class CapturedTraffic:
             found += self._make_room()
             channel = CapturedChannel(self._count(), "tcp", self._framing, client, server)
             open_channel = self._open[key] = _TcpChannel(channel)
-            self.begun_inside += not segment.syn
+            # A capture of busway has payloads only: the numbers of each connection begin with 1, behind a handshake
+            # that was not there to be seen. Real ones begin anywhere (RFC 9293 §3.4.1).
+            self.begun_inside += not (segment.syn or segment.sequence == 1)
         self._open.move_to_end(key)
         assert isinstance(open_channel, _TcpChannel)
         return [*found, *open_channel.take(packet, segment, is_request=is_request)]

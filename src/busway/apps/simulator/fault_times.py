@@ -1,0 +1,55 @@
+"""Tells when the faults of a simulation begin and end by their schedules.
+
+Knows faults and the event loop whose clock times them; prints nothing.
+
+1. The schedule of a fault counts from here on, and not from the first request: the moments that are told are those at
+   which it changes requests.
+2. A fault without a schedule is not told; neither is one that is switched off or removed.
+"""
+
+import asyncio
+from collections.abc import Callable
+
+from ...faults.fault import AppliedFault
+from ...faults.switchboard import FaultSwitchboard
+
+
+async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault, bool], object]) -> None:
+    """Call ``tell`` with each scheduled fault that begins (True) or ends (False); runs until it is cancelled.
+
+    A fault that is active at once is told too.
+
+    Args:
+        board: the faults; those that are added or switched later are told as well.
+        tell: called in the event loop.
+    """
+    loop = asyncio.get_running_loop()
+    changed = asyncio.Event()
+
+    def look_again() -> None:
+        loop.call_soon_threadsafe(changed.set)
+
+    unwatch = board.watch(look_again)
+    active: set[AppliedFault] = set()
+    try:
+        while True:
+            changed.clear()
+            now = loop.time()
+            timed = [one for one in board.faults if one.enabled and one.selection.schedule.is_timed]
+            active.intersection_update(timed)
+            for one in timed:
+                if one.is_on(now) != (one in active):
+                    active.symmetric_difference_update((one,))
+                    tell(one, one in active)
+            due = min((when for one in timed if (when := one.next_change(now)) is not None), default=None)
+            if due is None:
+                await changed.wait()
+                continue
+            timer = loop.call_at(due, changed.set)
+            await changed.wait()
+            timer.cancel()
+    finally:
+        unwatch()
+
+
+__all__ = ["tell_fault_times"]
