@@ -20,8 +20,10 @@ import busway
 from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
 from busway.apps.collector.learnt_file import LearntFile
+from busway.apps.collector.store.commit_thread import StoreStatus
 from busway.cli.collect import _collect
 from busway.cli.collect_demo import collect_demo
+from busway.cli.collect_status import print_status
 from busway.codes import Table
 
 PLANT = """\
@@ -174,6 +176,34 @@ async def test_a_hangup_while_the_collector_begins_is_a_reload_once_it_has_begun
         assert unheard == []
     finally:
         signal.signal(signal.SIGHUP, before)
+
+
+def test_the_status_line_says_that_the_store_cannot_be_written(capsys: pytest.CaptureFixture[str]) -> None:
+    status = StoreStatus(12, 340, 15, 0, "database or disk is full", None)
+    print_status(StatusOfStore(status), as_json=False)  # type: ignore[arg-type]
+    assert capsys.readouterr().out == (
+        "340 samples kept, 15 waiting because the store cannot be written: database or disk is full;"
+        " 0 of 0 devices answer\n"
+        "  link a: 50 % busy, 3.1 % for probes of silent devices\n"
+    )
+
+
+class StatusOfStore:
+    """What `print_status` asks of a collector without devices."""
+
+    def __init__(self, status: StoreStatus) -> None:
+        self._status = status
+
+    def store_status(self) -> StoreStatus:
+        return self._status
+
+    def status(self) -> list[Any]:  # no device
+        return []
+
+    sink_statuses = status
+
+    def loads(self) -> dict[str, tuple[float, float]]:
+        return {"a": (0.5, 0.031)}
 
 
 def test_a_second_collector_on_the_store_is_refused_with_the_pid_of_the_first(run, tmp_path: Path) -> None:

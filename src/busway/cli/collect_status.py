@@ -108,11 +108,14 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
         )  # fmt: skip
         return
     lost = f", {store.lost} lost: {store.error or 'the store could not be written'}" if store.lost else ""
+    if store.error is not None:
+        why = "" if store.lost else f": {store.error}"
+        lost += f", {store.waiting} waiting because the store cannot be written{why}"
     polled = sum(each.state == "polled" for each in devices)
     kept = counted(store.samples, "sample")
     print(f"{kept} kept{lost}; {polled} of {len(devices)} devices answer", flush=True)
     for name, (busy, probing) in collector.loads().items():
-        share = f"{100 * probing:.1f} % for silent devices and learning"
+        share = f"{100 * probing:.1f} % for probes of silent devices"
         print(f"  link {name}: {100 * busy:.0f} % busy, {share}", flush=True)
     for sink in collector.sink_statuses():
         error = f": {sink.error}" if sink.error else ""

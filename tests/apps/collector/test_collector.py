@@ -20,6 +20,7 @@ from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.errors import ConfigError
+from busway.points.quality import exception_reason
 from busway.server.server import Server
 
 CLOSED = "tcp://127.0.0.1:9"
@@ -170,6 +171,20 @@ async def test_what_was_learnt_survives_a_restart(tmp_path: Path) -> None:
                 await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt))
         kept = json.loads((tmp_path / "data" / "learnt.json").read_text())
         assert kept["devices"]["pump"]["holes"][0]["start"] == 49
+
+
+async def test_a_point_that_is_not_asked_for_is_bad_for_its_reason_after_a_start(tmp_path: Path) -> None:
+    async with served(items=20) as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=0.02)
+        async with busway.collect(file) as collector:
+            await until(lambda: any("exception 02" in line for line in collector.status()[0].learnt))
+        async with busway.collect(file) as collector:
+            assert collector.values.last("pump", "gone") is None
+            await until(lambda: collector.values.last("pump", "gone") is not None)
+            value, reason, time = collector.values.last("pump", "gone") or (0, 0, 0)
+            assert (value, reason) == (None, exception_reason(2))
+    table = busway.Store(tmp_path / "data").read("pump/gone")
+    assert (table.time[-1], table.reason[-1]) == (time, exception_reason(2))
 
 
 @pytest.mark.parametrize("firmware", ["2.1", "2.2"])

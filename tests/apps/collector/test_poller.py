@@ -236,6 +236,20 @@ async def test_a_point_that_is_not_asked_for_any_more_is_told_once_and_stands_in
     assert status_of(bench.poller, "meter").unread == (f"p17: {polled.unread['p17']}",)
 
 
+async def test_a_point_that_is_not_asked_for_is_bad_for_its_reason_again_after_each_outage() -> None:
+    bench = Bench([number(f"p{at}", at) for at in range(40)])
+    bench.device.holes = [17]
+    await bench.until(150)
+    bench.device.error = lambda: NoReply("no reply")
+    await bench.until(160)
+    bench.device.error = None
+    bench.batches.clear()
+    await bench.until(400)
+    (mark,) = [batch for batch in bench.batches if "p17" in batch.points]
+    assert (mark.points, list(mark.values), mark.reasons) == (("p17",), [None], exception_reason(2))
+    assert mark.time == bench.intervals[-1].end
+
+
 async def test_the_cost_of_reads_is_learnt_from_their_times() -> None:
     bench = Bench([number(f"p{at}", at) for at in range(40)])
     await bench.until(200)

@@ -71,6 +71,22 @@ def test_a_viewer_that_missed_ticks_has_the_same_as_one_that_saw_each() -> None:
     assert replayed(late) == replayed(each)
 
 
+def test_all_values_are_bad_while_the_store_cannot_be_written_and_good_again_afterwards() -> None:
+    behind = [False]
+    values = LiveValues(POINTS, is_behind=lambda: behind[0])
+    values.update(commit(SampleBatch(PUMP, SECOND, 0, (1.5, 7, None), (0, 0, Reason.TIMEOUT))))
+    assert values.columns()[1] == [0, 0, Reason.TIMEOUT, 0]
+    behind[0] = True
+    assert values.advance()
+    assert not values.advance()
+    assert values.columns()[1] == [Reason.LOST, Reason.LOST, Reason.TIMEOUT, 0], "the meter was never read"
+    assert since(values, 1)["changed"] == [[0, [1.5, 7, None], [Reason.LOST, Reason.LOST, Reason.TIMEOUT]]]
+    behind[0] = False
+    values.update(commit(SampleBatch(PUMP, 9 * SECOND, 0, (1.5, 7, None), (0, 0, Reason.TIMEOUT))))
+    assert values.columns() == ([1.5, 7, None, None], [0, 0, Reason.TIMEOUT, 0], [9000, 9000, 9000, 0])
+    assert since(values, 2)["changed"] == [[0, [1.5, 7, None], [0, 0, Reason.TIMEOUT]]]
+
+
 def test_one_that_begins_is_told_of_points_that_were_not_read_too() -> None:
     values = LiveValues(POINTS)
     values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))

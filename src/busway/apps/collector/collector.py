@@ -148,7 +148,7 @@ class Collector:
         self.more_metrics: list[Callable[[], Iterable[Any]]] = []
         self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
-        self.values: LastValues = LastValues()
+        self.values: LastValues = LastValues(self._is_behind)
         self._audit: AuditLog | None = None
         self._commands: CommandRunner | None = None
         self._receivers: list[CommandReceiver] = []
@@ -402,6 +402,9 @@ class Collector:
             ConfigError: there is no such device.
         """
         return self._poller_of(device).devices[device].registers_of(points)
+
+    def _is_behind(self) -> bool:
+        return self._committer is not None and self._committer.is_behind
 
     def store_status(self) -> StoreStatus:
         """Return the status of the store: commits, waiting and lost samples, and what is wrong."""

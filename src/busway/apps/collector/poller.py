@@ -5,7 +5,9 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
 1. Every read that is made for its values gives each of its points a sample: good, or bad with the reason. A probe of a
    silent device that fails gives none: the interval in which the device is suspended stands for its samples.
 2. The time of a sample is the middle of its transaction; half of its length is kept.
-3. Nothing that a device or a link does ends polling. A defect in a decoder or in a receiver of samples does: its
+3. A point that is not asked for, because the device was found to refuse it, gets a bad sample with that reason at the
+   first answer of its device, and again after each interval: its last value is never "not read yet".
+4. Nothing that a device or a link does ends polling. A defect in a decoder or in a receiver of samples does: its
    exception ends the task, and is raised where the task is awaited.
 """
 
@@ -25,8 +27,9 @@ from ...points.point import Point
 from ...points.quality import Reading, Reason, exception_reason, reason_text
 from ...values.counts import counted
 from .derived_points import DerivedPoints
+from .knowledge import DeviceKnowledge
 from .learning import ReadOutcome, outcome_of
-from .plan import PlannedRead
+from .plan import PlannedRead, ReadItem
 from .plan_cache import PlanBook
 from .reply_timeout import ReplyTimeout
 from .sample_clock import EARLIEST, SampleClock
@@ -123,7 +126,8 @@ class PolledDevice:
         maintained: the maintenance that ended last; None if none has.
         suspended: the interval since when it is not polled, because it is silent or in maintenance; None while it is.
         unread: points that no allowed read can fetch, each with the reason, as last told in the log.
-        single: for each point that was read alone, before or after a write, the group with only that point.
+        unread_given: whether the points in ``unread`` have a bad sample since the start or the last interval.
+        single: for each point that got a sample of its own, the group with only that point.
     """
 
     name: str
@@ -135,6 +139,7 @@ class PolledDevice:
     ready_at: float = 0.0
     scale_factors: dict[str, int] = field(default_factory=dict)
     unread: dict[str, str] = field(default_factory=dict)
+    unread_given: bool = False
     reads: int = 0
     failures: int = 0
     last_seconds: float = 0.0
@@ -478,6 +483,7 @@ class LinkPoller:
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 _log.warning("%s answers again", device.name)
                 self._end_interval(device, middle)
+            self._give_unread(device, middle, half)
         elif result is TurnOutcome.SILENT:
             device.timeout.silent()
         self.schedule.done(turn, began, ended, result)
@@ -562,6 +568,21 @@ class LinkPoller:
                 _log.warning("%s/%s is not read: %s%s", device.name, point, reason, again)
         device.unread = unread
 
+    def _give_unread(self, device: PolledDevice, middle: int, half: int) -> None:
+        """Pass on a bad sample for each point that is not asked for, unless each has one already (rule 3)."""
+        if device.unread_given:
+            return
+        device.unread_given = True
+        if not device.unread:
+            return
+        for item in device.book.points():
+            if item.name in device.unread:
+                reason = _reason_not_to_ask(device.book.knowledge, item)
+                group = device.single.setdefault(item.name, PointGroup(device.name, (item.name,)))
+                self._give(device, failed_batch(group, middle, half, reason))
+                if device.derived is not None:
+                    device.derived.failed(group.points, reason)
+
     # Intervals.
 
     @staticmethod
@@ -586,12 +607,20 @@ class LinkPoller:
     def _end_interval(self, device: PolledDevice, at: int | None = None) -> None:
         begun = device.suspended
         if begun is not None:
-            device.suspended = None
+            device.suspended, device.unread_given = None, False
             end = max(begun.begin, self._clock.time_ns(self._now()) if at is None else at)
             ended = StateInterval(begun.device, begun.begin, end, begun.reason)
             if begun.reason == Reason.MAINTENANCE:
                 device.maintained = ended
             self._intervals(ended)
+
+
+def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
+    """Return why no allowed read fetches an item: what the device answered, or that the configuration forbids it."""
+    for hole in known.holes:
+        if hole.table is item.table and hole.start < item.start + item.width and item.start < hole.end:
+            return exception_reason(hole.code) if hole.code else Reason.TIMEOUT
+    return Reason.CONFIGURATION
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:

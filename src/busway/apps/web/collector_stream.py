@@ -109,7 +109,7 @@ class CollectorStream:
         self.revision: int = secrets.randbelow(_REVISIONS)
         self._configuration = collector.configuration
         self.points: list[tuple[str, str]] = _points_of(collector)
-        self.values: LiveValues = LiveValues(self.points, collector.values.intervals())
+        self.values: LiveValues = LiveValues(self.points, collector.values.intervals(), collector.values.is_behind)
         collector.subscribe(self._committed)
         collector.commands.subscribe(self._tell_command)
 
@@ -126,7 +126,7 @@ class CollectorStream:
             points = _points_of(self._collector)
             if points != self.points:
                 self.points = points
-                self.values = LiveValues(points, self._collector.values.intervals())
+                self.values = LiveValues(points, self._collector.values.intervals(), self._collector.values.is_behind)
                 self.revision += 1
         return self.values
 

@@ -8,13 +8,14 @@ thread may call the rest.
 2. A viewer that has seen tick 7 gets all changes since tick 7, however many ticks it missed: nothing is queued.
 3. While a device is not read (suspended, without connection, in maintenance), its points have the quality bad, with
    that as the reason, until each point is read again.
-4. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
+4. While the store cannot be written, all points are bad with that as the reason: what was read since is not known here.
+5. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
    values as a run.
 """
 
 import json
 import threading
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
@@ -33,15 +34,21 @@ class LiveValues:
     Args:
         points: device and name of each point, in the order of ``/api/points``.
         intervals: by device, the latest interval in which it was not read.
+        is_behind: whether commits have failed or hung for some seconds (rule 4).
 
     Attributes:
         tick: number of the last tick; 0 before the first.
         values: the last value of each point; None for a point that was not read yet, or whose last sample has no value.
-        reasons: the reason code of each point's quality; 0 without a reason.
+        reasons: the reason code of each point's quality, rule 4 apart; 0 without a reason.
         times: when each point was read, milliseconds since 1970 UTC; 0 for a point that was not read yet.
     """
 
-    def __init__(self, points: Sequence[tuple[str, str]], intervals: Mapping[str, StateInterval] | None = None) -> None:
+    def __init__(
+        self,
+        points: Sequence[tuple[str, str]],
+        intervals: Mapping[str, StateInterval] | None = None,
+        is_behind: Callable[[], bool] = lambda: False,
+    ) -> None:
         self.tick: int = 0
         self.values: list[Value | None] = [None] * len(points)
         self.reasons: list[int] = [0] * len(points)
@@ -56,6 +63,8 @@ class LiveValues:
             self._by_device.setdefault(device, []).append(place)
         self._intervals: dict[str, StateInterval] = dict(intervals or {})
         self._unapplied: set[str] = set(self._intervals)
+        self._is_behind = is_behind
+        self._was_behind = False
         self._lock = threading.Lock()
         self._texts: dict[int, str] = {}
 
@@ -74,7 +83,7 @@ class LiveValues:
     def advance(self) -> bool:
         """Begin a new tick with what was stored since the last tick. Returns False if there is nothing new."""
         with self._lock:
-            if not self._waiting and not self._unapplied:
+            if not self._waiting and not self._unapplied and self._is_behind() == self._was_behind:
                 return False
             self._advance()
             return True
@@ -88,6 +97,18 @@ class LiveValues:
         concerned, self._unapplied = self._unapplied | {batch.device for batch in waiting.values()}, set()
         for device in concerned & self._intervals.keys():
             self._apply(self._intervals[device])
+        behind = self._is_behind()
+        if behind != self._was_behind:
+            self._was_behind = behind
+            for place, at in enumerate(self.times):
+                if at:
+                    self._changed_at[place] = self.tick
+
+    def _shown(self, place: int) -> int:
+        """Return the reason code to show for a point (rule 4)."""
+        reason = self.reasons[place]
+        is_old = self._was_behind and self.times[place] and quality_of(reason) is not Quality.BAD
+        return Reason.LOST if is_old else reason
 
     def _apply(self, interval: StateInterval) -> None:
         """Give the points of a device that was not read its reason for that (rule 3).
@@ -128,7 +149,8 @@ class LiveValues:
         """Return values, reasons and times of all points as three new lists, after a new tick."""
         self.advance()
         with self._lock:
-            return self.values.copy(), self.reasons.copy(), self.times.copy()
+            reasons = [self._shown(place) for place in range(len(self.reasons))]
+            return self.values.copy(), reasons, self.times.copy()
 
     def since(self, seen: int) -> str:
         """Return all changes since tick ``seen``, as a JSON object without its braces; -1 returns all points.
@@ -174,7 +196,7 @@ class LiveValues:
                 values, reasons = [], []
                 runs.append([place, values, reasons])
             values.append(plain_value(self.values[place]))
-            reasons.append(self.reasons[place])
+            reasons.append(self._shown(place))
             end = place + 1
         for run in runs:
             kinds = set(run[2])

@@ -17,7 +17,7 @@ from collected import METER, PUMP, at, filled, meter_read, read_of
 from deliveries import commit_reads, delivery_to, run_until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.samples import Reason, exception_reason
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, exception_reason
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.documents import documents
 from busway.apps.collector.sinks.files import FileSink
@@ -268,6 +268,17 @@ def test_prometheus_gets_last_values_of_listed_points_that_are_neither_bad_nor_s
         page.close()
     with pytest.raises(ConfigError, match="names no point"):
         PrometheusPage("127.0.0.1:0", [], values)
+
+
+def test_last_values_are_bad_while_the_store_cannot_be_written() -> None:
+    behind = [False]
+    values = LastValues(lambda: behind[0])
+    group = PointGroup("meter-7", ("power", "state"))
+    values.update(Commit(1, 0, [SampleBatch(group, 5, 0, [1.5, None], [0, Reason.TIMEOUT])], []))
+    assert [reason for *_, reason, _ in values.samples()] == [0, Reason.TIMEOUT]
+    behind[0] = True
+    assert [reason for *_, reason, _ in values.samples()] == [Reason.LOST, Reason.TIMEOUT]
+    assert values.last("meter-7", "power") == (1.5, Reason.LOST, 5)
 
 
 def test_last_values_hold_one_batch_for_each_group() -> None:

@@ -106,6 +106,41 @@ def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
     assert "in an unexpected way" in caplog.text
 
 
+@pytest.mark.parametrize("what", ["samples", "interval"])
+def test_it_is_behind_once_something_waits_five_seconds_for_a_full_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, what: str
+) -> None:
+    moment, is_full = [100.0], threading.Event()
+    is_full.set()
+    committer = Committer(
+        StoreWriter(tmp_path, now=NOON), now=lambda: at(100), interval=0.0, retry=0.01, clock=lambda: moment[0]
+    )
+    commit_really = committer.writer.commit
+
+    def commit(*arguments: Any) -> Commit:  # Any: those of `StoreWriter.commit`
+        if is_full.is_set():
+            raise OSError(28, "No space left on device")
+        return commit_really(*arguments)
+
+    monkeypatch.setattr(committer.writer, "commit", commit)
+    assert not committer.is_behind
+    if what == "samples":
+        committer.add(meter_read(1))
+    else:
+        committer.add_interval(StateInterval("meter-7", at(1), None, Reason.SUSPENDED))
+    wait_until(lambda: committer.status().error is not None)
+    moment[0] += commit_thread.BEHIND
+    assert not committer.is_behind
+    moment[0] += 0.1
+    assert committer.is_behind
+    is_full.clear()
+    assert committer.flush()
+    assert not committer.is_behind
+    moment[0] += 3600.0
+    assert not committer.is_behind, "nothing waits"
+    committer.close()
+
+
 def test_a_defect_while_times_are_mended_is_told_in_the_status_and_ends_no_thread(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -7,6 +7,7 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
    still.
 3. A device that is not read (suspended, without connection, in maintenance) has bad last values for that reason, from
    the begin of that interval until each point is read again: no value stays good while it only grows old.
+4. While the store cannot be written, no value is replaced by a newer one, so all are bad for that reason.
 """
 
 import threading
@@ -32,9 +33,16 @@ class LastValues:
     """The last stored sample of each point. Safe from any thread.
 
     `update` is called with each commit, by the thread that commits.
+
+    Args:
+        is_behind: whether commits have failed or hung for some seconds, so that there may be newer samples (rule 4).
+
+    Attributes:
+        is_behind: the same.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, is_behind: Callable[[], bool] = lambda: False) -> None:
+        self.is_behind: Callable[[], bool] = is_behind
         self._lock = threading.Lock()
         self._batches: dict[PointGroup, SampleBatch] = {}
         self._forget_above = _FORGET_ABOVE
@@ -68,7 +76,7 @@ class LastValues:
         return found
 
     def _reason(self, device: str, reason: int, time: int) -> int:
-        """Return the number of the reason to show for a last value; bad while its device is not read (rule 3).
+        """Return the number of the reason to show for a last value; bad while it only grows old (rules 3 and 4).
 
         Call with the lock held.
 
@@ -79,7 +87,7 @@ class LastValues:
         """
         interval = self._intervals.get(device)
         if interval is None or (interval.end is not None and time > interval.begin):
-            return reason
+            return Reason.LOST if quality_of(reason) is not Quality.BAD and self.is_behind() else reason
         keeps = quality_of(reason) is Quality.BAD and interval.reason != Reason.MAINTENANCE
         return reason if keeps else interval.reason
 

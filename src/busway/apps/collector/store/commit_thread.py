@@ -12,6 +12,7 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
 6. What is known of points changes between commits: samples that were added before go by the names of then.
 7. Where rules keep not every sample, that is decided when it is committed. Reads of which nothing is kept make no
    commit; subscribers are told of them all the same, because they show that the values before still hold.
+8. Last values are fed by commits. `Committer.is_behind` says when they cannot be trusted, because commits fail or hang.
 """
 
 import logging
@@ -35,6 +36,8 @@ ALIVE: Final = 5.0
 SYNC: Final = 5.0
 UPKEEP: Final = 10.0
 """Seconds between two looks for parts to seal or drop."""
+BEHIND: Final = 5.0
+"""Seconds after which samples that still wait to be committed show that last values are no longer up to date."""
 RETRY: Final = 1.0
 """Seconds between two attempts at a store that cannot be written."""
 AT_ONCE: Final = 50_000
@@ -90,6 +93,7 @@ class Committer:
         most_waiting: int = MOST_WAITING,
         retry: float = RETRY,
         rules: StoreRules | None = None,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         """Start the threads that write samples to the store, and seal and delete its files.
 
@@ -100,9 +104,11 @@ class Committer:
             most_waiting: values that wait at most while the store cannot be written; beyond it the oldest are dropped.
             retry: seconds between two attempts while the store cannot be written.
             rules: report rules of points of which not every sample is kept; None if every sample is.
+            clock: returns seconds of the monotonic clock, for `is_behind`.
         """
         self.writer = writer
         self._kept = KeptSamples(rules)
+        self._clock = clock
         self._now, self._interval, self._most, self._retry = now, interval, most_waiting, retry
         self._subscribers: list[Callable[[Commit], None]] = []
         self._changed = threading.Condition()
@@ -115,6 +121,7 @@ class Committer:
         self._is_mending = False
         self._taken = 0
         self._waiting = 0
+        self._queued_since: float | None = None
         self._lost_now: Gap | None = None
         self._commits = self._samples = self._lost = 0
         self._error: str | None = None
@@ -147,6 +154,7 @@ class Committer:
         """
         with self._changed:
             self._batches.append(batch)
+            self._note_queued()
             self._note_alarms(alarms)
             self._waiting += len(batch)
             if self._waiting > self._most:
@@ -161,6 +169,7 @@ class Committer:
         """
         with self._changed:
             self._intervals.append(interval)
+            self._note_queued()
             if len(self._intervals) > MOST_INTERVALS:
                 self._drop_whole_intervals()
             self._changed.notify_all()
@@ -181,6 +190,17 @@ class Committer:
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions), rules))
             self._changed.notify_all()
+
+    def _note_queued(self) -> None:
+        """Note since when samples or intervals are queued. Call with the lock held."""
+        if self._queued_since is None:
+            self._queued_since = self._clock()
+
+    @property
+    def is_behind(self) -> bool:
+        """Whether samples or intervals wait since `BEHIND` seconds, because the store cannot be written or hangs."""
+        since = self._queued_since
+        return since is not None and self._clock() - since > BEHIND
 
     def status(self) -> StoreStatus:
         """Return the current status of writing to the store: its counts since the start, and its errors."""
@@ -382,7 +402,8 @@ class Committer:
                 _log.warning("the store can be written again; %d samples were lost so far", self._lost)
             self._error = None
         self._tell(commit)
-        with self._changed:
+        with self._changed:  # only now: subscribers have what was committed
+            self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False
             self._changed.notify_all()
         return True
