@@ -48,7 +48,9 @@ def query(
     bucket: str | None = typer.Option(
         None, "--bucket", metavar="TIME", help="Minimum, maximum and mean for each: 10s, 5m, 1h."
     ),
-    parquet: str | None = typer.Option(None, "--parquet", metavar="FILE", help="Write a new Parquet file instead."),
+    parquet: str | None = typer.Option(
+        None, "--parquet", metavar="FILE", help="Write a new Parquet file instead; half_width in ns, elsewhere in s."
+    ),
     alarms: bool = typer.Option(False, "--alarms", help="Show the journal of alarms instead."),
     names: bool = typer.Option(False, "--list", help="List the points of the store."),
     as_json: bool = JSON,
@@ -58,8 +60,9 @@ def query(
     """Show what a store of the collector holds."""
     from ..apps.collector.store.reading import Store
 
-    if sum((as_json, as_csv, parquet is not None)) > 1:
-        raise ConfigError("one of --json, --csv and --parquet is possible", key="--json")
+    given = [name for name, on in (("--json", as_json), ("--csv", as_csv), ("--parquet", parquet is not None)) if on]
+    if len(given) > 1:
+        raise ConfigError("one of --json, --csv and --parquet is possible", key=given[-1])
     asked = Store(store)
     wanted = [*(patterns or ()), *(points or ())] or ["*"]
     if names:

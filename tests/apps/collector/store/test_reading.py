@@ -124,15 +124,23 @@ def test_a_bucket_leaves_out_bad_values_and_texts_and_keeps_the_worst_reason(tmp
     assert (table.count, table.samples, table.reason) == ([2, 0], [3, 3], [Reason.TIMEOUT] * 2)
 
 
-def test_a_gap_is_buckets_without_samples_that_say_why(tmp_path: Path) -> None:
+def test_buckets_say_why_a_point_was_not_read_in_them_or_in_a_part_of_them(tmp_path: Path) -> None:
     filled(tmp_path, 2).close(at(1.5))
     with filled(tmp_path, 2, first=5) as writer:
         writer.commit([], [StateInterval("meter-7", at(7), at(9), Reason.MAINTENANCE)], at(9))
         table = Store(tmp_path).read("meter-7/voltage", bucket=1, until=at(9))
     assert [(time - NOON) // SECOND for time in table.time] == list(range(9))
     assert table.samples == [1, 1, 0, 0, 0, 1, 1, 0, 0]
-    assert table.reason == [0, 0, *[Reason.STOPPED] * 3, 0, 0, *[Reason.MAINTENANCE] * 2]
+    assert table.reason == [0, *[Reason.STOPPED] * 4, 0, 0, *[Reason.MAINTENANCE] * 2], "it stopped at 1.5 s"
+    assert table.mean[1] == 231.0
     assert table.mean[2] is None
+
+
+@pytest.mark.parametrize("bucket", [None, 60])
+def test_a_period_that_ends_before_it_begins_is_refused(tmp_path: Path, bucket: int | None) -> None:
+    filled(tmp_path, 2).close(at(2))
+    with pytest.raises(InvalidRequest, match="the end of the period, '2h', is not after its begin, '1h'"):
+        Store(tmp_path).read(since="1h", until="2h", bucket=bucket)
 
 
 def test_a_gap_of_all_devices_is_told_to_each_point(tmp_path: Path) -> None:

@@ -107,7 +107,8 @@ class BucketTable(ColumnTable):
         minimum, maximum, mean: of the numbers in the bucket that are not bad; None if there are none.
         count: how many numbers these are.
         samples: how many samples there are in all, bad ones and texts too; 0 in a gap.
-        reason: number of the worst reason of the samples, 0 if all were good.
+        reason: number of the worst reason of the samples, and of what kept the point from being read for a part of the
+            bucket; 0 if there was none.
     """
 
     device: list[str] = field(default_factory=list)

@@ -36,7 +36,7 @@ from .parts import (
 )
 from .query_results import BucketTable, SampleTable
 from .segment import sample_value
-from .selection import EVER, Moment, chosen_points, moment, span
+from .selection import Moment, chosen_points, period, span
 
 MOST_SAMPLES: Final = 10_000_000
 """Samples that one `Store.read` gives at most: some 2 GB."""
@@ -129,8 +129,8 @@ class Store:
             bucket: length of a bucket: ``10s``, or seconds, 0.001 to 366 days.
 
         Raises:
-            InvalidRequest: a pattern names no point, a time is none, or there is more than `MOST_SAMPLES` samples or
-                `MOST_BUCKETS` buckets.
+            InvalidRequest: a pattern names no point, a time is none, ``until`` is not after ``since``, or there is more
+                than `MOST_SAMPLES` samples or `MOST_BUCKETS` buckets.
             ConfigError: the store cannot be read.
             MissingExtra: parts are sealed, and pyarrow is not installed.
         """
@@ -151,9 +151,7 @@ class Store:
         The last table has the intervals and gaps of the whole period. The function takes the arguments of `read` and
         raises the same errors, but has no limit for the number of samples.
         """
-        now = time.time_ns()
-        low = 0 if since is None else moment(since, now)
-        high = EVER if until is None else moment(until, now)
+        low, high = period(since, until, time.time_ns())
         chosen = self._chosen(points)
         by_id = {point.id: point for point in chosen}
         ids = self._ids_of(points, chosen)
@@ -175,12 +173,10 @@ class Store:
             points, since, until: as for `read`.
 
         Raises:
-            InvalidRequest: a pattern names no point, or a time cannot be understood.
+            InvalidRequest: a pattern names no point, a time cannot be understood, or ``until`` is not after ``since``.
             ConfigError: the store cannot be read.
         """
-        now = time.time_ns()
-        low = 0 if since is None else moment(since, now)
-        high = EVER if until is None else moment(until, now)
+        low, high = period(since, until, time.time_ns())
         names = {(point.device, point.point) for point in self._chosen(points)}
         events = self._from_manifest(lambda manifest: alarm_events(alarm_rows(self.folder, manifest), manifest))
         return [each for each in events if low <= each.at < high and (each.device, each.point) in names]
@@ -189,8 +185,7 @@ class Store:
         self, points: str | Sequence[str], since: Moment | None, until: Moment | None, bucket: int
     ) -> BucketTable:
         now = time.time_ns()
-        low = 0 if since is None else moment(since, now)
-        high = EVER if until is None else moment(until, now)
+        low, high = period(since, until, now)
         chosen = self._chosen(points)
         ids = self._ids_of(points, chosen)
         sums: SumsByBucket = {}
@@ -403,9 +398,9 @@ def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
 def _add_gaps(
     sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
 ) -> None:
-    """Add a bucket without samples, with the reason, for each time bucket and point in which the point was not read.
+    """Give each time bucket and point in which the point was not read for a while that reason, if it has none worse.
 
-    Buckets that have samples stay as they are.
+    A bucket is added where there were no samples at all.
 
     Raises:
         InvalidRequest: there would be more than `MOST_BUCKETS` buckets.
@@ -419,7 +414,8 @@ def _add_gaps(
             raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
         for number in range(first, last + 1):
             for point in concerned:
-                sums.setdefault((number, point.id), Sums(0, None, None, 0, 0, row.reason))
+                one = sums.setdefault((number, point.id), Sums(0, None, None, 0, 0, row.reason))
+                one.reason = max(one.reason, row.reason)
 
 
 def _bucket_table(sums: SumsByBucket, points: dict[int, StoredPoint], bucket: int) -> BucketTable:

@@ -21,6 +21,23 @@ EVER: Final = 2**63 - 1
 """The last nanosecond that a store can name."""
 
 
+def period(since: Moment | None, until: Moment | None, now: int) -> tuple[int, int]:
+    """Return begin and end of a period as nanoseconds since 1970 UTC; the end is no part of it.
+
+    Args:
+        since, until: begin and end as for `moment`; None for no limit.
+        now: the present time, nanoseconds since 1970 UTC.
+
+    Raises:
+        InvalidRequest: one of both is no time, or the end is not after the begin.
+    """
+    low = 0 if since is None else moment(since, now)
+    high = EVER if until is None else moment(until, now)
+    if low >= high:
+        raise InvalidRequest(f"the end of the period, {shown(until)}, is not after its begin, {shown(since)}")
+    return low, high
+
+
 def moment(given: Moment, now: int) -> int:
     """Convert a time given by a user to nanoseconds since 1970 UTC.
 
