@@ -161,6 +161,14 @@ def test_faults_of_profiles_are_said_with_their_own_lines(plant: Path) -> None:
     assert [each.split(": ")[0] for each in of_the_profile] == ["pump.toml:6", "pump.toml:7"]
 
 
+def test_a_point_of_several_numbers_is_refused_because_a_sample_has_one(plant: Path) -> None:
+    pump = plant.with_name("pump.toml")
+    pump.write_text('[[unit]]\n[[unit.point]]\nname = "three"\naddress = "4x1"\ntype = "custom:>hHl"\n')
+    plant.write_text(plant.read_text().replace("with = { base = 100 }\n", ""))
+    with pytest.raises(FileError, match="three has type custom:>hHl, several numbers in one value"):
+        load_collector(plant)
+
+
 def test_a_parameter_that_is_missing_is_named(plant: Path) -> None:
     (found,) = problems(plant, PLANT.replace("with = { base = 100 }\n", ""))
     assert found.startswith("plant.toml:33: device[2].profile: pump.toml: needs the parameter 'base'")

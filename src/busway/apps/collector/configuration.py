@@ -390,11 +390,19 @@ def _by_class(
 ) -> dict[str, list[Point]] | None:
     """Return the points to be read, by poll class.
 
-    None, with a problem in the report, if a poll class is missing or does not exist, or there is nothing to read.
+    None, with a problem in the report, if a poll class is missing or does not exist, a point has several numbers in one
+    value, or there is nothing to read.
     """
     usual = file.class_of(section)
     found: dict[str, list[Point]] = {}
     for point in points:
+        if point.form is not None and point.form.name.startswith("custom:"):
+            report.refuse(
+                (*at, "profile"),
+                f"{point.name} has type {point.form.name}, several numbers in one value, and a sample has one: make a "
+                "point of each number, with an atomic group for all",
+            )
+            return None
         if not point.formula:
             found.setdefault(point.poll_class or usual, []).append(point)
     there = ", ".join(file.poll_class)

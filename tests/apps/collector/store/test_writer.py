@@ -23,8 +23,9 @@ from busway.apps.collector.samples import (
 )
 from busway.apps.collector.store import manifest, segment
 from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store
-from busway.apps.collector.store.retention import Retention
+from busway.apps.collector.store.retention import Retention, parts_to_drop
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import ConfigError
 
@@ -214,6 +215,20 @@ def test_retention_drops_by_age_and_by_size_and_never_the_open_part(tmp_path: Pa
         tmp_path, 5, options=StoreOptions(seals=False, retention=Retention(size=1_000_000)), first=50
     ) as writer:
         assert writer.apply_retention(at(3000)) == []
+
+
+@pytest.mark.parametrize(("size", "left"), [(3.0, 3), (2.5, 2), (2.0, 2), (1.9, 1), (1.0, 1)])
+def test_retention_by_size_drops_the_oldest_parts_until_the_rest_fits_and_never_the_open_one(
+    size: float, left: int
+) -> None:
+    parts = [
+        StorePart(
+            number, number, f"{number}", kind, at(number), at(number + 1), number, number, at(number), 9, 1_000_000
+        )
+        for number, kind in [(1, "sealed"), (3, "open"), (2, "closed")]
+    ]
+    dropped = parts_to_drop(parts, Retention(size=int(size * 1_000_000)), at(1000))
+    assert [part.id for part in dropped] == [1, 2][: 3 - left]
 
 
 def test_a_second_collector_is_refused_with_the_pid_of_the_first(tmp_path: Path) -> None:
