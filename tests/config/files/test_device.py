@@ -72,6 +72,7 @@ def test_a_file_of_one_unit_is_enough() -> None:
         (UNIT + '[server]\nscope = "all"\n', "x.toml:4: server.scope: must be 'connection' or 'server', not 'all'"),
         (UNIT + "[server]\nkeepalive = 1\n", "x.toml:4: server.keepalive: must be true or false, not 1"),
         (UNIT + "[sever]\n", "x.toml:3: sever: unknown key; is it server?"),
+        (UNIT + "[collector]\n", "x.toml:3: collector: unknown key here; this is a collector file"),
         (UNIT + "[[unit]]\nunit = 1\n", "x.toml:4: unit[1].unit: unit 1 is there already: unit[0]"),
         ('[server]\nunit_policy = "any"\n' + UNIT + "[[unit]]\nunit = 2\n", "x.toml:2: server.unit_policy: any needs"),
         ("[[unit]]\n", "x.toml:1: unit[0].unit: is missing"),

@@ -353,6 +353,8 @@ def _sentence(error: Any, schema: type[Section], path: Path) -> str:
 def _unknown_key(key: str, section: type[Section] | None) -> str:
     if section is None:
         return "unknown key"
+    if key == "collector":
+        return "unknown key here; this is a collector file, which busway collect takes"
     known = list(keys_of(section))
     near = get_close_matches(key, known, 1, cutoff=0.75)  # at 0.6, the default, ``profile`` is like ``file``
     if near:
