@@ -20,7 +20,7 @@ AFTER = {code for name, code in dis.opmap.items() if name.startswith(("CALL", "J
 """Instructions after which signals are handled."""
 
 TOOL = 4
-"""Number by which ``sys.monitoring`` knows this tool; debuggers and measurements of coverage have others."""
+"""The tool identifier for ``sys.monitoring``; debuggers and coverage use other ones."""
 
 
 class Interrupt(KeyboardInterrupt):

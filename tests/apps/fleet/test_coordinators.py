@@ -32,6 +32,7 @@ from busway.apps.fleet.coordinator import (
     RevisionConflict,
 )
 from busway.apps.fleet.coordinators import open_coordinator
+from busway.apps.fleet.coordinators.nats import NatsCoordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.fleet_status import zone_status
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
@@ -331,7 +332,8 @@ async def test_an_entry_has_the_time_of_its_change_by_the_servers_clock(served: 
 async def test_a_bucket_that_forgets_entries_is_refused_by_name(servers: dict[str, Backend]) -> None:
     backend = servers["nats"]
     async with backend.opened("forgets") as one:
-        jetstream = one.client.jetstream()  # type: ignore[attr-defined]
+        assert isinstance(one, NatsCoordinator)
+        jetstream = one.client.jetstream()
         info = await jetstream.stream_info("KV_busway-forgets")
         await jetstream.update_stream(info.config.evolve(max_age=3600.0))
     with pytest.raises(ConfigError, match="the bucket busway-forgets forgets entries after 3600 s, leases too"):

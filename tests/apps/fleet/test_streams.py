@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 import shutil
 from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -106,6 +107,15 @@ async def handing_on(server: ForeignServer, sink: KeepingSink) -> AsyncIterator[
             await end_tasks([task])
 
 
+def has_commits(one: FleetCollector, newest: int) -> bool:
+    return one.collector.newest_commit >= newest
+
+
+def sinks_have(one: FleetCollector, commit: int) -> bool:
+    assert one.outbox is not None
+    return one.outbox.status().kept >= commit
+
+
 def stored(tmp_path: Path, *names: str, only_values: bool = False) -> set[tuple[str, str, int]]:
     found: set[tuple[str, str, int]] = set()
     for name in names:
@@ -142,8 +152,7 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 kept = await asyncio.to_thread(stored, tmp_path, "one", "two", only_values=True)
                 newest = {each: each.collector.newest_commit for each in (one, two)}  # of all that was read before
                 for each in (one, two):
-                    assert each.outbox is not None
-                    await until(lambda each=each: each.outbox.status().kept >= newest[each], 60)  # type: ignore[misc]
+                    await until(partial(sinks_have, each, newest[each]), 60)
                 has = set(sink.kept)
                 assert kept <= has, "what all sinks are said to keep, the sink has"
         assert has <= stored(tmp_path, "one", "two"), "nothing comes that no store has"
@@ -157,14 +166,11 @@ async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_
         async with devices_of(1) as devices, handing_on(server, sink):
             for start in range(3):
                 async with sending(tmp_path, server, "one", devices) as one:
-                    outbox = one.outbox
-                    assert outbox is not None
                     before = one.collector.newest_commit
-                    await until(lambda one=one, before=before: one.collector.newest_commit > before + 5, 60)  # type: ignore[misc]
+                    await until(partial(has_commits, one, before + 6), 60)
                     await one.collector.flush()
                     kept = await asyncio.to_thread(stored, tmp_path, "one", only_values=True)
-                    newest = one.collector.newest_commit
-                    await until(lambda outbox=outbox, newest=newest: outbox.status().kept >= newest, 60)  # type: ignore[misc]
+                    await until(partial(sinks_have, one, one.collector.newest_commit), 60)
                     assert kept <= set(sink.kept)
                 if start == 0:
                     shutil.copytree(folder, copy)

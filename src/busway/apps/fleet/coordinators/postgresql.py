@@ -5,7 +5,7 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 1. A change is one ``UPDATE … WHERE revision = …``; the database compares and sets.
 2. Each change is told by ``NOTIFY`` with its key. A watch reads the entries with these keys, and compares the revisions
    of all entries every `COMPARE_EVERY` seconds, so that changes whose notification was lost are found.
-3. Each entry has the time of its change by the server's clock, by which collectors see that their own is wrong.
+3. Each entry has the time of its change by the server's clock. A collector compares that with its own clock.
 4. Changes that were confirmed must survive a crash of the server: ``fsync`` and ``synchronous_commit`` must be on.
 """
 
