@@ -285,6 +285,7 @@ class World:
             sink.since.setdefault(sender.name, sender.outbox.status().kept)
         for entry in self.table.values():
             sender.book.take(entry)
+        sender.book.end_snapshot()
 
     async def run(self) -> None:
         chance = self.chance

@@ -193,6 +193,34 @@ async def test_where_nothing_is_sent_any_more_it_is_sent_again_after_the_longest
         assert await again(sending, 0.1) == [2]
 
 
+class UnansweringStream(MemoryStream):
+    """Acknowledges the third message that it gets, and not those before."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.numbers: list[int] = []
+
+    async def publish(self, message: SampleMessage) -> None:
+        self.numbers.append(message.chain.number)
+        if len(self.numbers) < 3:
+            raise StreamDown("no answer, but the stream may have it")
+        await super().publish(message)
+
+
+async def test_no_number_of_a_message_is_used_again_after_an_attempt_that_was_not_acknowledged(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    sending.stream = stream = UnansweringStream()
+    sending.outbox = sending.opened()
+    with sending.writer:
+        sending.commit("meter")
+        for _ in range(2):
+            with pytest.raises(StreamDown):
+                await sending.outbox.step()
+        await sending.outbox.step()
+    assert stream.numbers == [1, 2, 3]
+    assert stream.messages[0].chain.after == 0
+
+
 async def test_a_stream_that_is_full_loses_nothing(tmp_path: Path) -> None:
     sending = Sending(tmp_path)
     with sending.writer:

@@ -10,7 +10,7 @@ import pytest
 from waiting import until
 
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.coordinator import Entry
+from busway.apps.fleet.coordinator import SNAPSHOT_ENDS, Entry
 from busway.apps.fleet.messages import Chain, SampleMessage
 from busway.apps.fleet.outbox import SinkPlace
 from busway.apps.fleet.streams import MISSING_SECONDS, CursorBook, SinkCursors, SinkProgress, StreamSink
@@ -115,6 +115,25 @@ def test_cursors_that_are_shown_with_lower_revisions_are_taken_when_the_table_is
     assert book.of("history") == (SinkCursors(7, {"one/s": 5}), 50)
 
 
+def test_no_sink_counts_before_the_table_has_been_read_to_its_end_once() -> None:
+    book = CursorBook()
+    book.take(Entry("cursor.archive", SinkCursors(7, {"one/s": 5}, {"one/s": (3, 9)}).encode(), 1))
+    assert book.places("one", "s") == {}, "a sink with less may be shown next"
+    book.take(Entry("cursor.broker", SinkCursors(0, {}).encode(), 2))
+    book.end_snapshot()
+    assert book.places("one", "s") == {"archive": SinkPlace(5, 7, 3), "broker": SinkPlace(0, 0)}
+    book.begin_snapshot()
+    assert len(book.places("one", "s")) == 2, "what was known holds while the table is read again"
+
+
+def test_a_sink_whose_entry_cannot_be_decoded_counts_as_one_that_has_nothing() -> None:
+    book = CursorBook()
+    book.end_snapshot()
+    book.take(Entry("cursor.broker", SinkCursors(7, {"one/s": 5}, {"one/s": (3, 9)}).encode(), 1))
+    book.take(Entry("cursor.broker", b"{", 2))
+    assert book.places("one", "s") == {"broker": SinkPlace(0, 0)}
+
+
 async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_time_and_proves_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -157,6 +176,7 @@ async def test_cursors_are_followed_anew_after_a_defect_of_the_coordinator(caplo
         async def watch(self, prefix: str) -> AsyncGenerator[Entry, None]:
             self.begun += 1
             yield Entry("cursor.history", SinkCursors(self.begun, {"one/s": self.begun}).encode(), 1)
+            yield SNAPSHOT_ENDS
             if self.begun == 1:
                 raise RuntimeError("a state that it cannot have")
             await asyncio.sleep(3600)

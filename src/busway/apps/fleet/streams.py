@@ -265,6 +265,7 @@ class CursorBook:
         self._cursors: dict[str, SinkCursors] = {}
         self._revisions: dict[str, int] = {}
         self._shown_again: set[str] = set()
+        self._is_complete = False
 
     def begin_snapshot(self) -> None:
         """Prepare to receive all entries of the shared table once more.
@@ -272,6 +273,10 @@ class CursorBook:
         An entry that is shown again replaces what is known of its sink, even if its revision is lower.
         """
         self._shown_again = set(self._revisions)
+
+    def end_snapshot(self) -> None:
+        """Note that all existing entries of the shared table are known."""
+        self._is_complete = True
 
     def take(self, entry: Entry) -> None:
         """Take over an entry of the shared table if it is a sink's position; an empty value removes the sink."""
@@ -294,7 +299,12 @@ class CursorBook:
             self._cursors[sink] = found
 
     def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
-        """Return by sink up to which commit it has the samples of a store: commit 0 if it has nothing of it yet."""
+        """Return by sink up to which commit it has the samples of a store: commit 0 if it has nothing of it yet.
+
+        Empty until the table has been read to its end once: a sink that is not known yet may have less than the others.
+        """
+        if not self._is_complete:
+            return {}
         place = f"{collector}/{store}"
         return {
             name: SinkPlace(each.commits.get(place, 0), each.sequence, each.proved.get(place, (0, 0))[0])
@@ -326,6 +336,7 @@ class CursorBook:
                     if entry is SNAPSHOT_BEGINS:
                         self.begin_snapshot()
                     elif entry is SNAPSHOT_ENDS:
+                        self.end_snapshot()
                         told()
                     self.take(entry)
 
