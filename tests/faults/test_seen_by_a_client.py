@@ -205,6 +205,7 @@ ON_LINES = [name for name, one in FAULT_PROFILES.items() if Carrier.SERIAL in on
 
 
 @pytest.mark.parametrize("name", [name for name in ON_LINES if name != "broadcast-reply"])
+@pytest.mark.alone
 @pytest.mark.real_time
 def test_fault_profile_on_a_serial_line(line: PacedLine, name: str) -> None:
     parameters, actions = {**BOTH, **ON_A_LINE}[name]
@@ -220,6 +221,8 @@ def test_fault_profile_on_a_serial_line(line: PacedLine, name: str) -> None:
     line.wait_quiet(0.02)
 
 
+@pytest.mark.alone
+@pytest.mark.real_time
 def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> None:
     board = FaultSwitchboard()
     board.add("broadcast-reply", units={2})
@@ -234,6 +237,8 @@ def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> 
     assert board.status("broadcast-reply").struck == 1
 
 
+@pytest.mark.alone
+@pytest.mark.real_time
 def test_broadcast_is_not_heard_by_a_unit_that_is_wedged(line: PacedLine) -> None:
     board = FaultSwitchboard()
     board.add("wedged", units={2})
