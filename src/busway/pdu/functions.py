@@ -54,7 +54,11 @@ class FunctionTable:
             raise ValueError(f"{function.__name__}: function {code} is in the table already")
 
     def with_functions(self, *functions: type[Request]) -> "FunctionTable":
-        """Return a new table that has the functions of this one and ``functions``. Raises `ValueError` as the class."""
+        """Return a new table that has the functions of this one and ``functions``.
+
+        Raises:
+            ValueError: two functions have the same code, or a code is not 1…127.
+        """
         return FunctionTable(*self, *functions)
 
     def __iter__(self) -> Iterator[type[Request]]:
@@ -71,7 +75,7 @@ class FunctionTable:
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
         """Return the request class of the function whose request or reply PDU starts at ``at`` of ``data[:end]``.
 
-        None for functions that are not in the table, exception replies, and a sub-code that is cut off.
+        None if the function is not in the table, the PDU is an exception reply, or its sub-code is cut off.
         """
         code = data[at]
         found = self._by_code.get(code)
@@ -107,10 +111,10 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for other codes, `OpaqueReply`.
+        """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for unknown codes, `OpaqueReply`.
 
         Raises:
-            MalformedPdu: the bytes are no such reply.
+            MalformedPdu: the bytes are no valid reply of the function.
         """
         if not pdu:
             raise MalformedPdu("an empty PDU")

@@ -184,7 +184,9 @@ def _read(model: DataModel, table: Table, address: int, count: int, context: Con
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Return the request that reads a range; the same range gives the same object, which is encoded only once.
+    """Return the request object that reads a range.
+
+    Recently used ranges are cached: the same range gives the same object, which is encoded only once.
 
     Args:
         kind: the request class.
