@@ -1,14 +1,14 @@
 """Conversion between registers and integers, floats and binary-coded decimals.
 
-Knows the three number formats and their ranges. Knows nothing of type names beyond quoting its own in errors, and
-nothing of registers: the caller has checked that the length is a multiple of the value's size.
+Knows the three number formats and their ranges. Knows type names only to quote them in errors. The caller has checked
+that the length of the data is a multiple of the value's size.
 
 Rules:
 
 1. A block of values is converted by one ``struct`` call, after at most a few byte swaps of the whole block. The common
    orders cost no more than the plain one.
-2. Nothing is cut or rounded away: what does not fit is refused. The one exception is what a float is: a number is
-   stored as the nearest one the format has, and one too small for it as zero; one too large is refused.
+2. A value that does not fit is refused; nothing is cut off. Only floats are rounded, to the nearest number that the
+   format has (a very small one to zero); one that is too large is refused.
 3. ``bool`` is not a number here, and a float is not an integer, not even ``3.0``.
 4. Every bit pattern survives wire → value → wire, except NaNs where Python itself drops bits: float16 keeps only the
    sign, and a signalling float32 becomes quiet. float64 keeps all; float32 keeps the payload of a quiet NaN.
