@@ -54,7 +54,7 @@ _WORD_TABLE: Final = _word_table()
 def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
     """Return the CRC-16 of ``data``, 0…65535; 0 for a whole frame that ends with its CRC (Serial Line V1.02 §6.2.2).
 
-    ``state`` is the CRC of the bytes before ``data``, if they were checked separately.
+    ``state`` is the CRC of the bytes before ``data``, to continue a computation.
     """
     count = len(data) >> 1
     for word in struct.unpack_from(f"<{count}H", data):
@@ -80,7 +80,7 @@ class SpanCheck:
 
     Attributes:
         low, high: tables of 256 values. The CRC is right if ``low[before & 0xFF] ^ high[before >> 8] == after``, where
-            ``before`` and ``after`` are running states (`running_states`). The preset is folded into the tables.
+            ``before`` and ``after`` are running states (`running_states`). The tables allow for the preset.
     """
 
     __slots__ = ("high", "low")
