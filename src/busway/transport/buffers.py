@@ -1,8 +1,8 @@
 """The one receive buffer that all connections of an event loop share.
 
-The loop calls ``get_buffer``, receives and calls ``buffer_updated`` in one step, so what one connection received is
-worked through before the next one receives. 1000 idle connections then hold one buffer, not a thousand. On loops that
-hand a buffer to the system first and let it be filled later (Windows' proactor), each connection needs its own.
+The event loop calls ``get_buffer``, receives and calls ``buffer_updated`` without a break between, so the bytes of one
+connection are processed before the next one receives. 1000 idle connections then need one buffer instead of 1000. An
+event loop that passes a buffer to the system to be filled later (Windows' proactor) gives each connection its own.
 """
 
 from typing import TYPE_CHECKING
