@@ -63,9 +63,9 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """Return a copy of a failure whose text also tells when the peer's certificate expired or begins to be valid.
+    """Return the failure with a text that says which certificate is out of date, and its date.
 
-    ``now`` is in seconds since 1970.
+    ``certificate`` is the server's, as ``getpeercert`` returns it; ``now`` is in seconds since 1970.
     """
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:
