@@ -1,4 +1,4 @@
-"""Blocking links by endpoint: one shared connection for all users in a process (`shared_links` has the rules)."""
+"""Blocking links by endpoint: one shared connection for all users in a process (the rules are in `shared_links`)."""
 
 import threading
 
@@ -36,8 +36,8 @@ class BlockingPool:
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
         """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
 
-        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
-        connected, it is the link made first.
+        ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
+        connected, it is the link created first.
         """
         with self._lock:
             return self._links.choose(settings, rule)

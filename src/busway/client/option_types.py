@@ -14,7 +14,10 @@ from ..options.tls import Curve, TlsVersion, Verify
 
 
 class LinkOptions(TypedDict, total=False):
-    """Keyword options of `busway.connect` and `busway.open`; each scheme takes a part of them."""
+    """Keyword options of `busway.connect` and `busway.open`.
+
+    Which of them are accepted depends on the scheme of the URL.
+    """
 
     timeout: float
     retries: int

@@ -1,4 +1,4 @@
-"""The links of an event loop: one shared connection for all users of an endpoint (`shared_links` has the rules)."""
+"""The links of an event loop: one shared connection for all users of an endpoint (the rules are in `shared_links`)."""
 
 import asyncio
 from weakref import WeakKeyDictionary
@@ -33,8 +33,8 @@ class LinkPool:
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
         """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
 
-        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
-        connected, it is the link made first.
+        ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
+        connected, it is the link created first.
         """
         return self._links.choose(settings, rule)
 
@@ -60,7 +60,7 @@ def pool_of_running_loop() -> LinkPool:
     """Return the pool of links of the running event loop, created at the first call.
 
     Raises:
-        ConfigError: no event loop is running: the link is not used in a coroutine.
+        ConfigError: no event loop is running, because the link is used outside a coroutine.
     """
     try:
         loop = asyncio.get_running_loop()
