@@ -24,7 +24,7 @@ class CertificateFiles:
 
     Attributes:
         certificate, key: paths of the certificate and its private key.
-        authority: path of the authority that the certificate's holder trusts.
+        authority: path of the authority that the holder of the certificate trusts.
         issued: the certificate itself.
     """
 
