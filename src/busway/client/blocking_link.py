@@ -306,10 +306,10 @@ class BlockingLinkDriver:
     # After an interrupt.
 
     def _begin_section(self) -> None:
-        """Mark that the state is being changed under the lock.
+        """Mark that a thread changes the state under the lock (``is_torn``); reset the link if the mark was left.
 
-        If an interrupted thread left the mark, reset the link first. The caller sets ``is_torn`` to False at the end
-        (rule 6). The hot methods `run`, `_follow` and `_head` do the same by code of their own.
+        An interrupted thread leaves it (rule 6). The caller clears it at the end. The hot methods `run`, `_follow` and
+        `_head` have this code inline.
         """
         if self._guard.is_torn:
             self._repair()

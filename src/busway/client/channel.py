@@ -7,9 +7,9 @@ from typing import Protocol
 
 
 class LinkEnd(Protocol):
-    """Interface of the object to which a serial port or UDP socket reports received bytes and its end.
+    """Interface of the object to which a serial port or UDP socket of an asyncio link reports events.
 
-    For asyncio links.
+    The events are received bytes and the end of the connection.
     """
 
     def arrived(self, data: bytes) -> None:

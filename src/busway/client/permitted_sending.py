@@ -27,7 +27,7 @@ class PermittedConnector:
         self._connector, self._may_send = connector, may_send
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # Any: of whatever transport
-        """Open a connection and return its transport, which resets the connection instead of sending without permission.
+        """Open a connection and return its transport, which resets the connection where sending is not permitted.
 
         ``protocol`` returns the object that gets the events of the transport.
 
@@ -72,9 +72,9 @@ class PermittedTransport:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Send bytes if that is permitted now.
+        """Send bytes if that is permitted now; otherwise reset the connection.
 
-        Else reset the connection, and call ``connection_lost`` in the loop's next turn.
+        Then ``connection_lost`` of the protocol is called in the event loop's next turn.
         """
         if self._may_send():
             self._transport.write(data)

@@ -218,9 +218,7 @@ class UnitScan:
             yield found
 
     def _probe(self, unit: int) -> FoundUnit | None:
-        """Ask a unit for one holding register.
-
-        Returns the unit if it answered, even with an exception or a damaged reply.
+        """Ask a unit for one holding register; return it if it answered, even with an exception or a damaged reply.
 
         Returns None if there was no answer, if a gateway answered instead (exceptions 0A and 0B), or if the connection
         was closed. Raises `LinkDown` if then a new one cannot be opened.

@@ -151,7 +151,7 @@ class SerialStream:
     def received(self, data: bytes, errors: int) -> None:
         """Pass received bytes to the link.
 
-        As damaged bytes if ``errors``, the number of characters marked as damaged, is not 0.
+        ``errors`` is how many of them the port marked as damaged; if it is not 0, they are passed on as damaged.
         """
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:

@@ -75,10 +75,7 @@ class LinkSettings:
     ssl_context: "ssl.SSLContext | None" = None
 
     def differs(self, other: "LinkSettings") -> str:
-        """Return the name of the first connection setting with another value than in ``other``.
-
-        Empty if all are equal.
-        """
+        """Return the name of the first connection setting with another value than in ``other``; empty if none has."""
         for mine, theirs in zip(self._parts(), other._parts(), strict=False):
             for name, option in declared(type(mine)).items():
                 if Mark.PER_CALL not in option.marks and getattr(mine, name) != getattr(theirs, name):

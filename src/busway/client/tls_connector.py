@@ -197,7 +197,7 @@ class TlsConnector:
     def _look_at_own(self) -> None:
         """Log a warning if the client's own certificate is not valid now or expires soon.
 
-        Once for each version of its file. Does nothing if the program created the context itself.
+        It is logged once for each version of the file; never if the program created the context itself.
         """
         name = self._security.certificate
         if name is None or self._context is None or self._looked_at == self._context.generation:

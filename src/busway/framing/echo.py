@@ -98,9 +98,9 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Return the held bytes if the rest of the echo is not received by now (``now``, seconds).
+        """Return the held bytes if the rest of the echo has not been received in time; nothing otherwise.
 
-        Otherwise nothing.
+        ``now`` is the time in seconds.
         """
         deadline = self.deadline()
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)

@@ -442,9 +442,9 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """Return the end of the shortest frame at ``at`` with a right CRC, for a function of unknown length.
+        """Return the end of the shortest frame at ``at`` with a right CRC; 0 if there is none.
 
-        0 if none.
+        For functions of unknown length.
         """
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0

@@ -161,9 +161,9 @@ class ConnectionLife:
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """Return the error for a new call if the link is closed or pauses after a failed attempt.
+        """Return the error for a new call if the link is closed or pauses after a failed attempt; None otherwise.
 
-        None to queue the call. ``unit`` is the unit that the call asks, for the error.
+        ``unit`` is the unit that the call asks, for the error.
         """
         if self.closed:
             return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)

@@ -101,10 +101,7 @@ class OwedReply:
         return may_answer(self.request, pdu)
 
     def is_of(self, call: object, position: int) -> bool:
-        """Whether this is an attempt at the request at ``position`` of ``call``.
-
-        False for a marker or cancelled call.
-        """
+        """Whether this is an attempt at the request at ``position`` of ``call``; False for a marker request."""
         return self.call is call and self.position == position and call is not None
 
 

@@ -302,10 +302,7 @@ class TcpServerSession:
         return out
 
     def _joined(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept beginning of a frame, followed by the first ``size`` bytes of ``buffer``.
-
-        And the length of both.
-        """
+        """Return the kept beginning of a frame followed by the first ``size`` bytes of ``buffer``, and the length."""
         assert self._buffer is not None  # since something is unfinished
         self.unfinished = 0
         return self._buffer.join(buffer, size)

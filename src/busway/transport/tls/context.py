@@ -261,9 +261,10 @@ class WatchedContext:
         return self._context
 
     def reload(self) -> None:
-        """Read the certificate files again now. Raises `ConfigError` if that fails.
+        """Read the certificate files again now.
 
-        Then the context stays as it was.
+        Raises:
+            ConfigError: a file cannot be used; the context stays as it was.
         """
         self._looked = self._clock()
         self._renew(self._files())
@@ -275,10 +276,7 @@ class WatchedContext:
         _log.info("%s: certificates read anew", self.name)
 
     def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """Return path, modification time and size of each certificate file, to notice changes.
-
-        Zeros for a missing one.
-        """
+        """Return path, modification time and size of each certificate file (0 for a missing one), to notice changes."""
         chosen = self.parameters
         own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
         names = [one for one in own if one is not None]

@@ -150,7 +150,7 @@ class Authority:
     def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
         """Issue a revocation list in PEM with these serial numbers, valid for ``days`` from now.
 
-        Expired if negative.
+        Negative ``days`` give an expired list.
         """
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
