@@ -74,9 +74,9 @@ class ModbusError(Exception):
         attempt: int | None = None,
         elapsed: float | None = None,
     ) -> Self:
-        """Set those fields of this error that are still ``None`` to the arguments, and return this error.
+        """Fill in those fields of this error that are still ``None``, and return this error.
 
-        Fields with a value keep it.
+        Fields that have a value keep it.
         """
         self.endpoint = endpoint if self.endpoint is None else self.endpoint
         self.unit = unit if self.unit is None else self.unit
@@ -122,8 +122,8 @@ class ExceptionReply(ModbusError):
     Code 05 (acknowledge) is no refusal: the device has accepted the request and needs time to execute it.
 
     Attributes:
-        code: the exception code, 0…255; codes outside the specification are kept as they came.
-        from_gateway: whether the code is 0A or 0B, which a gateway sends in place of the device.
+        code: the exception code as received, 0…255, also one outside the specification.
+        from_gateway: whether the code is 0A or 0B, which a gateway sends when it cannot reach the device.
     """
 
     def __init__(

@@ -632,13 +632,13 @@ def open_link(
         shared: use one connection for all links of this event loop to the endpoint; False gives this link its own
             connection (explicit connection management), at most ``max_connections`` for one endpoint.
         select: open no connection, but send each request on a connection that another link has open to the endpoint:
-            ``first``: that of the link made first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
+            ``first``: that of the link created first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
             §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries``, ``deadline`` and
             ``register_width`` may be given as well. None: the link has its own or a shared connection.
         ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
             authorities that the system trusts. It decides what is verified, which certificate the client sends, and
             the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
-            as well. None: the context is made from the TLS options.
+            as well. None: the context is created from the TLS options.
         options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
             `ManagementParameters`; with RTU or ASCII framing, also of `SerialClientParameters`, `BreakerParameters` and
             `FramingParameters`; for a serial port, also of `SerialSettings` and `OpeningParameters`. An option that has

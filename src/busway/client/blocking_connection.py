@@ -51,7 +51,7 @@ class BlockingConnection:
         self.unsent.append(frame)
 
     def flush(self) -> None:
-        """Send the kept frames, as far as the system accepts them. Raises `OSError` if the connection has ended."""
+        """Send the unsent frames, as far as the system accepts them. Raises `OSError` if the connection has ended."""
         unsent = self.unsent
         while unsent:
             frame = unsent[0]
@@ -65,7 +65,7 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until bytes can be received, or kept frames sent. Returns False if the time is over before.
+        """Wait until bytes can be received, or unsent frames can be sent. Returns False if the time is over first.
 
         Call it without the lock of the link. At a serial port it may return early.
         """

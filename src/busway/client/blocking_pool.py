@@ -24,7 +24,7 @@ class BlockingPool:
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
         """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
 
-        Give it back with `release`.
+        The caller is a user of the link until it calls `release`.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -43,7 +43,7 @@ class BlockingPool:
             return self._links.choose(settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """Give back a link that `acquire` returned; it is closed when its last user gives it back."""
+        """Stop using a link that `acquire` returned; it is closed when its last user has released it."""
         with self._lock:
             is_last = self._links.release(settings, link)
         if is_last:

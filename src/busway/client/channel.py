@@ -35,7 +35,7 @@ class Channel(Protocol):
         """Receive bytes into ``buffer`` and return their number; 0: the peer closed the connection.
 
         Raises:
-            BlockingIOError: nothing has come yet.
+            BlockingIOError: no bytes have been received.
             OSError: the connection failed.
         """
 

@@ -33,7 +33,7 @@ AnyLink = TypeVar("AnyLink", bound=Choosable)
 def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
     """Raise `Overloaded` if no further link with ``shared=False`` to the endpoint is allowed (``max_connections``).
 
-    ``links`` are all links to the endpoint; those that are shared do not count.
+    ``links`` are all links to the endpoint; shared links do not count.
     """
     limit = settings.management.max_connections
     held = sum(not link.shared for link in links)

@@ -439,7 +439,7 @@ class AsyncLinkDriver:
         self._rearm()
 
     def peer_ended(self, protocol: _LinkProtocol) -> None:
-        """Handle the end of the peer's stream: drop unsent bytes, because no reply to them can come."""
+        """Handle the end of the peer's stream: drop unsent bytes, because they can no longer be answered."""
         if protocol is self._protocol and self._held is not None and self._held():
             self._abort()
 
@@ -484,8 +484,7 @@ class AsyncLinkDriver:
         """Send all requests that are due; without a connection, open one if requests wait.
 
         Closes the connection instead if the session asks for a new one. With ``precise_timing`` ``now`` may be shortly
-        in the
-        future: the frame is prepared at once, and sent at that time.
+        in the future: the frame is prepared at once, and sent at that time.
         """
         session = self.session
         if self._transport is None:
@@ -698,7 +697,7 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Do what the timer is set for on a line: with ``precise_timing``, send a frame exactly when it is due.
+        """Handle the timer of a link on a line: with ``precise_timing``, send a frame exactly when it is due.
 
         Also tells the session if the port still holds characters of the last frame. Returns the time afterwards.
         """

@@ -22,7 +22,7 @@ class LinkPool:
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
         """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
 
-        Give it back with `release`.
+        The caller is a user of the link until it calls `release`.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -39,7 +39,7 @@ class LinkPool:
         return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """Give back a link that `acquire` returned; it is closed when its last user gives it back."""
+        """Stop using a link that `acquire` returned; it is closed when its last user has released it."""
         if self._links.release(settings, link):
             await link.close()
 

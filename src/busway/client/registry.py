@@ -46,9 +46,9 @@ class LocalConnectionStatus:
         in_flight: number of requests whose reply is awaited.
         queued: number of calls that have requests left to send.
         reason: why the last attempt to connect failed; empty while connected, and before the first failure.
-        late_replies: number of replies that came after their timeout; all were dropped.
+        late_replies: number of replies received after their timeout; all were dropped.
         in_doubt: units that may still send late replies, ascending; always empty with Modbus TCP framing, where
-            transaction identifiers tell late replies from others.
+            transaction identifiers show which replies are late.
     """
 
     endpoint: str

@@ -145,7 +145,7 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """Return the endpoint without those options that listening to a line does not accept."""
+    """Return the endpoint without the options that listening to a line does not accept."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)

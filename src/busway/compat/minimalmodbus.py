@@ -70,9 +70,9 @@ class NoResponseError(MasterReportedException):
 
 
 class LocalEchoError(MasterReportedException):
-    """minimalmodbus' exception for a damaged echo; never raised here.
+    """minimalmodbus' exception for an echo that differs from the request; never raised here.
 
-    Bytes that differ from the echo are received as a reply or as noise.
+    Such bytes are treated as a reply or as noise.
     """
 
 

@@ -44,7 +44,7 @@ def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
     Args:
         unit: unit identifier, 0…255.
         pdu: function code and data, 1…253 bytes.
-        delimiter: character that ends the frame behind CR, 0…127; LF by default.
+        delimiter: character that ends the frame after CR, 0…127; LF by default.
     """
     body = bytes((unit,)) + pdu
     return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
@@ -64,8 +64,8 @@ class AsciiReceiver:
     All times are seconds of the caller's clock.
 
     Attributes:
-        state: which part of a frame comes next.
-        delimiter: the character that ends a frame behind CR; may be changed at any time (function 08/03).
+        state: which part of a frame is expected next.
+        delimiter: the character that ends a frame after CR; may be changed at any time (function 08/03).
         conversation: role, own units and the expected reply; they tell requests from replies.
         echo: the filter that removes the echo of what this station sends.
         timing: the times of the line; used only for the times of frames, because ASCII needs no silence.
@@ -112,12 +112,12 @@ class AsciiReceiver:
             timing: the times of the line.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes may be given.
-            delimiter: the character that ends a frame behind CR, 0…127.
+            delimiter: the character that ends a frame after CR, 0…127.
             character_timeout: seconds that may pass between two characters of a frame, above 0.
             upper_case_only: whether a frame with lower-case digits is damaged.
             strip_parity: whether the eighth bit of each character is ignored.
-            reply_window: seconds for which a server or observer expects the reply to a foreign request.
-            echo: whether the port gives back what is sent.
+            reply_window: seconds for which a server or observer expects the reply to a request to another unit.
+            echo: whether this station receives what it sends.
 
         Raises:
             ValueError: a delimiter outside 0…127 or a timeout that is not above 0.

@@ -20,7 +20,10 @@ ECHO_WINDOW: Final = 0.050
 
 
 class Echo(Word):
-    """Option whether the line gives back to this station what it sends. AUTOMATIC: learnt from the first exchange."""
+    """Values of the option ``echo``: whether this station receives what it sends itself.
+
+    AUTOMATIC: found out from the first exchange.
+    """
 
     OFF = "off"
     ON = "on"

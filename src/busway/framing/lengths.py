@@ -138,7 +138,8 @@ def _around(length: int) -> int:
 def shape_of(rule: int) -> tuple[int, int] | None:
     """Return a length rule as two numbers: offset of the byte count, and the number of bytes that it does not count.
 
-    Without a byte count: 0, and the fixed length. (0, 0) for `ASK`; None for an unknown function.
+    The rule of replies of function 03 gives (2, 5). Without a byte count they are 0 and the fixed length: the rule of
+    requests of function 03 gives (0, 8). (0, 0) for `ASK`; None for an unknown function.
     """
     if rule == 0:
         return None

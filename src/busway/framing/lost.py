@@ -19,7 +19,7 @@ class LostBytes:
     Attributes:
         reason: the error that `mark` reported; None without one, and then `report` finds the reason by the size: too
             long, too short or a wrong CRC.
-        size: how many bytes there were, those not kept included.
+        size: the number of all bytes, also of those that were not stored.
         is_marked: whether the port or the receiver reported an error among them (`mark`).
     """
 

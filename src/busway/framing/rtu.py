@@ -115,7 +115,7 @@ class RtuReceiver:
             gap_limit: seconds that an unfinished frame waits for its rest. None: 50 ms or t3.5, whichever is longer,
                 and for the reply that a master expects, until `flush`.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
-            echo: whether the port gives back what is sent.
+            echo: whether this station receives what it sends.
             started: when the port was opened, so that nothing is sent before t3.5 has passed (state "initial" of
                 §2.5.1.1); None where the line is known to be idle.
 

@@ -90,8 +90,8 @@ class StrictRtuReceiver:
             timing: character time, t1.5 and t3.5.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes may be given.
-            reply_window: seconds for which a server or observer expects the reply to a foreign request.
-            echo: whether the port gives back what is sent.
+            reply_window: seconds for which a server or observer expects the reply to a request to another unit.
+            echo: whether this station receives what it sends.
             started: when the port was opened: the state is "initial" until t3.5 of silence. None: the line is idle.
         """
         self.conversation: Conversation = Conversation(role, units, reply_window)

@@ -67,7 +67,7 @@ class UnitParameters:
 
 @dataclass(frozen=True, slots=True)
 class ServerParameters:
-    """Options of a server: how many requests it works on at once, and how it answers."""
+    """Options of a server: how many requests it processes at once, and how it answers."""
 
     max_transactions: Annotated[
         int, Range(1, 16), "NumberMaxOfServerTransaction: requests that may be waiting for a slow responder."

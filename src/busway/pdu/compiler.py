@@ -318,12 +318,13 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Return Python source that is true if a field's value is out of range.
+    """Return the text of a Python expression that is true if a field's value is out of range.
 
     Args:
         name: the name of the variable with the value.
         field: the field with its limits.
-        received: whether the value comes from bytes; then the source is empty if all bytes are in range.
+        received: whether the value was unpacked from bytes; then the text is empty if all values of the width are
+            allowed.
     """
     if field.values is not None:
         return f"{name} not in {field.values}"

@@ -156,7 +156,8 @@ class FunctionTable:
 def _exception_length(data: bytes, at: int, end: int) -> int:
     """Return the length in bytes of the exception PDU at ``at``: 2, or 3 for the form ``AB 0E cc`` of some devices.
 
-    `NEED_MORE` if too few bytes are there to tell. The form is in the figure of Application Protocol V1.1b3 §6.21.
+    That form, with the MEI type in the middle, is in the figure of Application Protocol V1.1b3 §6.21. `NEED_MORE` if
+    too few bytes are there to tell.
     """
     if data[at] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80:
         if end < at + 2:

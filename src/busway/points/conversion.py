@@ -79,12 +79,12 @@ class Conversion:
         return scale, least - low * scale
 
     def source(self, raw: str, *, whole: bool) -> str:
-        """Return the source of a Python expression that computes the value from a raw number; for compiled decoders.
+        """Return the text of a Python expression that computes the value from a raw number, for generated decoders.
 
-        The expression does not contain ``scale_from``.
+        ``scale_from`` is not applied by the expression.
 
         Args:
-            raw: source of the raw number, such as a variable's name.
+            raw: the expression for the raw number, such as a variable's name.
             whole: whether raw numbers are integers.
         """
         text = raw

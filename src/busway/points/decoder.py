@@ -392,7 +392,10 @@ def _invalid_of(point: Point) -> list[float]:
 
 
 def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
-    """Return a function that decodes one point by its value type: the value, and the reason if it is not good."""
+    """Return a function that decodes one point by its value type.
+
+    It takes the bytes of the point, and returns the value and the reason why it is not good (0 for a good value).
+    """
     form, conversion = point.form, point.conversion
     assert form is not None
     convert = point.value if conversion.changes else None

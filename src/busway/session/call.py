@@ -69,9 +69,10 @@ class Call:
         next: position of the first request that was never sent.
         again: positions of requests to be sent once more.
         attempts: for repeated requests only, by position: the number of the present attempt, 2 or more.
-        markers: marker requests (`busway.session.late_replies`) that its unit did not answer while this call waited.
-        repeated: by position, further attempts of a read that do not count as retries: an earlier reply was not used,
-            because it could have been a late one.
+        markers: number of marker requests (`busway.session.late_replies`) that its unit did not answer while this call
+            waited.
+        repeated: by position, number of repetitions of a read that do not count as retries, because the reply was not
+            used: it could have been a late one.
         places: how much of the queue's limit the call uses: 1 for an application's call, whatever its requests; 1 for
             each request if a gateway makes the call for a client.
     """
@@ -240,7 +241,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """Return the bytes of a request to a unit; encoded at the first use, then kept with the request."""
+    """Return the bytes of a request to a unit; encoded at the first use, then stored with the request."""
     try:
         encoded: EncodedRequest = request.memo
     except AttributeError:
@@ -291,7 +292,7 @@ FreeSlots = list[RequestInFlight]
 
 
 def free_slots(count: int) -> FreeSlots:
-    """Create ``count`` reusable objects for requests in flight: ``count`` is the limit of requests in flight.
+    """Create a list of ``count`` reusable objects for requests in flight; their number limits the requests in flight.
 
     The caller passes the list to one session, or to all sessions of a client, which then share the limit.
     """

@@ -208,7 +208,7 @@ class LineDiagnostics:
             self.of(unit).received_broadcast()
 
     def received_damaged(self, *, overrun: bool = False) -> None:
-        """Count and log a damaged frame, for every unit, since all hear it."""
+        """Count a damaged frame, and log it for every unit of the line, because all of them received it."""
         self.fold()
         self.heard.damaged += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
@@ -385,7 +385,7 @@ class CommunicationState:
         self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
     def log_received(self, event: int) -> None:
-        """Log a receive event that all units of a line hear."""
+        """Log a receive event that concerns all units of the line, such as a damaged frame."""
         self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
@@ -456,7 +456,7 @@ class CommunicationState:
 
 
 def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
-    """Return a unit's own counters plus what its line has heard since ``before``."""
+    """Return a unit's own counters plus what was heard on its line since the counts ``before``."""
     return replace(
         own,
         bus_message_count=heard.messages - before.messages,

@@ -166,7 +166,7 @@ class UnitDoubt:
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """Subtract a late reply with this function code, which has come, from ``older``.
+        """Record that one of the late replies in ``older`` was received: reduce the number for its function code.
 
         ``pending`` stays unchanged: a new request must not be sent too early because of it.
         """
@@ -226,8 +226,7 @@ class UnitDoubt:
         """Return the earliest time to send a request, because a unit may break the order of replies (rule 5).
 
         It is ``now`` unless another request with this function code is owed a reply. ``call`` and ``position`` identify
-        the
-        request: earlier attempts at it do not count.
+        the request to send; late replies to earlier attempts at it do not delay it.
         """
         if not self.pending:
             return now

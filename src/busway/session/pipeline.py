@@ -59,10 +59,9 @@ class ClientRights(Protocol):
     """
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers such requests from their bytes.
+        """Return a function that answers all requests of the class ``kind`` to a unit from their bytes.
 
-        None if the policy must decide about each request. ``kind`` is the request class: the function is for one unit
-        and one function code.
+        None if the policy must decide about each request.
         """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
@@ -275,7 +274,7 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def learn_frame(self, frame: bytes) -> None:
-        """Store how to answer an RTU frame of eight bytes with a read, which was just answered, for the next time."""
+        """Store how to answer an RTU frame of eight bytes, which holds a read just answered, for the next time."""
         if len(self.frames) < MOST_READS:
             plan = self._plan(frame[0], frame[1:-2])
             if plan is not None:

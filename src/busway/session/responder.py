@@ -181,7 +181,7 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """Return a copy of this context for another responder that this one asks.
+        """Return a copy of this context, for a responder that passes the request on to another responder.
 
         A late reply given to the copy is passed to ``finish`` and not to the client.
         """
@@ -199,7 +199,7 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether a late reply is no longer accepted: there was one, or the request ended without."""
+        """Whether a late reply is no longer accepted: one was given, or the request has ended without one."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
@@ -242,10 +242,11 @@ class ForwardingTarget(Protocol):
     """Interface of a unit on another server to which requests are forwarded."""
 
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
-        """Forward one or several requests.
+        """Forward one or several requests; the results are reported to ``asker``.
 
-        The results are reported by ``answer``, ``reply`` or ``refuse`` of ``asker``, possibly before this method
-        returns. Each gets the request from ``asked`` and the element of ``tags`` at the same position.
+        For each request its method ``answer``, ``reply`` or ``refuse`` is called, possibly before this method returns,
+        with the request, and with the element of ``tags`` at the same position, by which the caller recognises the
+        request.
         """
 
 
@@ -260,13 +261,13 @@ class ForwardedMessage(Protocol):
 
 
 class Forwarding:
-    """A request that a gateway forwards to one or more targets, with the client that waits for its answer.
+    """A request that a gateway forwards to one or more targets; it collects their answers and replies to the client.
 
-    The session that gets it calls ``ask`` of each target, with `ALONE`. When all targets have answered, the client gets
-    the reply.
+    The session that gets it from `Responder.answer` calls ``ask`` of each target, with this object as ``asker``. Each
+    target calls `answer`, `reply` or `refuse`. After the last of these calls the client gets the reply.
 
     Args:
-        context: the request.
+        context: the request of the client.
         asks: each target with the request to it.
         reply: the client's reply unless a target refuses the request; None: the reply of the first target that answers.
 
@@ -295,23 +296,26 @@ class Forwarding:
         context.gone = self._client_gone
 
     def answer(self, tags: Sequence[None], asked: Sequence[ForwardedMessage], data: Sequence[bytes]) -> None:
-        """Answer the client with data that were read upstream; called by a target.
+        """Called by a target with the data that it has read: the client's reply is built from them.
 
-        The sequences have one element each: `ALONE`, the request, and its data.
+        The sequences have one element each: None, the request, and its data.
         """
         self._answered(asked[0].of_data(data[0]))
 
     def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
-        """Answer the client with the reply of the server to which the request was forwarded."""
+        """Called by a target with the reply of the other server, which is translated for the client."""
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Record that a target refused the request: the client gets an exception reply with this code."""
+        """Called by a target that refused the request: the client gets an exception reply with this code."""
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
     def send(self) -> None:
-        """Do nothing: a single answer was already sent by `answer`, `reply` or `refuse`."""
+        """Do nothing. A target calls it after its answers, so that several can be sent together.
+
+        Here there is only one.
+        """
 
     def _answered(self, reply: Message) -> None:
         if self._reply is None:
@@ -377,7 +381,7 @@ class Responder(Protocol):
         """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding` (see the module).
+        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding`, as rule 1 says.
 
         Called for requests to unknown units as well.
         """

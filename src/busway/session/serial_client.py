@@ -459,9 +459,8 @@ class SerialClientSession:
     def _marker_before(self, call: Call) -> Marker | None:
         """Return the marker request to send before the next request of a call; None if there is none to send.
 
-        A marker is a harmless request whose reply shows that no late reply can be taken for the reply to the next
-        request.
-        A restart needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
+        A marker is a harmless request whose reply shows that no late reply can be taken for the reply to the next one.
+        Function 08/01 (restart) needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
         unit = call.unit
         doubt = self.doubts.units.get(unit)
@@ -628,7 +627,10 @@ class SerialClientSession:
         doubt.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
-        """Repeat the read in flight now if ``frame``, which was taken for a late reply, may have been its reply."""
+        """Repeat the read in flight now if ``frame``, which was taken for a late reply, may have been its own reply.
+
+        The reply to the present attempt is then owed too.
+        """
         call = awaited.call
         if call is None or awaited.request.is_write or not may_answer(awaited.request, frame.pdu):
             return
@@ -752,7 +754,7 @@ class SerialClientSession:
         self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
-        """Start the pause in which this unit gets no further request after its reply (`set_unit_gaps`)."""
+        """Start the pause after a reply in which its unit gets no request (`set_unit_gaps`)."""
         gap = self._unit_gaps.get(frame.unit)
         if gap:
             before = self._not_asked_before.get(frame.unit, 0.0)
@@ -841,7 +843,10 @@ class SerialClientSession:
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
-        """End the call in flight if its deadline has passed; the reply to its request is still awaited (rule 7)."""
+        """End the call in flight if its deadline has passed.
+
+        The line still waits for the reply to its request (rule 7).
+        """
         call = awaited.call
         if call is not None and call.deadline is not None and now >= call.deadline:
             awaited.call = None

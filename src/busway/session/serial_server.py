@@ -90,9 +90,10 @@ class SerialServerSession:
     """State of one serial line on a server, for all units that the server answers for there.
 
     Attributes:
-        deferred, failures: as in `TcpServerSession`; the driver empties them.
+        deferred: replies that the driver has to await; the driver empties the list.
+        failures: failures of the responder to log; the driver empties the list.
         requests: requests for own units so far, broadcasts included.
-        foreign: frames on the line so far that were not for own units, and replies of other stations.
+        foreign: frames on the line so far that were requests to other units, or replies of other stations.
         damaged_frames: damaged frames so far.
         abandoned: answers that were not sent because another frame was received first (rule 4).
     """

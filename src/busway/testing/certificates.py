@@ -43,7 +43,7 @@ class CertificateFiles:
 
 
 class CertificateStore:
-    """A directory with a trusted authority, a foreign authority, and certificates that they sign.
+    """A directory with a trusted and an untrusted authority, and certificates that they sign.
 
     Args:
         directory: an existing directory, where the files are written.

@@ -343,10 +343,7 @@ class PacedLine:
         self._last_sound = written_at
 
     def _hand_over(self, passed: list[LineByte], at: float) -> None:
-        """Deliver characters of the line to the programs at the ports.
-
-        If the time ``at`` is not reached, wait for it.
-        """
+        """Deliver characters of the line to the programs at the ports; wait first if ``at`` is still to come."""
         if not passed:
             return
         self._handed_over_at = self._last_sound = at

@@ -213,10 +213,7 @@ def faulty_server(
 ) -> Iterator[FaultyServer]:  # Any: as FaultyServer says
     """Context manager that runs a `FaultyServer` in a thread of its own, for blocking clients; yields the server.
 
-    Args:
-        device: as in `FaultyServer`.
-        fault_profiles: as in `FaultyServer`.
-        options: as in `FaultyServer`, ``seed``, ``clock``, ``host`` and ``functions`` included.
+    The arguments are those of `FaultyServer`; ``seed``, ``clock``, ``host`` and ``functions`` may be among ``options``.
     """
     server = FaultyServer(device, *fault_profiles, **options)
     thread = _ServerThread(server)

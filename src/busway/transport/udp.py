@@ -153,7 +153,7 @@ class BlockingDatagramSocket:
     def recv_into(self, buffer: bytearray) -> int:
         """Receive the next datagram that is a whole frame into ``buffer``, and return its size.
 
-        Raises `BlockingIOError` if no such datagram has come.
+        Raises `BlockingIOError` if no such datagram has been received.
         """
         while True:
             try:

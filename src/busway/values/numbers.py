@@ -214,7 +214,7 @@ class ThreeRegisterCodec:
 
 
 class BcdCodec:
-    """Converts registers to binary-coded decimals without sign, four digits in each register, and back."""
+    """Converts registers that hold unsigned binary-coded decimals, four digits in each, to integers, and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._digits = order.size * 2

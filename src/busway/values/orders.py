@@ -114,7 +114,7 @@ class ByteOrder:
 
     @property
     def is_reversed(self) -> bool:
-        """Whether the first of `swaps` reverses whole values; such values can be read as little-endian instead."""
+        """Whether the first of `swaps` reverses all bytes of a value; `struct` can then read it as little-endian."""
         return self.size != 6 and bool(self.mask & (self.size >> 1))
 
     @property

@@ -230,7 +230,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
-    """Convert registers into values of a type; works as `ValueType.decode`.
+    """Convert registers into values of a type, like `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
@@ -251,7 +251,7 @@ def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: i
 
 
 def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "ABCD") -> bytes:
-    """Convert values of a type into registers, in wire order; works as `ValueType.encode`.
+    """Convert values of a type into registers, in wire order, like `ValueType.encode`.
 
     Args:
         values: values of the type, in a sequence.
@@ -265,7 +265,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
 
 
 def parse_value(text: str, type: str | ValueType[Any]) -> Any:
-    """Return the value of a type for a text from a command line or a file; as `ValueType.parse`.
+    """Return the value of a type for a text from a command line or a file, like `ValueType.parse`.
 
     Raises:
         InvalidRequest: no such type, or the text is no value of the type. Nothing was sent.

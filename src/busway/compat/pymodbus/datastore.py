@@ -162,7 +162,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
 class ModbusBaseDeviceContext:
     """Base of the contexts: the values of one unit, by function code and address.
 
-    The function code (``fc_as_hex``) says which table is meant.
+    The function code (``fc_as_hex``) of a request determines which table is read or written.
     """
 
     _fx_mapper: Mapping[int, str] = TABLE_OF

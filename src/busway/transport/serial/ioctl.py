@@ -22,7 +22,7 @@ def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Make an ioctl call; returns False if the driver does not offer it. Other errors are raised."""
+    """Make an ioctl call; return True, or False if the driver does not offer it. Other errors are raised."""
     try:
         ioctl(descriptor, request, buffer)
     except OSError as error:
