@@ -53,7 +53,7 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 
 
 def missing_extra(error: ImportError) -> MissingExtra | None:
-    """Return the error for the user if ``error`` is the failed import of an optional package; None otherwise."""
+    """Return the `MissingExtra` for ``error`` if it is the failed import of an optional package; None otherwise."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRA_OF:
         return None

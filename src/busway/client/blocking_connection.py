@@ -36,7 +36,7 @@ class BlockingConnection:
         self._poll = poll
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; `flush` sends later what the system does not accept now.
+        """Send a frame; bytes that the system does not accept now are sent later by `flush`.
 
         Raises `OSError` if the connection has ended; a part of the frame may have gone out.
         """

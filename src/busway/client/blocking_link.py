@@ -57,13 +57,13 @@ _IDLE_SECONDS = 0.05
 _BLOCKED: Final = 0.01
 """Seconds until a waiting thread checks again whether the connection accepts more bytes."""
 _STARVED: Final = 0.02
-"""Longest wait at a socket, in seconds, while requests wait and the links of the client have one common limit."""
+"""Longest wait at a socket, in seconds, while requests wait because of the common limit of the client's links."""
 _LOOK: Final = 0.25
-"""Longest wait of a thread, in seconds, until it looks whether the leader is still there, and the link in order."""
+"""Longest wait of a thread, in seconds, until it checks whether there is still a leader and the link was not reset."""
 _DIALLING: Final = 0.01
-"""Seconds until `BlockingLinkDriver.connect` looks again whether another thread has made the connection."""
+"""Seconds until `BlockingLinkDriver.connect` checks again whether another thread has opened the connection."""
 _SPIN: Final = 0.0003
-"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes about that late."""
+"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes up about that much late."""
 
 
 class BlockingLinkDriver:

@@ -47,7 +47,7 @@ _log = logging.getLogger("busway.client")
 CLOSING_SECONDS: Final = 2.0
 """Most seconds that closing a link waits until its serial port is closed."""
 SPIN: Final = 0.0003
-"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping processor wakes about that late."""
+"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping processor wakes up about that much late."""
 COARSE_SPIN: Final = 0.0015
 """The same as `SPIN` on systems without exact timers: those of the event loop are up to one millisecond late."""
 

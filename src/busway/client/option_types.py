@@ -14,10 +14,7 @@ from ..options.tls import Curve, TlsVersion, Verify
 
 
 class LinkOptions(TypedDict, total=False):
-    """Keyword options of `busway.connect` and `busway.open`.
-
-    Which of them are accepted depends on the scheme of the URL.
-    """
+    """Keyword options of `busway.connect` and `busway.open`; the scheme decides which are accepted."""
 
     timeout: float
     retries: int

@@ -10,7 +10,7 @@ from ..transport.serial.waiting import wait_ready
 from .channel import Channel
 
 _LONGEST_WAIT: Final = 0.25
-"""Longest single wait at a serial port, in seconds: closing the port does not wake a thread that waits at it."""
+"""Longest single wait at a serial port, in seconds: closing the port does not wake up a thread that waits at it."""
 
 
 class ExactPoll:

@@ -27,7 +27,7 @@ from .sessions import timing_of
 from .settings import link_settings
 
 LISTEN_SECONDS: Final = 2.0
-"""How long a scan listens to a line before it sends anything, unless told otherwise."""
+"""Seconds that a scan listens to a line before it sends anything, by default."""
 
 
 @dataclass(slots=True)

@@ -15,7 +15,7 @@ from types import ModuleType
 from ..errors import ConfigError
 
 LIBRARIES = ("pymodbus", "minimalmodbus")
-"""The names that `install` takes."""
+"""The names that `install` accepts."""
 
 
 def install(name: str) -> ModuleType:

@@ -34,7 +34,7 @@ ENCODERS: Final[Mapping[str, Callable[[int, int, bytes, int | None], bytes]]] = 
 }
 """By framing, the function that returns a frame: from transaction, unit, PDU and length field.
 
-The length field may be false; None for the true one. The checks of serial frames are always right.
+The length field may be a wrong one; None for the right one. CRC and LRC of serial frames are always right.
 """
 
 

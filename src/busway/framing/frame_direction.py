@@ -21,7 +21,7 @@ from ..pdu.message import UNKNOWN_LENGTH
 from .received import Direction
 
 REPLY_WINDOW: Final = 1.0
-"""Seconds for which a server or observer expects the reply to a foreign request, unless configured otherwise."""
+"""Seconds for which a server or observer expects the reply to a request to another unit, by default."""
 
 _REQUEST_ONLY = (Direction.REQUEST,)
 _REPLY_ONLY = (Direction.REPLY,)

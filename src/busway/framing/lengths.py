@@ -20,19 +20,19 @@ from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
 from .received import Direction
 
 ASK: Final = -1000
-"""Rule of a function code whose lengths only the table of functions can tell, message by message."""
+"""Rule of a function code whose lengths have to be computed from each message by the table of functions."""
 AROUND_PDU: Final = 3
-"""Bytes of a frame around its PDU: one of unit before it, two of CRC behind it."""
+"""Bytes of a frame around its PDU: one of unit before it, two of CRC after it."""
 SHORTEST: Final = 4
 """Fewest bytes of a frame: unit, function code, CRC."""
 
 _SAMPLES: Final = range(0, 256, 5)
-"""Byte counts that a rule is tried with, 0 and 255 among them."""
+"""Byte counts with which `_counted` tests a rule, 0 and 255 among them."""
 
 _DECIDING: Final = 3
-"""How many bytes of a PDU decide nearly every length: function code, and a sub-function or byte count of two bytes."""
+"""Number of bytes of a PDU that nearly every length depends on: function code, and a sub-function or byte count."""
 _ANSWERS_KEPT: Final = 4096
-"""Answers and rules of the table that are kept for each direction: noise must not fill the memory."""
+"""Most lengths and rules that are cached for each direction: noise must not fill the memory."""
 
 LengthRule = Callable[[bytes, int, int], int]
 """Function that takes bytes with the start and end of a PDU in them, and returns the length of the PDU."""
@@ -48,8 +48,8 @@ class FrameLengths:
     """Lengths of all frames of a table of functions, by direction and function code.
 
     Attributes:
-        requests, replies: the length rule of each function byte 0…255 as one number (rule 2 of this file).
-        shapes: for each function byte 0…255, the rules of its reply and of its request as `shape_of` returns them;
+        requests, replies: lists of the length rules (rule 2 of this file); the index is the function byte 0…255.
+        shapes: for each function byte 0…255, the rules of its reply and of its request in the form of `shape_of`;
             rules of unknown functions and `ASK` are left out.
         asked_requests, asked_replies: lengths of the functions whose rule is `ASK`.
     """

@@ -41,11 +41,11 @@ from .rtu_search import DEAD, WAITS, find_any, find_reply
 from .timing import SerialTiming
 
 DEFAULT_GAP_LIMIT: Final = 0.050
-"""Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems skip a beat."""
+"""Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems later."""
 
 _PIECE: Final = RTU_ADU_LIMIT
 _SILENCES_KEPT: Final = 4
-"""How many silences inside an undecided chunk a server remembers as places where a frame may have begun."""
+"""How many silences inside an undecided chunk a server remembers: a frame may have begun after each."""
 
 
 def encode_rtu(unit: int, pdu: bytes) -> bytes:
@@ -262,7 +262,7 @@ class RtuReceiver:
         return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
 
     def _pass_time(self, until: float, found: list[Received]) -> None:
-        """Add to ``found`` the frames and damaged bytes that the silences up to ``until`` complete."""
+        """Add to ``found`` the frames and damaged bytes that are complete because of silences up to ``until``."""
         if self._undecided:
             if not self._quiet and until >= self._last + self.timing.t3_5:
                 self._quiet = True

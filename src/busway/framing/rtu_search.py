@@ -20,13 +20,13 @@ WAITS: Final = -1
 """Result instead of the position after a frame: a frame may begin here, but is unfinished."""
 
 _IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
-"""Stands for every length that no frame has."""
+"""A length that no frame has."""
 
 Place = tuple[int, int]
-"""Result of a search: where a frame begins, and the position behind the frame.
+"""Result of a search: the position where a frame begins, and the position after its end.
 
-The second number is `WAITS` if a frame may begin there and is unfinished, and `DEAD` if no frame begins anywhere; then
-the first is the end of the bytes.
+The second number is `WAITS` if a frame may begin there and is unfinished, and `DEAD` if no frame is found; then the
+first is the end of the bytes.
 """
 
 
@@ -114,7 +114,7 @@ def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """Return the length rules of the expected reply and its exception reply, by function byte, as `shape_of` does."""
+    """Return, by function byte, the length rules of the expected reply and its exception reply (see `shape_of`)."""
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:

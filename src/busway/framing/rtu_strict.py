@@ -165,7 +165,7 @@ class StrictRtuReceiver:
         The line is idle t3.5 later; an echo of the bytes is removed.
 
         Raises:
-            ValueError: the line is neither idle nor in emission: only then may a station send.
+            ValueError: the station may not send now: the state of the line is neither idle nor emission.
         """
         if self.state not in (LineState.IDLE, LineState.EMISSION):
             raise ValueError(f"emission begins only from the state idle, and the line is in {self.state.value}")

@@ -18,7 +18,7 @@ FIXED_ABOVE_BAUD: Final = 19_200
 FIXED_T1_5: Final = 0.000_750
 FIXED_T3_5: Final = 0.001_750
 NETWORK_SILENCE: Final = 0.020
-"""Seconds that stand for t3.5 where RTU travels over a network: longer than one segment lags behind another on a LAN.
+"""Seconds used as t3.5 for RTU over a network: longer than the delay between two segments on a LAN.
 """
 
 

@@ -73,7 +73,7 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The framings that this backend can speak on each transport, by modbus-connection's names."""
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
-"""Range of a link's timeout in seconds; others are replaced by the nearest."""
+"""Range of a link's timeout in seconds; a timeout beyond an end is replaced by that end."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"

@@ -115,7 +115,7 @@ class Endpoint:
 
 
 _LONGEST = 4096
-"""Most characters of an invalid URL that an error message shows whole."""
+"""Longest invalid URL, in characters, that an error message shows in full."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:

@@ -224,7 +224,10 @@ class Request(Message):
     is_write: ClassVar[bool] = False
     echoes: ClassVar[bool] = False
     take: ClassVar[Any] = None  # Any: a staticmethod (bytes) -> Message or None; a plain callable would be bound
-    """Creates a reply from its data alone, if length and first bytes are as expected; None if there is no such way."""
+    """Function that creates a reply from its data bytes alone, if length and first bytes of the PDU are as expected.
+
+    None if the reply has other fields.
+    """
     broadcast: ClassVar[bool] = False
 
     @classmethod

@@ -161,7 +161,7 @@ class ReadFifoQueue(Request):
 
 
 _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_READ_REGISTERS + 2))
-"""Functions that unpack registers, by the number of registers, for as many as a reply has; longer data are rarer."""
+"""Functions that unpack registers; the index is the number of registers, up to the most that a reply has."""
 
 
 def unpack_registers(data: bytes) -> list[int]:

@@ -20,7 +20,9 @@ from ..errors import InvalidRequest
 from ..values.refusal import shown
 
 _MOST_STEPS_OFF: Final = 1e-6
-"""Largest distance of a value from whole steps, in steps or as a share of them: the error of binary fractions."""
+"""How far a value may be from a whole number of steps, because of the error of binary fractions: in steps, or as a
+share of their number.
+"""
 LARGEST_EXPONENT: Final = 10
 """Scale factors lie in -10…10 (SunSpec Device Information Model Specification, sunssf)."""
 

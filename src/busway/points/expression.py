@@ -39,7 +39,10 @@ _CONSTANTS: Final = {"pi": math.pi}
 
 
 def _rounded(value: Any, digits: Any = 0) -> Any:
-    """Round as ``round`` does, to a bounded number of digits: for integers ``round`` computes a power of ten."""
+    """Round a number like ``round``, but with a bounded number of digits, so that a formula cannot take long.
+
+    ``round`` of an integer to -n digits computes 10 to the power of n.
+    """
     return round(value, max(-_MOST_DIGITS, min(int(digits), _MOST_DIGITS)))
 
 

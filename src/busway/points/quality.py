@@ -23,7 +23,7 @@ class Quality(IntEnum):
     UNCERTAIN = 1
     """There is a value, but it may be wrong."""
     BAD = 2
-    """There is no value that can be relied on."""
+    """There is no value, or none that can be trusted."""
 
     @property
     def label(self) -> str:

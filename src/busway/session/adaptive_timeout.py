@@ -10,11 +10,11 @@ Knows response times; knows no line and no clock.
 from typing import Final
 
 FACTOR: Final = 4.0
-"""Timeout divided by the slowest response time so far. Units of one line differ by their processors and their other
-work; a unit that differs by more is noticed by its late reply.
+"""The timeout is the slowest response time so far, multiplied by this: units of one line differ in speed. The late
+reply of a unit that is slower still is noticed.
 """
 ROOM: Final = 0.1
-"""Seconds in each floor besides the time of its characters: adapters and systems take up to 20 ms each way."""
+"""Seconds added to the time of the characters in each floor: adapters and systems take up to 20 ms each way."""
 CHARACTERS: Final = 32
 """Longest request and reply of a probe together, in characters; covers ASCII, and includes the silences around
 frames.

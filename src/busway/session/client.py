@@ -43,16 +43,16 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""Decay of a unit's usual response time, which is that of its slowest recent reply: each faster reply takes a tenth
-off.
+"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
 """
 _LAUNCHES_APART = 32
 """Number of sends without batches after a batch had to be split, because replies came in another order or one was an
 exception: splitting a batch costs a fifth of what its requests cost.
 """
 _LATE_FACTOR = 2
-"""How many times more timeouts are tolerated while late replies come: the device is alive then. But if every reply
-answers the request before the last one (Growatt_ModbusTCP#317), only a new connection helps."""
+"""How many times more timeouts are tolerated if late replies come: then the device is alive. But if every reply
+answers the request before the last one (Growatt_ModbusTCP#317), only a new connection helps.
+"""
 _LATE_KNOWN = 60.0
 """Seconds after a late reply for which errors of the unit say that it is slow."""
 _NO_DOUBTS: Mapping[int, object] = MappingProxyType({})

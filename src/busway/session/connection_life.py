@@ -21,7 +21,7 @@ from .serial_client import SerialClientSession
 
 Moved = Callable[[ConnectionEvent, str, str], None]
 """Called as ``moved(event, reason, news)`` with each event, its reason in words, and a message for the operator. The
-message is empty if there is nothing to tell.
+message is empty if there is nothing to report.
 """
 
 

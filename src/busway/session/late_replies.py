@@ -37,7 +37,9 @@ from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters
 from .call import Call
 
 CHECK_EVERY: Final = 128
-"""Replies of one shape in a row after which a marker is sent, to check: less than a hundredth of a line's requests."""
+"""Number of replies in a row that are alike in function and length, after which a marker is sent as a check (rule 7).
+So markers are less than a hundredth of the requests.
+"""
 OWED_LIMIT: Final = 256
 """Owed replies of a unit that are kept one by one; of earlier ones only the number is kept. A unit that is dead for an
 hour is probed about 400 times.
@@ -138,7 +140,7 @@ class UnitDoubt:
     # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
-        """Record a request that got no reply, in time or before the connection ended: its reply may still come late."""
+        """Record a request that was not answered in time, or before the connection ended: its reply may still come."""
         self.pending = [one for one in self.pending if one.until > reply.sent]
         if len(self.pending) >= OWED_LIMIT:
             self.pending.remove(min(self.pending, key=lambda one: one.until))
@@ -254,8 +256,9 @@ class UnitDoubt:
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
         """Return the next marker request to send (see `Marker`); None if the unit answers no kind of marker.
 
-        ``number``, 0…65535, is the data of a marker of the kind 08/00; it must differ from those of markers still owed
-        a reply. ``is_check``: whether it is the regular check of rule 7, for which fewer kinds are used.
+        Args:
+            number: data of a marker of the kind 08/00, 0…65535; no marker whose reply is still owed may have the same.
+            is_check: whether it is sent for the regular check of rule 7, for which fewer kinds are used.
         """
         kinds: Iterable[MarkerKind] = _OF_CHECKS if is_check else MarkerKind
         if self.works is not None and not is_check:

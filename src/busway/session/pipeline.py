@@ -38,7 +38,7 @@ from .responder import (
 
 _DIAGNOSTICS: Final = int(FunctionCode.DIAGNOSTICS)
 _MOST_RIGHTS: Final = 256
-"""Most sets of rights whose fast path is kept; when there are more, all fast paths are dropped and built anew."""
+"""Most sets of rights whose fast path is kept; if there are more, all fast paths are dropped and built again."""
 MOST_READS: Final = 4096
 """Most reads that one fast path knows by all their bytes: enough for a poller of 4096 different ranges. Other reads are
 answered by the function for their unit and function code: that takes 1.0 µs instead of 0.4.

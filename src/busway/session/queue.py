@@ -22,14 +22,14 @@ from ..errors import Overloaded
 from .call import Call
 
 BURST = 8
-"""Largest turn, in requests, of a gateway's client while others wait. Requests that leave together are answered
-together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single ones 45.
+"""Most requests that a gateway's client may send in its turn while others wait. Requests that leave together are
+answered together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single
+ones 45.
 It is half of the requests that may be in flight, so that two clients have their turns at once.
 """
 
 RESERVED_PLACES = 64
-"""Places beyond the limit of a queue that only priority hosts may take: enough for the open requests of four
-connections.
+"""Number of requests of priority hosts that a queue accepts beyond its limit: enough for four connections.
 """
 
 Eligible = Callable[[Call], bool]

@@ -117,7 +117,7 @@ class Reconnect:
         return _news(event, reason, failed, target, new_state=before is not target)
 
     def begin_again(self) -> None:
-        """Set the state to DOWN, without a pause; the number of failures stays."""
+        """Reset to the state DOWN, in which the next attempt may be made at once; the number of failures stays."""
         self.state = ConnectionState.DOWN
 
     @property

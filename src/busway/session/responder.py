@@ -331,7 +331,7 @@ class Forwarding:
 
 
 ALONE: Final = (None,)
-"""The tags passed to `ForwardingTarget.ask` for a request that is forwarded by itself."""
+"""The argument ``tags`` of `ForwardingTarget.ask` for a single request."""
 Outcome = Message | Awaitable[Message] | Deferral | Forwarding
 
 

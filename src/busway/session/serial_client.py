@@ -55,8 +55,7 @@ OWED_FOR: Final = 2.0
 """
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""Decay of a unit's usual response time, which is that of its slowest recent reply: each faster reply takes a tenth
-off.
+"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
 """
 
 
@@ -932,7 +931,7 @@ class SerialClientSession:
 
 
 def _fits(request: Request, pdu: bytes) -> bool:
-    """Whether a PDU with the right function code can be the reply to a request."""
+    """Whether a PDU with the function code of a request is an exception reply or a valid normal reply to it."""
     try:
         request.accept(pdu)
     except MalformedPdu:

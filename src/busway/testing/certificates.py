@@ -15,7 +15,7 @@ HOSTS: Final = ("localhost", "127.0.0.1", "::1")
 """Names and addresses of this machine, for which server certificates are valid by default."""
 _EXPIRED_DAYS: Final = -1.0
 _STAND_IN: Final = "1.3.6.1.4.1.50316.802.2"
-"""Object identifier as long as the role's: a certificate is built with it, and the role's put in its place."""
+"""Object identifier as long as that of the role extension, which replaces it in the finished certificate."""
 
 
 @dataclass(frozen=True, slots=True)

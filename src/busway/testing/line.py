@@ -40,26 +40,26 @@ from .virtual_line import NOISE, LineByte, Transmission, VirtualLine, VirtualPor
 __all__ = ["NOISE", "LineByte", "PacedLine", "Transmission", "VirtualLine", "VirtualPort"]
 
 GRANULARITY = 0.0005
-"""Seconds of characters that may be handed over together, by default.
+"""Characters within this many seconds may be delivered together, by default.
 
 Waking two programs for every character of 115 200 baud would take more than a processor; this is below 1.5 characters
 at every rate, where the specification holds that silence at 750 µs.
 """
 
 SPIN = 0.0001
-"""Seconds before each handing over at which the thread wakes up; the rest is waited for in a loop.
+"""Seconds before each delivery at which the thread wakes up; it waits for the rest in a loop.
 
-A sleeping thread is woken some 50 µs late, and finding out what to hand over takes as long.
+A sleeping thread is woken some 50 µs late, and finding out what to deliver takes as long.
 """
 ROUNDING = 1e-9
-"""Seconds that subtracting and adding a transit may lose at most."""
+"""Most seconds that may be lost by rounding when the time of a pty is subtracted and added."""
 
 TRANSIT_SAMPLES = 11
 """Number of measurements of the time that a pty takes."""
 TIME_TO_FALL_ASLEEP = 0.002
 """Seconds before each measurement: a processor wakes up faster if it has not slept for long."""
 LONGEST_TRANSIT = 0.0002
-"""Most seconds that a pty is taken to need.
+"""Longest time that is assumed for a pty, in seconds.
 
 A machine that is busy while it is measured must not make characters arrive before their time.
 """

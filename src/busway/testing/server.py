@@ -34,7 +34,7 @@ from ..server.local import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
-"""Number of requests that a server keeps for its test to look at."""
+"""Number of requests that a server keeps in its list ``requests``."""
 LONGEST_WAIT = 10.0
 """Seconds after which waiting for a condition, which should hold at once, fails."""
 

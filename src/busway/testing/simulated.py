@@ -339,7 +339,7 @@ def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
 
 
 def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
-    """Return the points for values by address. Raises `ConfigError` that names a wrong address."""
+    """Return the points to declare for a mapping of addresses to values. Raises `ConfigError` for a wrong address."""
     from ..config.files.file_error import FileError
     from ..config.files.schema import Source
     from ..config.files.simulation import SimulatedUnitSection

@@ -19,7 +19,7 @@ from .epoll.watcher import READABLE, EpollSet
 
 ACCEPTED_PER_TURN: Final = 64
 PAUSE_SECONDS: Final = 1.0
-"""Seconds until accepting is tried again, as in asyncio: by then resources may be free."""
+"""Seconds until accepting is tried again after an error, as in asyncio: by then resources may be free."""
 
 Protocols = Callable[[], asyncio.BaseProtocol]
 

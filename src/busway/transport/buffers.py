@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     import asyncio
 
 RECEIVE_SIZE = 65_536
-"""What one receive call takes at most: some 5000 read requests."""
+"""Most bytes that one receive call returns: some 5000 read requests."""
 
 _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, bytearray]" = WeakKeyDictionary()
 _windows: dict[int, memoryview] = {}
-"""The window made last, by its size: a view of a buffer takes 312 bytes, which no idle connection needs for itself."""
+"""The view created last, by its size: a view takes 312 bytes, so connections share it."""
 
 
 def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:

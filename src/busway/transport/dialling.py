@@ -21,7 +21,7 @@ from .epoll.watcher import EpollSet, can_watch
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
-"""The epoll set of each event loop. It lives as long as its connections, and keeps the loop alive no longer."""
+"""The epoll set of each event loop. It exists as long as its connections, so it does not keep the loop alive."""
 
 
 async def open_stream(

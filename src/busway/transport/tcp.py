@@ -91,7 +91,7 @@ def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transpo
 
 
 _ENDED = frozenset({7, 8})
-"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN has come."""
+"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN was received."""
 
 
 def _set_if_known(connection: socket.socket, name: str, value: int) -> None:

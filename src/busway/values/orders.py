@@ -158,12 +158,14 @@ def byte_order(text: str, size: int) -> ByteOrder:
 
 
 def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
-    """Convert the mask of an order between values of 6 bytes and values of another size; return the new mask.
+    """Return the mask for values of ``size`` bytes, given the mask of the same order for ``given_size`` bytes.
+
+    For values of three registers and others: one of the two sizes is 6.
 
     Args:
         text: the order as written, for errors.
         size: size that is wanted, in bytes.
-        given_size: size that the order is written for, in bytes; one of the two sizes is 6.
+        given_size: size that the order is written for, in bytes.
         mask: the mask for ``given_size``.
 
     Raises:

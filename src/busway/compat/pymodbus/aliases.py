@@ -75,9 +75,9 @@ class AliasFinder(MetaPathFinder, Loader):
         """Return None, so that the import system creates the module."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Replace a module by that of this package, or copy attributes of such modules into it.
+        """Fill a module of pymodbus that is being imported, from modules of this package. Called by ``import``.
 
-        Called by ``import``.
+        A name in `OWN` gives the module of this package itself; a name in `HOMES` gets copies of attributes.
         """
         name = module.__name__.removeprefix(f"{self.root}.")
         if name in OWN:

@@ -135,7 +135,10 @@ class _Client(ModbusClientMixin):
                 raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
 
     def _carrier_options(self, older: dict[str, Any]) -> dict[str, Any]:
-        """Remove the settings of a serial port or of TLS from the arguments, and return them as options of a link."""
+        """Remove the settings of a serial port or of TLS from ``older``, and return them as options of a link.
+
+        ``older`` are the keyword arguments of the client, by the names of older releases too.
+        """
         return {}
 
     def _endpoint_of(self, host: str, port: int | None, framing: FramerType) -> Endpoint:

@@ -22,7 +22,7 @@ from typing import Any, Final
 from .watcher import READABLE, WRITABLE, EpollSet
 
 _USUAL_HIGH: Final = 64 * 1024
-"""Bytes that may wait to be sent until the protocol is asked to pause, where nothing else is said: as in asyncio."""
+"""Default number of bytes that may wait to be sent until the protocol is paused, as in asyncio."""
 
 
 class EpollStream(asyncio.Transport):

@@ -25,9 +25,11 @@ _NANOSECONDS = 1_000_000_000
 _NEVER = (0, 0)
 
 LONGEST_LEAD: Final = 0.0001
-"""Seconds that a timer is set earlier at most: so long an alarm may keep its loop waiting."""
+"""Most seconds that a timer is set earlier: for so long an alarm may block its event loop."""
 _SLOWLY: Final = 1 / 16
-"""What becomes of the lead where the timer was later than that: it falls at once, and rises by so much of the way."""
+"""Where the timer was later than its lead (the time by which it is set earlier), the lead grows by this share of the
+difference; where it was earlier, the lead falls at once.
+"""
 
 
 class Alarm:

@@ -26,10 +26,10 @@ if TYPE_CHECKING:
     from serialx import BaseSerial
 
 READ_SIZE = 4096
-"""What one read takes at most: as much as the system's own buffer holds."""
+"""Most bytes that one read returns: as many as the system's own buffer holds."""
 
 STUCK_AFTER = 5.0
-"""Seconds after which a port that takes no more bytes is given up: its buffer empties within one at the lowest baud."""
+"""Seconds after which a port that accepts no more bytes counts as lost: its buffer empties within one second."""
 
 
 class BlockingSerialPort:

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from serialx import BaseSerialTransport
 
 SETTLING_POLL = 0.0005
-"""Seconds between two looks whether the last character has left, where RTS must be put back at once."""
+"""Seconds between two checks whether the last character has left, if RTS must be switched back at once."""
 
 
 class SerialConnection:

@@ -27,7 +27,7 @@ UNIX98_PTY_MAJORS = range(136, 144)
 """Device numbers that Linux keeps for the far ends of pseudo-terminals."""
 
 BSD_PTY_PATHS = ("/dev/pts/", "/dev/ttys00", "/dev/ttys01", "/dev/ttys02")
-"""Where other systems keep them; macOS numbers them with three digits."""
+"""Paths of pseudo-terminals on other systems; macOS numbers them with three digits."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ import select
 from collections.abc import Sequence
 
 SELECT_LIMIT = 1024
-"""Descriptors that ``select`` takes are below this."""
+"""``select`` accepts only descriptors below this."""
 
 
 def wait_ready(reading: Sequence[int], writing: Sequence[int], timeout: float | None) -> list[int]:

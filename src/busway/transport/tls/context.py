@@ -29,11 +29,11 @@ _ANY_CERTIFICATE: Final = "CERTIFICATE-----"
 _BEGIN_REVOCATIONS: Final = "-----BEGIN X509 CRL-----"
 _OPENSSL_NAME: Final = {Curve.P_256: "prime256v1"}
 _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
-"""What of a directory of authorities is read."""
+"""Names of the files that are read in a directory of authorities end so."""
 _NO_CHECK_TIME: Final = 0x20_0000
 """X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
 _LOOK_SECONDS: Final = 1.0
-"""The files of a context are looked at this often at most, however many connections come."""
+"""Seconds between two checks of the files of a context, however many connections are opened."""
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
@@ -239,7 +239,7 @@ class WatchedContext:
         self.parameters = parameters
         self.name = name
         self.generation: int = 0
-        """How often the files were read anew."""
+        """How often the files were read again."""
         self._make = make
         self._clock = clock
         self._looked = clock()

@@ -27,7 +27,7 @@ from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
 LINGER_SECONDS: Final = 1.0
-"""After a refusal, what a peer still sends is thrown away for so long, unless it closes before."""
+"""Seconds for which bytes of a peer are discarded after a refusal, unless it closes before."""
 
 
 class TlsState(Enum):
@@ -36,7 +36,7 @@ class TlsState(Enum):
     HANDSHAKE = "handshake"
     UP = "up"
     REFUSED = "refused"
-    """The alert is on its way; the peer is given time to read it."""
+    """The alert was sent; the connection stays open for a moment, so that the peer can read it."""
     CLOSED = "closed"
 
 

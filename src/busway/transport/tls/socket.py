@@ -20,7 +20,9 @@ from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
 _RECORDS_SIZE: Final = 32_768
-"""Taken out of the socket at once; with what is left of a record before it, 16 KiB, it fits into `RECEIVE_SIZE`."""
+"""Most encrypted bytes that one call receives. Decrypted, together with the rest of a record before them (16 KiB), they
+fit into `RECEIVE_SIZE`.
+"""
 assert _RECORDS_SIZE + 2 * 16_384 <= RECEIVE_SIZE
 
 

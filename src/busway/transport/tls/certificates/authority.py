@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _BACKDATED: Final = datetime.timedelta(minutes=5)
-"""Clocks of devices that are a little behind accept a new certificate too."""
+"""How much earlier a new certificate is valid, so that devices whose clocks are slow accept it."""
 KEY_MODE: Final = 0o600
 
 

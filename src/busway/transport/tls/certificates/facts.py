@@ -70,7 +70,7 @@ class CertificateFacts:
 
 
 WARNING_DAYS: Final = 30.0
-"""From so many days before the end on, a warning is logged."""
+"""Days before the end of a certificate from which on a warning is logged."""
 
 
 def facts_of_file(name: str) -> list[CertificateFacts]:
