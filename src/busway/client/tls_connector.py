@@ -130,11 +130,11 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """Return a failure because of a certificate's dates with a text that tells which certificate, and the date.
+        """Return a failure whose text says which certificate is out of date, and its date; for an asyncio link.
 
-        For an asyncio link. The server's certificate is read over a second connection, which accepts any dates and over
-        which nothing is sent (rule 4). If its dates are good, the text names the certificate of an authority above it.
-        If that connection fails, ``failure`` is returned unchanged.
+        The server's certificate is read over a second connection, which accepts any dates and over which nothing is
+        sent (rule 4). If its dates are good, the text names the certificate of an authority above it. If that
+        connection fails, ``failure`` is returned unchanged.
         """
         try:
             layer = await self._agree(timeless_context(self._security), _silent_protocol)
@@ -168,9 +168,9 @@ class TlsConnector:
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
-        """Return a failure because of a certificate's dates with a text that tells which certificate, and the date.
+        """Return a failure whose text says which certificate is out of date, and its date; for a blocking link.
 
-        Like `_look_at_date`, for a blocking link.
+        The date is found out as by `_look_at_date`.
         """
         try:
             connection = self._agree_now(timeless_context(self._security))

@@ -175,7 +175,10 @@ def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
 
 
 def _counted(code: int, shown: int, length: LengthRule) -> int:
-    """Return the rule for a byte count at offset ``shown`` if that byte counts all the bytes after it; else `ASK`."""
+    """Return the rule "byte count at offset ``shown``" if a frame's length follows from that byte; else `ASK`.
+
+    The byte must count all the bytes after it.
+    """
     for count in _SAMPLES:
         for filler in (0x00, 0x5A, 0xFF):
             message = bytes((code,)) + bytes((filler,)) * (shown - 2) + bytes((count,))

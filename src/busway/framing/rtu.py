@@ -62,7 +62,8 @@ def encode_rtu(unit: int, pdu: bytes) -> bytes:
 class RtuReceiver:
     """Receiver of RTU frames: takes bytes with their times, returns frames and damaged bytes.
 
-    Gaps inside a frame are allowed (rule 3 of this file). All times are seconds of the caller's clock.
+    Gaps inside a frame are allowed (rule 3 of this file). All times are seconds of the caller's clock. Received bytes
+    that are not yet known to be a frame or damaged are called *undecided*.
 
     Attributes:
         conversation: role, own units and the expected reply; they tell requests from replies.
@@ -239,10 +240,11 @@ class RtuReceiver:
         return found
 
     def skip_requests(self, now: float) -> bool:
-        """Record that the caller answered requests to own units itself, without this receiver, at ``now`` (seconds).
+        """Record that the caller has answered requests to own units itself; their bytes do not pass this receiver.
 
-        Returns False, and records nothing, if the bytes must go through `receive`: earlier bytes are undecided, the
-        receiver waits for a silence after damage, or an echo may have to be removed.
+        ``now`` is when they were read, in seconds. Returns False, and records nothing, if the bytes must go through
+        `receive`: earlier bytes are undecided, the receiver waits for a silence after damage, or an echo may have to be
+        removed.
         """
         if self._undecided or not self._in_step or self.echo.mode is not Echo.OFF:
             return False

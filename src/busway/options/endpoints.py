@@ -101,7 +101,10 @@ class Endpoint:
 
     @property
     def url(self) -> str:
-        """The URL without options: the endpoint's name in messages. Endpoints with the same one are the same."""
+        """The URL without options. It names the endpoint in messages.
+
+        Endpoints with equal URLs are the same endpoint.
+        """
         if self.carrier == "serial":
             return f"{self.scheme}://{quote(self.path)}"
         host = f"[{self.host}]" if ":" in self.host else self.host

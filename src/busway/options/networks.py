@@ -50,7 +50,7 @@ class Networks:
 
     @classmethod
     def parse(cls, entries: Iterable[str], *, key: str | None = None) -> "Networks":
-        """Create a set of networks from its entries; the same as ``Networks(entries)``."""
+        """Create a set of networks from its entries, like ``Networks(entries)``; the method that option types need."""
         return cls(entries, key=key)
 
     def __contains__(self, host: object) -> bool:

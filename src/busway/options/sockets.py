@@ -78,9 +78,9 @@ class SocketParameters:
         """The TCP user timeout to set, in seconds; None for the system's default.
 
         When a keepalive probe is due, Linux ends an idle connection by the user timeout and not by the number of lost
-        probes: with 30 s, two probes of one second would end a half-open connection only after 30 s. So this value is
-        never longer than idle + interval × count, after which an idle half-open connection ends whatever
-        ``user_timeout`` is.
+        probes: with 30 s, two probes of one second would end a half-open connection only after 30 s. So with keepalive
+        this value is always shorter than idle + interval × count, and an idle half-open connection ends within that
+        time, whatever ``user_timeout`` is.
         """
         if self.user_timeout is None or not self.keepalive:
             return self.user_timeout

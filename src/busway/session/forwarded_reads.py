@@ -52,7 +52,7 @@ class ForwardPlan:
         target: as given.
         requests: a tuple of one element, the request.
         key: the PDU of the request; identical reads of one unit have the same.
-        place: None: the data of the reply are not cached.
+        place: always None, because the data of the reply are not cached.
         head: the bytes of the client's reply between the transaction identifier and the data.
     """
 

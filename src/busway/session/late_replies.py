@@ -228,7 +228,7 @@ class UnitDoubt:
         """Return the earliest time to send a request, because a unit may break the order of replies (rule 5).
 
         It is ``now`` unless another request with this function code is owed a reply. ``call`` and ``position`` identify
-        the request to send; late replies to earlier attempts at it do not delay it.
+        the request to send; replies owed to earlier attempts at it do not delay it.
         """
         if not self.pending:
             return now

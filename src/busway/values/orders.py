@@ -160,7 +160,7 @@ def byte_order(text: str, size: int) -> ByteOrder:
 def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
     """Return the mask for values of ``size`` bytes, given the mask of the same order for ``given_size`` bytes.
 
-    For values of three registers and others: one of the two sizes is 6.
+    Used if one of the two sizes is 6 (three registers); then the masks are not simply related.
 
     Args:
         text: the order as written, for errors.

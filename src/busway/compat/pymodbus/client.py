@@ -189,7 +189,10 @@ class _Client(ModbusClientMixin):
 
 
 def _request_of(no_response_expected: Any, request: ModbusPDU | None) -> tuple[bool, ModbusPDU]:
-    """Return both arguments of ``execute``; before release 3.8 of pymodbus the request was the first and only one."""
+    """Return both arguments of ``execute``, whether it was called with both or, as before release 3.8, with one.
+
+    Before release 3.8 of pymodbus the request was the only argument.
+    """
     if request is None:
         return False, no_response_expected
     return bool(no_response_expected), request
