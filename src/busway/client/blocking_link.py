@@ -306,10 +306,10 @@ class BlockingLinkDriver:
     # After an interrupt.
 
     def _begin_section(self) -> None:
-        """Mark that a thread changes the state under the lock (``is_torn``); reset the link if the mark was left.
+        """Begin a change of the state under the lock: set ``is_torn``, which the caller clears at the end (rule 6).
 
-        An interrupted thread leaves it (rule 6). The caller clears it at the end. The hot methods `run`, `_follow` and
-        `_head` have this code inline.
+        If it is set already, a thread was interrupted during its change, and the link is reset first. The hot methods
+        `run`, `_follow` and `_head` have this code inline.
         """
         if self._guard.is_torn:
             self._repair()

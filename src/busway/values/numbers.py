@@ -261,8 +261,8 @@ class BcdCodec:
         """Return the number for a decimal text.
 
         Raises:
-            ValueError: the text is no decimal number, or has too many digits. Hexadecimal is refused, because it could
-                mean the digits or the value.
+            ValueError: the text is no decimal number, or has too many digits. Hexadecimal such as ``0x12`` is refused:
+                it could mean 12 or 18.
         """
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:

@@ -61,7 +61,7 @@ IGNORED = frozenset(
 
 
 class ContextModel:
-    """The context of one unit, as the data model that requests read and write (`busway.pdu.model`).
+    """Adapter that lets requests read and write the context of one unit, as a data model of `busway.pdu.model`.
 
     Args:
         store: the context.

@@ -99,10 +99,11 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """Return why a connection ended that had no TLS failure; ``error`` is that of the network, None without one.
+        """Return the reason for the end of a connection that had no TLS failure.
 
-        It is ``error``; but for a client that never received a decrypted byte it is a `TlsFailure`. Many servers of TLS
-        1.3 refuse a certificate by closing, without an alert, and when the handshake of the client is already complete.
+        It is ``error``, the error of the network (None without one). But if a client never received a decrypted byte,
+        it is a `TlsFailure`: many TLS 1.3 servers refuse a certificate by closing without an alert, when the client's
+        handshake is already complete.
         """
         if self._server_side or self.heard or not (error is None or isinstance(error, ConnectionError)):
             return error
