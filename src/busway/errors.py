@@ -268,7 +268,9 @@ class NoReply(NoAnswer, TimeoutError):
 
 
 class UnitSuspended(NoReply):
-    """Error: the unit has not answered several times in a row, and for a while nothing is sent to it. Nothing was sent.
+    """Error: this request was not sent, because the unit did not answer several requests in a row.
+
+    Nothing is sent to the unit for a while.
 
     Attributes:
         next_probe: seconds until the next request to the unit is sent, as a test whether it answers again.

@@ -149,7 +149,9 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Return the length rule of a function code as one number (rule 2 of this file), found by trying messages.
+    """Return the length rule of a function code as one number (rule 2 of this file).
+
+    It is found by calling ``length`` for longer and longer sample messages.
 
     Args:
         functions: the table of functions.

@@ -225,7 +225,7 @@ class UnitDoubt:
         return any(request.is_write or _same_shape(owed.request, request) for owed in others)
 
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
-        """Return the earliest time to send a request, because a unit may break the order of replies (rule 5).
+        """Return the earliest time at which a request with this function code may be sent, given late replies (rule 5).
 
         It is ``now`` unless another request with this function code is owed a reply. ``call`` and ``position`` identify
         the request to send; replies owed to earlier attempts at it do not delay it.

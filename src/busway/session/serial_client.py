@@ -681,10 +681,10 @@ class SerialClientSession:
     def _reply(
         self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
     ) -> None:
-        """End the request in flight with a received reply.
+        """End the request in flight with the reply in ``frame``.
 
-        ``owes_own``: whether the reply may be the one to an earlier attempt; then the reply to the latest attempt may
-        still come late.
+        ``owes_own``: True if it may be the late reply to an earlier attempt at the same request; then the reply to the
+        latest attempt may still come.
         """
         pdu = frame.pdu
         outcome: Message | ModbusError
