@@ -177,9 +177,10 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """Return a connection that never sent a byte, to be closed first; None if none is found.
+        """Return a connection that has never sent a byte and may be closed for a new one; None if none is found.
 
-        Its client must have closed it, or it must be `SECONDS_TO_SPEAK` old. Only the first `_LOOKS` are searched.
+        Its client must have closed it already, or it must be `SECONDS_TO_SPEAK` old. Only the `_LOOKS` oldest are
+        searched.
         """
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:

@@ -31,9 +31,9 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 
 
 def _strict(place: Place) -> Place:
-    """Apply the preset ``strict`` to one listener.
+    """Return one listener with the preset ``strict`` applied.
 
-    It is added to a URL of TLS or RTU and ASCII framing; a listener's own limits get ``single_adu_segments``.
+    The preset is added to its URL for TLS, RTU and ASCII; the limits of a `Listener` get ``single_adu_segments``.
     """
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)

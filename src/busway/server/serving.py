@@ -218,7 +218,7 @@ def serve_in_thread(
 
 
 class _Ready:
-    """What the server thread reports at its start: the running server, or the error that stopped it."""
+    """The result of starting a server in a thread: the running server, or the error that stopped it."""
 
     def __init__(self) -> None:
         self.event = threading.Event()

@@ -136,7 +136,7 @@ class ServerStatus:
         running: whether the server is started.
         uptime: seconds since the start; 0 while stopped.
         endpoints: URLs of the listeners with the ports that are really bound.
-        connections: open connections and UDP peers, by listener, the oldest of each first.
+        connections: open connections and UDP peers, by listener, the oldest of each listener first.
         supported_connections: limit of TCP and TLS connections, all listeners and both pools together.
         remote_connections: number of ``connections``.
         local_connections: number of connections that this program has open towards other devices.

@@ -177,7 +177,8 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget the longest unused peer in the other pool, to free its slot; returns whether there was one (rule 4).
+        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot; returns whether there was one
+        (rule 4).
 
         Called only if priority hosts have all slots of that pool.
         """
@@ -230,10 +231,10 @@ class _Socket(asyncio.DatagramProtocol):
                 return  # no more; or an error of one peer, which does not concern the others
 
     def error_received(self, exc: Exception) -> None:
-        """Ignore a send error: one peer has gone, which does not concern the others."""
+        """Ignore an error of sending: one peer cannot be reached, and the others share this socket."""
 
     def pause_writing(self) -> None:
-        """Drop replies, as datagrams may be lost, because the system's send buffer is full."""
+        """Drop replies from now on, because the system's send buffer is full; over UDP, datagrams may be lost."""
         self._is_full = True
         self._listener.listener_context.counters.reading_paused += 1
 
@@ -255,7 +256,7 @@ class _Socket(asyncio.DatagramProtocol):
             self._transport.sendto(adu, address)
 
     def ends(self, address: Any) -> SocketAddresses:
-        """Return the local and remote address of the traffic with a UDP peer."""
+        """Return the local and remote socket address of datagrams from and to a peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
         return SocketAddresses(own, address, is_datagram=True)
 
