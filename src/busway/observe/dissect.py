@@ -175,7 +175,7 @@ class Dissector:
         )
 
     def _is_right(self, pdu: bytes) -> bool:
-        """Whether a PDU is a valid request or reply of a known function."""
+        """Whether a PDU is a valid request or a valid reply of a known function."""
         both = (describe_request(pdu, self._functions), describe_reply(pdu, self._functions))
         return self._knows(pdu) and any(not one.problems for one in both)
 
@@ -205,7 +205,9 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return direction and fields of a frame, whether it answers the last request, and why it does not."""
+        """Return for a frame its direction, its fields, whether it answers the last request, and its faults as
+        sentences.
+        """
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)

@@ -99,7 +99,7 @@ class HttpService(ThreadingMixIn, TCPServer):
         self.server_close()
 
     def heard(self, accepted: socket.socket) -> None:
-        """Give an HTTP connection more time, because its whole request was received."""
+        """Extend the time limit of an HTTP connection, because its whole request was received."""
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
@@ -162,7 +162,9 @@ class HttpService(ThreadingMixIn, TCPServer):
             _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
-        """Shut down an HTTP connection from another thread; its own thread then wakes up and closes it."""
+        """Shut down the socket of an HTTP connection from another thread, so that the connection's own thread wakes and
+        closes it.
+        """
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)
