@@ -42,17 +42,18 @@ class Run(Protocol):
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
-        """The run that stores the bytes: this run itself; for registers shown as bits (`RegisterBits`), the run of
-        those registers.
+        """The run that stores the bytes: this run itself.
+
+        For registers shown as bits (`RegisterBits`), the run of those registers.
         """
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` items from ``position`` on, read from ``data``: the bytes of ``memory`` now, or a changed
-        copy of them.
+        """Return ``count`` items from ``position`` on of ``data``, which is the bytes of ``memory`` or a changed
+        copy.
         """
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` items from ``position`` on into ``data``: the bytes of ``memory`` itself, or a copy of them.
+        """Write ``count`` items from ``position`` on into ``data``, which is the bytes of ``memory`` or a copy.
 
         They are written in one assignment, so no reader sees half of them.
         """
@@ -90,15 +91,11 @@ class RegisterRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` registers from ``position`` on, read from ``data``: the bytes of this run, or a changed
-        copy.
-        """
+        """Return ``count`` registers from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` registers from ``position`` on into ``data``: the bytes of this run itself, or a copy of
-        them.
-        """
+        """Write ``count`` registers from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
@@ -168,11 +165,11 @@ class BitRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` bits from ``position`` on, read from ``data``: the bytes of this run, or a changed copy."""
+        """Return ``count`` bits from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` bits from ``position`` on into ``data``: the bytes of this run itself, or a copy of them."""
+        """Write ``count`` bits from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
@@ -220,16 +217,12 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` bits from ``position`` on, read from ``data``: the bytes of the registers, or a changed
-        copy.
-        """
+        """Return ``count`` bits from ``position`` on of ``data``, which is the registers' bytes or a changed copy."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` bits from ``position`` on into ``data``: the bytes of the registers themselves, or a copy of
-        them.
-        """
+        """Write ``count`` bits from ``position`` on into ``data``, which is the registers' bytes or a copy of them."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)
@@ -260,9 +253,7 @@ def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
 
 
 def _bytes_swapped(words: bytearray) -> bytearray:
-    """Return registers with the two bytes of each swapped: big-endian registers to packed bits, or packed bits to
-    registers.
-    """
+    """Swap the two bytes of each register: turns big-endian registers into packed bits, and back."""
     swapped = bytearray(len(words))
     swapped[0::2] = words[1::2]
     swapped[1::2] = words[0::2]

@@ -303,9 +303,7 @@ class ConnectionManagement:
             self._timer = None
 
     def _look(self) -> None:
-        """Close connections whose timeout is over, read again from those whose pause is over, and set the timer for the
-        next one.
-        """
+        """Close connections whose timeout is over, end pauses that are over, and set the timer for the next one."""
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):

@@ -48,9 +48,7 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """What has run out for a connection: the timeout for a header, for a frame, for writing or for idleness, or its
-    pause.
-    """
+    """What has run out for a connection: its header, frame, write or idle timeout, or the pause of reading (HELD)."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
@@ -78,8 +76,9 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Start the timeout of a frame that was received in part. Returns when it runs out; None without such a
-        timeout.
+        """Start the timeout of a frame that was received in part. Returns when it runs out.
+
+        None without such a timeout.
 
         ``anew``: True for a frame that began just now; False if it may have begun earlier, so that a running timeout
         stays.

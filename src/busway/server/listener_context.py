@@ -168,8 +168,9 @@ class ListenerContext:
         return False
 
     def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a connected client may stay connected after the address lists have changed. If not, that is counted
-        and logged.
+        """Whether a connected client may stay connected after the address lists have changed.
+
+        If not, that is counted and logged.
         """
         if self._authorize(connected_peer.host):
             return True
@@ -211,8 +212,7 @@ class ListenerContext:
         )
 
     def _listed_unit(self, unit: int) -> int:
-        """Return the unit number under which the device that answers for ``unit`` is configured, such as 1 for unit
-        255.
+        """Return the unit under which the device that answers for ``unit`` is configured, such as 1 for 255.
 
         ``unit`` itself if no device answers for it.
         """

@@ -124,8 +124,9 @@ class FramedSession:
         self._session.failures = list(value)
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``, at most `SHARE_OF_BYTES`; returns the replies to send, in
-        order.
+        """Process the first ``size`` bytes of ``buffer``, at most `SHARE_OF_BYTES`.
+
+        Returns the replies to send, in order.
 
         Bytes beyond that are kept in ``rest`` until `go_on` is called.
         """

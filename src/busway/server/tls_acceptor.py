@@ -121,8 +121,7 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """Return the contents of the listener's own certificate, read from its file again only if the TLS context was
-        reloaded.
+        """Return what the listener's own certificate says; its file is read only after the TLS context was reloaded.
 
         Logs a warning if the certificate is not valid yet, has expired or expires within 30 days; that is checked after
         each reading and once a day.

@@ -100,8 +100,9 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each connection in a queue process requests once, in order, until the time ``until``; None for no time
-        limit.
+        """Let each connection in a queue process requests once, in order, until the time ``until``.
+
+        None for no time limit.
 
         The first connection is served even if the time is over. Connections with requests left are put into the queue
         again.

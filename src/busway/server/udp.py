@@ -177,8 +177,9 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot; returns whether there was one
-        (rule 4).
+        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot.
+
+        Returns whether there was one (rule 4).
 
         Called only if priority hosts have all slots of that pool.
         """
