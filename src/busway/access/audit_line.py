@@ -55,8 +55,7 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """Return the part of an audit line that is the same for all requests of one client: address, role, listener, as
-    JSON.
+    """Return the JSON text that all audit lines of one client share: its address, role and listener.
 
     Keeps it in ``client.audit_text``.
     """
@@ -90,8 +89,7 @@ def audit_line(
 
 
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
-    """Return the prepared parts of the audit line of an executed write: the text behind the client, and the end of the
-    line.
+    """Return the prepared parts of an executed write's audit line: the text behind the client, and the line's end.
 
     The caller puts the client's part (`who_text`) before the first, and between the two the address and items,
     formatted by the function's entry in `DONE`. The line then equals that of `audit_line`, to the byte.
@@ -141,9 +139,7 @@ def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return three JSON texts for the audit line of a request: its function and addresses, the old values, the new
-    values.
-    """
+    """Return three JSON texts for a request's audit line: its function and addresses, the old and the new values."""
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
     facts = _FACTS.get(type(request), _other_facts)
@@ -182,9 +178,7 @@ def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return the three JSON texts for an audit line about functions 20 and 21, which have several groups of file
-    records.
-    """
+    """Return the three JSON texts for an audit line about functions 20 and 21, with all groups of file records."""
     groups: Sequence[FileReference | FileData] = request.groups
     records = [[group.file, group.record, group.count] for group in groups]
     count = sum(group.count for group in groups)

@@ -302,9 +302,7 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def _tell_left_out(self) -> None:
-        """Append an audit line with the number of denials that were left out since the last such line, if there were
-        any.
-        """
+        """If denials were left out since the last such line, append an audit line with their number."""
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self.append(f'{{"time":"{self.timestamp()}","outcome":"denials left out","lines":{left_out}}}\n')

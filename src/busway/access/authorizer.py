@@ -70,8 +70,8 @@ class PolicyRights:
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is permitted without a rate limit, so that the same read of these clients needs no check next
-        time.
+        """Whether a read is permitted without a rate limit: then the same read of these clients needs no further
+        check.
         """
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
@@ -247,8 +247,9 @@ class PolicyAuthorizer:
         return ExceptionResponse(context.function, decision.code)
 
     def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
-        """Count a permitted request against the rates of its rules; return its refusal if it is above one of them, else
-        None.
+        """Count a permitted request against the rates of its rules.
+
+        Returns its refusal if it is above one of them, else None.
 
         ``charged`` has the ids of the rules that have counted this request already, so that a broadcast counts once,
         and gets the ids of those that count it now; None for a request to one unit.
@@ -267,9 +268,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """Return from a cache a client's host, role and listener, as access rules compare them, and the client's
-        rights.
-        """
+        """Return from a cache a client's host, role and listener, as rules compare them, and the client's rights."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:

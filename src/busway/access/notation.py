@@ -212,8 +212,9 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """Complete the end of an item range by the notation of its start: ``199`` of ``holding:100-199`` becomes
-    ``holding:199``.
+    """Return the end of an item range with the notation of its start.
+
+    ``199`` of ``holding:100-199`` becomes ``holding:199``.
     """
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
     if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):

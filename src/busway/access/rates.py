@@ -31,8 +31,9 @@ class Rates:
         return len(self._buckets)
 
     def charge(self, host: str, requests: int, now: float) -> float:
-        """Count ``requests`` that a host has sent; return the seconds for which it must pause now, 0 if it is within
-        its rate.
+        """Count ``requests`` that a host has sent.
+
+        Returns the seconds for which it must pause now, 0 if it is within its rate.
         """
         left = self._left(host, now) - requests
         self._buckets[host] = (left, now)

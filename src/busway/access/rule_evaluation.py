@@ -178,8 +178,9 @@ class Rights:
         return found
 
     def _compile(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Split all addresses into ascending zones for one kind of access; in each zone the first rule that applies
-        decides.
+        """Split all addresses into ascending zones for one kind of access.
+
+        In each zone the first rule that applies decides.
         """
         found: list[Zone] = []
         firsts, ends = [0], [END]  # what no rule has taken yet
@@ -245,8 +246,9 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Return in words why the written registers from ``start`` to ``end - 1`` are outside the value limits; empty if
-    within.
+    """Return in words why the written registers from ``start`` to ``end - 1`` are outside the value limits.
+
+    Empty if within.
 
     Both positions count from the first item of the written range.
     """
