@@ -205,9 +205,7 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return for a frame its direction, its fields, whether it answers the last request, and its faults as
-        sentences.
-        """
+        """Return a frame's direction, its fields, whether it answers the last request, and if not why, as sentences."""
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)

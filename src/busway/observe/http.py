@@ -162,9 +162,7 @@ class HttpService(ThreadingMixIn, TCPServer):
             _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
-        """Shut down the socket of an HTTP connection from another thread, so that the connection's own thread wakes and
-        closes it.
-        """
+        """Shut down an HTTP connection's socket from another thread; the connection's own thread then closes it."""
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)

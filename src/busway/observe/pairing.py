@@ -228,9 +228,7 @@ class Pairing:
         return True
 
     def _reply_limit(self) -> float:
-        """Return the seconds after a request within which the same bytes count as its reply, not as a repeated request
-        (rule 4).
-        """
+        """Return for how many seconds the bytes of a request, heard again, count as its reply (rule 4)."""
         if self._sure.count < SURE_REPLIES:
             return self.reply_window
         return min(max(MUCH_LATER * self._sure.slowest, NEVER_LATE_BEFORE), self.reply_window)

@@ -333,8 +333,9 @@ class Listening:
         return self._flushed()
 
     def _try_again(self, now: float, until: float) -> bool:
-        """Open the vanished port again if the next attempt is due, else wait up to a fifth of a second; returns whether
-        it is open.
+        """Open the vanished port again if the next attempt is due, else wait up to a fifth of a second.
+
+        Returns whether it is open.
         """
         pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
         if pause > 0:

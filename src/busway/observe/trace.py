@@ -65,9 +65,7 @@ class Recorder(Protocol):
 
 
 class Undecided(Protocol):
-    """Interface of a line's log that still holds received bytes, because they are not known to be a frame or damaged
-    yet.
-    """
+    """Interface of a line's log that holds received bytes, because it is not known yet whether they are a frame."""
 
     def settle(self) -> None:
         """Log the held bytes now, as frames or as damaged bytes."""

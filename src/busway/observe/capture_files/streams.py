@@ -185,7 +185,7 @@ class StreamAssembler:
             self._deliver(segment, found)
 
     def _skip(self) -> list[StreamPart]:
-        """Give up the missing bytes before the first waiting segment: return a gap for them, and the pieces in order
+        """Give up the bytes missing before the first waiting segment: return a gap, and the pieces in order
         behind it.
         """
         first = self._waiting[0]

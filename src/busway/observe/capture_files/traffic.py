@@ -137,9 +137,7 @@ class FaultyBytes:
 
 
 class ChannelEnding(Enum):
-    """How a connection or line in a capture file ended: closed, reset, forgotten to limit their number, or with the
-    capture.
-    """
+    """How a connection or line in a capture file ended: closed, reset, forgotten, or by the end of the capture."""
 
     CLOSED = "closed"
     RESET = "reset"
@@ -238,9 +236,7 @@ class CapturedTraffic:
         return True if to else False if of else None
 
     def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
-        """Count a packet between other ports than those of the servers, and its ports if its bytes look like an MBAP
-        frame.
-        """
+        """Count a packet whose ports are none of the servers', and its ports if its bytes look like an MBAP frame."""
         self._ignore(Ignored(f"{what} of other ports"))
         if _begins_like_a_frame(payload) and len(payload) == 6 + (payload[4] << 8 | payload[5]):
             for port in (source.port, destination.port):
