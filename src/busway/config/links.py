@@ -71,11 +71,12 @@ def _named_link(
     at: Path,
     report: ConfigurationReport,
 ) -> NamedLink | None:
-    """Return the link that a section declares; None, with a problem in the report, if it is invalid.
+    """Return the link that a section declares; None if it is invalid, with a problem added to the report.
 
     Args:
         section: the link's section in the file.
-        general, security: options for all links, and certificates for all.
+        general: options of ``[client]`` for all links.
+        security: certificates of ``[security]`` for all links.
         root: joins the paths among options to the file's folder.
         at: the path of the section in the file.
         report: collects problems.

@@ -39,7 +39,10 @@ class ReloadableAllowList:
 
 
 def reaches_network(url: str) -> bool:
-    """Whether other hosts can reach a listener on a URL: not on ``localhost``, loopback addresses and serial lines."""
+    """Whether other hosts can reach a listener with this URL.
+
+    False for ``localhost``, loopback addresses and serial lines.
+    """
     endpoint = parse_endpoint(url)
     return endpoint.carrier != "serial" and endpoint.host not in _LOCAL_NAMES and not is_loopback(endpoint.url)
 
