@@ -36,10 +36,14 @@ class BatchForwarder(Protocol):
         """Answer all clients whose requests in a batch have an outcome."""
 
     def withdraw(self, batch: "Batch", asker: ForwardingClient) -> None:
-        """Drop the requests of a client that has disconnected, as far as no other client waits for them."""
+        """Drop the requests of a client that has disconnected, unless other clients wait for them."""
 
     def give_up_one(self, batch: "Batch", waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed: for one joined read, or (None) for the batch's own requests."""
+        """Answer a client whose deadline has passed.
+
+        ``waiter`` is a client that joined a read of the batch; None is the client that sent the batch, with all its
+        requests.
+        """
 
 
 class BatchTarget(Protocol):
@@ -125,7 +129,7 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Return False always: the link uses a batch like a future, and calls this before `set_result`."""
+        """Return False always. The link treats a batch like a future, and calls this before `set_result`."""
         return False
 
     def set_result(self, result: None) -> None:
@@ -133,13 +137,13 @@ class Batch(Call):
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Yield the requests of a client in this batch, its own or joined ones, that have no answer yet."""
+        """Yield a client's requests in this batch that have no answer yet, also those for reads that it has joined."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Withdraw the requests of a client in this batch, its own or joined ones, because it has disconnected."""
+        """Withdraw the requests of a disconnected client from this batch, also those for reads that it has joined."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:

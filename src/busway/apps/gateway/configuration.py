@@ -272,7 +272,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """Return the listeners with unique names, as two may have the same URL with port 0: the second gets ``(2)``."""
+    """Return the listeners with unique names: of two listeners with the same URL (port 0) the second gets ``(2)``."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -303,7 +303,10 @@ def _upstream(
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """Return the listeners and the keyword arguments common to their `Server` objects, with the preset applied."""
+    """Return the listeners, and the keyword arguments that all their `Server` objects share.
+
+    The preset is applied to both.
+    """
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     places, chosen = with_server_preset(common.listeners, options)

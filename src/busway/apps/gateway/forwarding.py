@@ -114,7 +114,10 @@ class ForwardTarget:
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        """Forward requests one by one; refuse them with 0A if the upstream is closed (``link`` is None)."""
+        """Forward requests one by one, each as its own batch.
+
+        If the upstream is closed (``link`` is None), refuse them with 0A.
+        """
         forwarder = self.forwarder
         for tag, one in zip(tags, asked, strict=True):
             if link is not None:
@@ -125,7 +128,10 @@ class ForwardTarget:
         forwarder.send()
 
     def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
-        """Refuse requests that the link did not accept; after an overload several requests are tried one by one."""
+        """Refuse the requests of a batch that the link did not accept.
+
+        If the queue of the link has no room for all of them, they are forwarded one by one instead.
+        """
         forwarder = self.forwarder
         forwarder.leave(batch)
         forwarder.upstream.counters.broadcasts -= batch.is_write and self.is_broadcast
@@ -190,7 +196,7 @@ class Forwarder:
     def look(self, session: object) -> None:
         """Answer the requests of a link's session that have an outcome by now, even if others of their batch have none.
 
-        The link calls this after received bytes or a timer were handled.
+        The link calls this after it has handled received bytes or a timer.
         """
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
@@ -333,7 +339,7 @@ class Forwarder:
         batch.link.give_up(batch)
 
     def leave(self, batch: Batch) -> None:
-        """Forget a batch that is answered, or for which no client waits any more."""
+        """Forget a batch: all its requests are answered, or no client waits for it any more."""
         del self.open[batch]
         if batch.is_write:
             self.cache.write_ended(batch.unit)

@@ -57,7 +57,7 @@ class _RunningListener:
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
-        """Apply those changed options of a listener that need no restart; its connections stay open."""
+        """Use the new deadline and broadcast option of a listener at once; its connections stay open."""
         self.listener = listener
         self.responder.deadline = listener.deadline
         self.responder.silent_broadcasts = listener.silent_broadcasts
@@ -335,7 +335,7 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """Return the values for the status registers of the gateway's own unit: its own, and those of each upstream."""
+        """Return the values for the own unit's status registers: those of the gateway, and those of each upstream."""
         status = self.status()
         own = [
             int(status.uptime),
@@ -390,7 +390,9 @@ class Gateway:
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
-    """Return the parts of a gateway's configuration that change only with a restart."""
+    """Return the parts of a gateway's configuration that only a restart changes: own unit, functions, server
+    options.
+    """
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 

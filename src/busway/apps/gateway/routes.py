@@ -148,7 +148,7 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """Result of looking for a route: only a part of the request's addresses is in the range of a route.
+    """Result of the search for a route: the request's addresses are only partly in the range of a route.
 
     Attributes:
         route: that route. The request is refused with exception 02.
@@ -210,7 +210,7 @@ class ListenerRoutes:
         return Straddles(route)
 
     def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
-        """Return what `find` returns, by trying one route after the other."""
+        """Return what `find` returns, by testing one route after the other."""
         for route in routes:
             if route.functions and function_of(request) not in route.functions:
                 continue
@@ -256,7 +256,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """Return the one address range that a request touches; None if it touches several or none, or if it is unknown."""
+    """Return the address range that a request touches; None if it touches none or several, or if that is unknown."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -302,7 +302,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """Yield for each route that no request ever reaches its position and a message."""
+        """Yield position and message for each route that no request can reach, as earlier routes take all of them."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -322,7 +322,7 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """Return the earlier routes that take all requests of a route to some of its units, and the units left for it.
+    """Return which earlier routes take requests from a route: all of them for some units; and the units left for it.
 
     Args:
         routes: all routes in their order.

@@ -211,7 +211,7 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection to the upstream was opened, failed or was lost; have a lost serial port reopened.
+        """Log that a connection to the upstream was opened, failed or was lost; reopen a lost serial port.
 
         Args:
             event: what happened to the connection.

@@ -61,13 +61,13 @@ class UpstreamLog:
         self._told_at = -math.inf
 
     def is_down(self, reason: str) -> None:
-        """Log that the upstream cannot be reached, unless the same reason was logged before."""
+        """Log that the upstream cannot be reached, and why, unless that was logged with the same reason before."""
         if reason != self._reason:
             self._reason = reason
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """Log that the upstream can be reached again, if it was logged as down, and log the count of 0A answers."""
+        """Log that the upstream can be reached again, and how many requests got 0A, if it was logged as down."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)
