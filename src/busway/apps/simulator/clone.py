@@ -247,7 +247,10 @@ class _Recorder:
         self._named: set[tuple[Table, int, int]] = set()
 
     def record(self, point: SimulatedPointSection, remarks: list[str]) -> list[SimulatedPointSection]:
-        """Return the point with its current value; if that is invalid in its type, one point for each register."""
+        """Read a point and return it with the value that was read.
+
+        If its registers hold no valid value of its type, a point for each register is returned, and a remark is added.
+        """
         place, form = point.place, point.form
         if form is None:
             return [_with(point, value=self._bit(place))]
@@ -279,7 +282,7 @@ class _Recorder:
 
 
 def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> SimulatedPointSection:
-    """Return a point with the value of its registers, its range and enumeration extended to include that value.
+    """Return a point with the value that its registers hold; its range and its names are extended to allow that value.
 
     Args:
         point: the point.
@@ -287,7 +290,7 @@ def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> 
         data: the content of its registers.
 
     Raises:
-        BadReply: the registers are invalid in the type.
+        BadReply: the registers hold no valid value of the type.
         InvalidRequest: the value is invalid for the point, or writing it would give other registers.
     """
     (raw,) = form.decode(data)
@@ -320,7 +323,7 @@ def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
 
 
 def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
-    """Return a point for one register of a point whose value cannot be kept in its type.
+    """Return a point of type ``uint16`` for one register of a point whose own value is not valid in its type.
 
     Args:
         point: that point.
@@ -372,7 +375,10 @@ class _Scanner:
             self._divide(first, count, found)
 
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
-        """Read into ``found`` the items that exist in a range that the device has refused as a whole."""
+        """Find the items that exist in a range that the device has refused as a whole, and read them into ``found``.
+
+        The range is halved, and refused halves are halved again.
+        """
         if count == 1:
             return
         half = count // 2
@@ -432,7 +438,7 @@ def _objects(unit: BlockingUnit) -> dict[int, bytes]:
 
 
 def _offered(ask: Callable[[], Answer]) -> Answer | None:
-    """Return the live device's reply to a request; None if the device refuses it or its reply is invalid.
+    """Return what ``ask`` returns; None if the device refuses the request or its reply is invalid.
 
     Args:
         ask: sends the request and returns the reply.

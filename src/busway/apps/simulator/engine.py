@@ -34,8 +34,8 @@ class Driven:
         point: the point.
         behaviour: the behaviour that the point follows.
         every: seconds between two changes.
-        rank: how often values pass from one unit to another before the point's formula can be computed; 0 if it needs
-            no point of another unit. Lower ranks are computed first.
+        rank: how often a value must pass to a formula of another unit before this point's formula can be computed; 0
+            without such a formula. Lower ranks are computed first.
         order: position among all points, after those that the point's formula needs.
     """
 
@@ -48,7 +48,7 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that change at the same moments, or whose behaviours observe other points at them.
+    """Points of one unit that get new values at the same moments, or whose behaviours then observe other points.
 
     Attributes:
         device: the device that has the points.
@@ -68,11 +68,11 @@ class _Group:
 
 @dataclass(slots=True, eq=False)
 class _Release:
-    """An entry of the engine's schedule: a point that was set by hand follows its behaviour again.
+    """An entry of the engine's schedule: the time at which a point that was set by hand follows its behaviour again.
 
     Attributes:
         point: the point.
-        held: number of the setting that ends; without effect if the point was set once more since.
+        held: number of the setting by hand that ends; if the point was set again since, the entry has no effect.
     """
 
     point: SimulatedPoint
@@ -80,7 +80,7 @@ class _Release:
 
 
 class _Batch:
-    """The points of one unit that change at the same moment, with memory and encoders looked up, for speed.
+    """The points of one unit that change at the same moment; what is needed to write them is looked up once, for speed.
 
     Args:
         groups: the groups of points, all of one unit.
@@ -179,9 +179,9 @@ class Engine:
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
-        """Return the value from which a point's behaviour would continue after a restart, as of its last moment.
+        """Return the value from which a point's behaviour would continue after a restart.
 
-        None if the point has no behaviour, or one that keeps no state.
+        None if the point has no behaviour, or one whose value follows from the time alone.
 
         Args:
             point: the point.
@@ -225,7 +225,10 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Leave out moments that were missed until a time, if there are any; each point continues with its last one."""
+        """Skip the moments before ``until`` that were missed.
+
+        Each group of points goes on with the last of its moments.
+        """
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
             return
@@ -329,7 +332,7 @@ _ROUNDING: Final = 1e-9
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
-    """Let a behaviour continue from the current value of its point, if that is a finite number."""
+    """Let a behaviour continue from the current value of its point, if that value is a finite number."""
     if math.isfinite(point.number):
         behaviour.resume(time, point.number)
 
@@ -340,7 +343,7 @@ def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """Return the groups of points, each of one unit, period and rank, with its rank.
+    """Return the points in groups, each with its rank; the points of a group have the same unit, period and rank.
 
     Points whose behaviours observe others are also in groups of the rank `_LAST`.
     """

@@ -273,7 +273,10 @@ class Simulation:
             self._arm()
 
     def _count_from_here(self) -> None:
-        """Measure simulated time from this moment on; without a clock, from the next `tick`."""
+        """Restart the measurement of simulated time at this moment, after a pause or a change of speed.
+
+        Without a clock, it restarts at the next `tick`.
+        """
         if self._clock is None:
             self._origin = None
         elif self._origin is not None:
@@ -416,7 +419,7 @@ class Simulation:
             self.keep()
 
     def _arm(self) -> None:
-        """Set the timer to the time at which the next points change."""
+        """Set the timer to the time at which the next points change, if there are any."""
         clock, deadline = self._clock, self.deadline()
         if self._timer is not None:
             self._timer.cancel()
@@ -454,7 +457,7 @@ class Simulation:
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Hold points at the values that they were set to, and return the changes for the watchers; empty without any.
+        """Hold points at values that were just set, and return the changes for the functions of `watch`.
 
         Args:
             points: points whose registers have their new value.
@@ -489,7 +492,7 @@ class Simulation:
     # ---- values over restarts
 
     def _begin(self) -> None:
-        """Give all points their first values, or those of the saved state if the file names one and there is one."""
+        """Give all points their first values, or those of the saved state if there is one."""
         path = self.declaration.state
         kept = None
         if path is not None:
