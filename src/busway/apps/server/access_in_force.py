@@ -58,7 +58,7 @@ class AccessInForce:
         return self.cautious_policy(self.rules)
 
     def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
-        """Return a policy that is safe before it is known which listeners the network reaches: it assumes all.
+        """Return a policy for the time before the listeners are bound: all are taken for reachable by other hosts.
 
         Args:
             rules: the access rules; None: listeners are read-only, unless writes were allowed on the command line.
@@ -69,9 +69,9 @@ class AccessInForce:
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
-        """Give a running server, whose listeners are bound, the policy of new access rules; other rules end.
+        """Give a running server, whose listeners are bound, the policy of other access rules.
 
-        ``rules`` None: there is no policy, and listeners that the network reaches become read-only (rule 1).
+        With ``rules`` None there is no policy, and listeners that other hosts can reach become read-only (rule 1).
         """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]
@@ -114,9 +114,10 @@ class AccessInForce:
         return found
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
-        """Return the policy of the access rules; without rules, one that makes the ``exposed`` listeners read-only.
+        """Return the policy of the access rules; without rules, one that makes some listeners read-only.
 
-        ``exposed`` has their URLs, or beginnings of URLs. If the command line allows writes, none is read-only.
+        ``exposed`` has the URLs of these listeners, or beginnings of URLs. None is read-only if the command line allows
+        writes.
         """
         if rules is not None:
             return rules.policy

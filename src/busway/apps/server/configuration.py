@@ -214,7 +214,7 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """Return the error for an invalid file; for a simulation file only one that names the command that reads it."""
+    """Return the error about an invalid file; for a simulation file, one that names the command to use instead."""
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -278,7 +278,10 @@ def _control(file: SystemFile, name: str) -> str | None:
 
 
 class _Makers:
-    """Creates the listeners of a file; options of a single listener replace the general ones. Errors go to a report."""
+    """Builds the listeners of a file from its sections; invalid options are reported.
+
+    Options of a single listener override those of ``[server]`` and ``[security]``.
+    """
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file

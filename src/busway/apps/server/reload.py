@@ -130,7 +130,7 @@ class ReloadedConfiguration:
     Attributes:
         configuration: the configuration that was read.
         rules: the access rules that were read; None without a policy.
-        are_other_rules: whether these differ from the rules in force.
+        are_other_rules: whether they differ from the rules in force.
         later: names of changed sections that take effect only at the next start.
         before: the rules of the policy in force.
     """
