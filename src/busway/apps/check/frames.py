@@ -48,7 +48,7 @@ class FrameSearch(Protocol):
         """Return the frames that count as complete because nothing more comes; ``function`` as of `receive`."""
 
     def take_rest(self) -> bytes:
-        """Return the received bytes that are in no frame, or in an unfinished one; on a line they are forgotten."""
+        """Return the received bytes that are in no complete frame. On a serial line they are then forgotten."""
 
 
 class MbapSearch:
@@ -116,10 +116,10 @@ class RtuSearch:
         return rest
 
     def _next(self, function: int, *, is_over: bool) -> tuple[int, int] | None:
-        """Return start and end of the next frame in the bytes kept; None if there is none yet.
+        """Return start and end of the next frame in the received bytes; None if there is none yet.
 
         The length that a reply announces is tried first: in one frame of 256 the second byte of the CRC is 0, and then
-        the CRC fits without this byte too. ``is_over``: nothing more comes.
+        the CRC fits without this byte too. ``is_over``: no more bytes will come.
         """
         data = self._kept
         for start in range(len(data) - 3):

@@ -120,10 +120,11 @@ def _context(settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange
 
 
 def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> ClientCertificate:
-    """Return the user's certificate for a changed handshake.
+    """Return the client certificate that the user has given for a changed handshake.
 
     Raises:
-        CannotOffer: the user has given none, or one that is not of this kind, or its facts cannot be read.
+        CannotOffer: the user has given none, or one that does not have the fault that is to be tested, or it cannot be
+            read.
     """
     word = next(word for word, one in CERTIFICATES.items() if one is change)
     if change not in given:
@@ -146,7 +147,7 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
 
 
 def _load_foreign(context: ssl.SSLContext) -> None:
-    """Load into a context a new client certificate of a new authority, which the device cannot know.
+    """Load into a TLS context a new client certificate from a new authority, which the device does not know.
 
     Raises:
         CannotOffer: the package for certificates is not installed.
