@@ -164,7 +164,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """Return the programs on loopback whose tokens are in a directory; whether they run is not checked."""
+    """Return the programs whose token files for loopback HTTP are in a directory; whether they run is not checked."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:
