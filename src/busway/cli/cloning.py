@@ -114,7 +114,10 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Yield the seconds since the first call, about once a second, and sleep in between; the last is ``duration``."""
+    """Yield the seconds since the first call, about one value a second, sleeping in between.
+
+    The last is ``duration``.
+    """
     began = time.monotonic()
     due = 0.0
     while due < duration:

@@ -269,7 +269,7 @@ class LiveTableWriter:
 
 
 class LivePage:
-    """Aligned lines on a terminal that are redrawn in place."""
+    """Lines of cells on a terminal, in columns, that are redrawn in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -359,7 +359,7 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 class _Progress:
-    """The setting whether sentences about progress are printed; one for the process."""
+    """Whether `say` prints its sentences. There is one object for the process."""
 
     shown = True
 

@@ -35,7 +35,10 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Return the checked address that ``--metrics`` gives; None if it is not given. Raises `ConfigError`."""
+    """Return the host and port of ``--metrics`` as text, checked; None if the option is not given.
+
+    Raises `ConfigError`.
+    """
     if text is not None:
         from ..options.text import host_and_port
 

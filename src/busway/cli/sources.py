@@ -54,7 +54,7 @@ UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="With --clone or --m
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The source of a simulation that the arguments choose.
+    """The file or ready-made device that ``busway simulate`` simulates.
 
     Attributes:
         name: the name of the file or device.
