@@ -413,9 +413,10 @@ class Collector:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the newest commit of the store.
+        """The number of the newest commit of the store; 0 in a new store.
 
-        Before the first commit since the start it is a number below that of the first; 0 in a new store.
+        Before the first commit of this run it is a number not below the last commit of earlier runs, and below the next
+        one.
         """
         assert self._committer is not None
         return self._committer.writer.newest_commit
@@ -432,10 +433,10 @@ class Collector:
         return await asyncio.to_thread(self._committer.flush)
 
     def note_interval(self, interval: StateInterval) -> None:
-        """Store an interval in which a device was not read for a reason that polling does not know.
+        """Store an interval in which a device was not read for a reason that the poller does not know.
 
-        An example is that another collector of a fleet polled it. An interval is given when it begins, with the end
-        None, and again when it ends.
+        An example is that another collector of a fleet polled the device. An interval is given twice: when it begins,
+        with the end None, and when it ends.
         """
         assert self._committer is not None
         self._committer.add_interval(interval)
@@ -732,7 +733,10 @@ class Collector:
                 await self._write_learnt()
 
     def _mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to all times from before the wall clock was set, in the store and in memory."""
+        """Correct all times in the store and in memory by ``shift`` nanoseconds, because a wrong wall clock was set.
+
+        Only times that this process took before that are changed.
+        """
         if not shift:
             return
         assert self._committer is not None

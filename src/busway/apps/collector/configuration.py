@@ -66,7 +66,7 @@ class CollectedDevice:
         rules: limits and ranges of reads that it allows.
         items: the points that are read, by poll class.
         cost: the assumed cost of its reads until the real one is learnt.
-        fixed: whether the seconds per register of ``cost`` are certain, because its line is known.
+        fixed: whether the seconds per register in ``cost`` are certain, because the baud rate of its line is known.
     """
 
     name: str
@@ -254,7 +254,7 @@ def _shared_places(sink: TopicSink, options: DeliveryOptions, devices: Iterable[
 
 
 def _rooted(section: SinkSection, name: str) -> SinkSection:
-    """Return a copy of a sink's options whose relative paths start at the folder of the collector file."""
+    """Return a copy of a sink's options in which relative paths are joined to the folder of the collector file."""
     files = {key for key, option in keys_of(type(section)).items() if Mark.FILE in option.marks}
     paths = {key: within(name, getattr(section, key)) for key in files & section.model_fields_set}
     if section.url.startswith(_FILE):
@@ -328,7 +328,7 @@ _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
 def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
-    """Return an error of a profile as one of the collector file, at the device that names the profile."""
+    """Return an error of a profile as an error of the collector file, at the device that names the profile."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
     is_path = "/" in section.profile or "." in section.profile
@@ -421,7 +421,7 @@ def _by_class(
 
 
 def _cost(settings: LinkSettings, line_baud: int | None, pause: float) -> tuple[ReadCost, bool]:
-    """Return the assumed cost of reads over a link, and whether its seconds per register are certain.
+    """Return the assumed cost of reads over a link, and whether its seconds per register are certain (known baud rate).
 
     Args:
         settings: the settings of the link.

@@ -103,7 +103,7 @@ class DerivedPoints:
         return changed
 
     def failed(self, points: Sequence[str], reason: int) -> None:
-        """Record that a read of points failed, so that computed points that use them get samples with this reason."""
+        """Record that a read of points failed: computed points that use them then get bad samples with this reason."""
         if self._group is not None:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)

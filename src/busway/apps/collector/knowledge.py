@@ -29,7 +29,7 @@ class LearntHole:
     Attributes:
         table: the table of the range.
         start: the first refused register or bit, 0-based.
-        end: the one after the last; equal to ``start`` for a border, which is before ``start``.
+        end: the one after the last. A border has no items: it is before ``start``, and ``end`` equals ``start``.
         code: the exception code that the device answered; 0 if it did not answer.
         pinned: whether the fact stays when what was learnt is forgotten, unless pinned facts are forgotten too.
     """
@@ -100,7 +100,7 @@ class DeviceKnowledge:
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
-        """Whether a read from ``start`` to before ``end`` would touch a refused range or cross a border, as learnt."""
+        """Whether a read of ``start`` … ``end - 1`` would touch a refused range or cross a border, as far as learnt."""
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:

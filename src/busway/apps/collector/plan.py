@@ -297,8 +297,9 @@ class _Borders:
     def cut_between(self, left: _Place, right: _Place) -> bool:
         """Whether two neighbouring ranges must not be fetched by one read.
 
-        They must not if either of them or the hole between them touches an exact block, if a border lies between them,
-        if they are not in one readable range, or if the hole is forbidden or, without readable ranges, not bridged.
+        This is so if a border lies between them, if they are not in one readable range, or if one of them or the gap
+        between them touches an exact block; also if the gap is forbidden, or the device has no readable ranges and gaps
+        are not bridged.
         """
         end, start = left[1], right[0]
         has_hole = start > end
@@ -410,13 +411,16 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read for each range that a block has; blocks with the same range share a read."""
+    """Return one read for each block of items; blocks with the same range share a read."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read for each range, with its items: each item belongs to the first read that covers it."""
+    """Return a read for each range, with the items that it fetches.
+
+    An item belongs to the first read that covers it.
+    """
     starts = [block[0] for block in blocks]
     taken = bytearray(len(blocks))
     reads: list[PlannedRead] = []

@@ -40,11 +40,13 @@ Classes = frozenset[str]
 
 @dataclass(slots=True)
 class _KeptPlan:
-    """A plan in the cache, with the range of costs in which it is at most `WORTH` slower than the fastest (rule 4).
+    """A plan in the cache, and the costs for which it is known to be good enough (rule 4).
+
+    Costs are given as one number: how many registers take as much time as a request does whatever its width.
 
     Attributes:
         plan: the plan.
-        least, most: between which numbers of registers a request counts for as much time as these registers do.
+        least, most: between these two numbers the plan is at most `WORTH` slower than the fastest one.
     """
 
     plan: DevicePlan
@@ -52,12 +54,12 @@ class _KeptPlan:
     most: float
 
     def is_good_at(self, price: float) -> bool:
-        """Whether the plan is known to be good enough where a request costs as much as ``price`` registers."""
+        """Whether the plan is good enough if a request takes as much time as ``price`` registers."""
         return self.least / NEAR <= price <= self.most * NEAR
 
 
 def _price_of(cost: ReadCost) -> float:
-    """Return how many registers cost as much as a request does whatever its width."""
+    """Return how many registers take as much time as a request does whatever its width."""
     return cost.base / cost.per_register
 
 
@@ -160,7 +162,10 @@ class PlanBook:
         self.made = 0
 
     def set_absent(self, items: Iterable[ReadItem]) -> None:
-        """Exclude points that the device does not have at present from all plans; replaces those excluded before."""
+        """Exclude points that the device does not have now from all plans.
+
+        Points excluded by an earlier call are read again.
+        """
         absent = frozenset(id(one) for one in items)
         if absent != self._absent:
             self._absent = absent
@@ -213,7 +218,7 @@ class PlanBook:
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Replace cached read plans by new ones where these are enough faster by the learnt cost (rule 3)."""
+        """Replace those cached plans for which a new plan is enough faster by the cost learnt since (rule 3)."""
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled

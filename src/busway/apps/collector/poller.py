@@ -290,7 +290,7 @@ class LinkPoller:
 
         Args:
             name: name of the device.
-            points: names of its points; others are ignored.
+            points: names of its points; names of other points are ignored.
             period: seconds between two reads.
             seconds: how long this lasts from now on. Replaces an earlier lease of the device.
         """
@@ -397,7 +397,7 @@ class LinkPoller:
             pass
 
     def mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to each begin of a current silence or maintenance from before the clock was set."""
+        """Correct the begin of current silences and maintenance by ``shift`` nanoseconds, after a clock was set."""
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None and begun.begin < EARLIEST:
@@ -569,7 +569,7 @@ class LinkPoller:
         device.unread = unread
 
     def _give_unread(self, device: PolledDevice, middle: int, half: int) -> None:
-        """Pass on a bad sample for each point that is not asked for, unless each has one already (rule 3)."""
+        """Pass on a bad sample for each point that is never asked for, unless the point has one already (rule 3)."""
         if device.unread_given:
             return
         device.unread_given = True

@@ -58,9 +58,9 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What a turn showed about its device: that it answers, that it is silent, or, for DOWN, nothing.
+    """What the requests of a turn have shown about a device: that it answers, that it is silent, or nothing (DOWN).
 
-    DOWN says that the link was down or lost its connection, that it was overloaded, or that the request was invalid.
+    DOWN: the link was down or lost its connection, it was overloaded, or the request was invalid.
     """
 
     ANSWERED = "answered"  # also by an exception: the device lives
@@ -100,7 +100,7 @@ class PollRound:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What the link is to do next: send some reads to a device, or make a write.
+    """The next thing to send on a link: some reads of a device, or a write.
 
     Attributes:
         kind: why the device is asked.
@@ -229,7 +229,8 @@ class LinkSchedule:
     def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
         """Return the first due time of each poll class, spread so that devices do not all become due together.
 
-        The fastest class is due after the reads of devices added before; slower ones at one of its later due times.
+        The class with the shortest period is due after the reads of devices that were added before. Classes with longer
+        periods are first due at a later due time of that class.
         """
         shortest = min(periods.values())
         first = now + self._placed % shortest
@@ -454,9 +455,9 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a device at its due times again if it answers, else probe it now.
+        """Poll a device at its due times again if it answers; if it is silent, probe it now.
 
-        ``at_once``: a due time that has passed meanwhile is made up for by one round now.
+        ``at_once``: whether one round is made now for due times that have passed meanwhile.
         """
         if not device.lives:
             device.probe_at = now
@@ -499,7 +500,10 @@ class LinkSchedule:
         self._credited_at = now
 
     def _first_silent(self) -> ScheduledDevice | None:
-        """Return the silent device whose probe is due first; None if no device is silent, except in maintenance."""
+        """Return the silent device that must be probed next; None if there is none.
+
+        Devices in maintenance are left out.
+        """
         while self._silent:
             when, _, name = self._silent[0]
             device = self.devices.get(name)

@@ -70,7 +70,7 @@ class AlarmBook:
         return [AlarmEvent(*key, AlarmEventKind.REMOVED, at, text=alarm.text) for key, alarm in alarms.items()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """Return the alarm events (raised, cleared, …) that the samples of a read cause.
+        """Pass the samples of a read to the alarms of their points, and return the events (raised, cleared, …).
 
         Args:
             batch: the samples.

@@ -62,7 +62,7 @@ class AlarmMachine:
             self.alarm = replace(self.alarm, point=point)
 
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
-        """Change the alarm by a sample of its point.
+        """Change the state of the alarm by a sample of its point.
 
         Args:
             value: the point's value; None if there is none.

@@ -99,9 +99,9 @@ class FileSink:
             self._append(self._path, samples[0].time, HEADER, lines)
 
     def _remove_repeated(self, first: int, last: int) -> None:
-        """Remove the Parquet files of an earlier process that begin after commit ``first``, up to commit ``last``.
+        """Remove the Parquet files that an earlier process began after commit ``first``, and not after commit ``last``.
 
-        Their samples are sent again: they are in the batch from ``first`` to ``last``, or come in the next one.
+        Their samples are sent again: in the batch of these commits, or in the next one.
         """
         folder = Path(self._path)
         if self._ahead is None:

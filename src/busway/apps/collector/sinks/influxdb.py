@@ -132,7 +132,7 @@ def alarm_line_of(alarm: CommittedAlarm, measurement: str) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Return a number as the field ``value`` of line protocol; empty for None, NaN and infinities."""
+    """Return the field ``value=…`` of line protocol for a number; empty for None, NaN and infinities."""
     return f"value={float(value)!r}" if value is not None and math.isfinite(value) else ""
 
 

@@ -73,7 +73,7 @@ class CurrentSink(Protocol):
         """
 
     async def disturbed(self) -> None:
-        """Wait until `show_current` should be called at once, because the connection may have ended, and return."""
+        """Return as soon as `show_current` should be called, because the connection may have ended; until then wait."""
 
 
 @runtime_checkable
@@ -98,7 +98,7 @@ class TopicSink(Protocol):
 
 
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
-    """Wait until every sending has ended, accepted or failed.
+    """Wait until all messages are sent, accepted or failed; raise the most important error.
 
     Args:
         sendings: one awaitable for each message.

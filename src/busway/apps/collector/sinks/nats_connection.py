@@ -12,7 +12,10 @@ from typing import Any
 
 @cache
 def nats_client_kind() -> Any:  # Any: the package is loaded when it is used
-    """Return the class of NATS clients: nats-py's own with these rules; ``must_encrypt`` is set before `connect`."""
+    """Return the class of NATS clients to use: a subclass of nats-py's that keeps the rules of this file.
+
+    Set its ``must_encrypt`` before `connect`.
+    """
     nats = import_module("nats")
 
     class EncryptingClient(nats.NATS):  # type: ignore[misc, name-defined] # as above

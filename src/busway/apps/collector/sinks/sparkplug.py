@@ -114,10 +114,9 @@ class _Device:
 
 
 def _wider(known: DataType | None, value: Value) -> DataType:
-    """Return the type of a metric for a new value, given its type so far (None for none).
+    """Return the type of a metric that gets a new value; ``known`` is its type so far, None for a new metric.
 
-    A metric that has had fractions, or unsigned 64-bit numbers, keeps its type for an integer that this type holds
-    exactly.
+    A metric of type DOUBLE or UINT64 keeps its type for an integer that this type holds exactly.
     """
     new = type_of(value)
     if not isinstance(value, int) or isinstance(value, bool):
@@ -339,7 +338,10 @@ class SparkplugSink:
         await self._disturbance.wait()
 
     def _without(self, points: Collection[tuple[str, str]]) -> dict[str, list[str]]:
-        """Return by device the names of its metrics whose points are not in ``points``; no device without such."""
+        """Return for each device the names of its metrics whose points no longer exist.
+
+        ``points`` has those that do.
+        """
         found = {
             name: [point for point in device.last if (name, point) not in points]
             for name, device in self._devices.items()
@@ -352,10 +354,10 @@ class SparkplugSink:
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
-        """Return a context manager that gives those of a batch of samples or alarm events that are not published yet.
+        """Return a context manager that gives those of some samples or alarm events that are not published yet.
 
-        If one of a batch is refused, the batch comes again in parts; the block is not given again what it published
-        before.
+        If the broker refuses one of a batch, the batch is sent again in parts: what was published before is then left
+        out.
         """
         first = min((each.commit for each in wanted), default=0)
         self._passed = {each for each in self._passed if each.commit >= first}
@@ -600,9 +602,9 @@ class SparkplugSink:
 
 
 def _fresh_alone() -> Any:  # as paho has it
-    """Return MQTT options of a subscription that gets no retained messages, only those published after it.
+    """Return MQTT options for a subscription that gets no retained messages, only those published after it.
 
-    Messages come with the retain flag that their sender set.
+    Messages keep the retain flag that their sender has set.
     """
     return import_module("paho.mqtt.subscribeoptions").SubscribeOptions(
         qos=1, noLocal=True, retainAsPublished=True, retainHandling=2
@@ -640,7 +642,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
 
 
 def _kind_in_message(value: Value) -> DataType:
-    """Return the type of a value as `_parts` compares it: integers that a float holds exactly count as DOUBLE."""
+    """Return the type of a value for `_parts`: an integer that a float holds exactly counts as DOUBLE."""
     kind = type_of(value)
     return DataType.DOUBLE if kind is DataType.INT64 and abs(int(value)) < _MOST_EXACT else kind
 

@@ -97,9 +97,9 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
-    """Return the positions in ``journal`` of the events of alarms that are active or not acknowledged.
+    """Return the positions in ``journal`` of all events since the last raising of each alarm that needs attention.
 
-    Of each such alarm these are the events since it was raised last.
+    These are the alarms that are active or not acknowledged.
     """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     places: dict[AlarmKey, list[int]] = {}

@@ -19,10 +19,10 @@ _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 
 
 def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
-    """Add ``shift`` nanoseconds to all times before `EARLIEST` in a segment, from commit ``first`` on.
+    """Correct the times in a segment that are before `EARLIEST`, from a wrong wall clock, by ``shift`` nanoseconds.
 
-    Samples, commits, intervals and alarm events move, in one transaction. Samples that were uncertain only because the
-    clock was not set become good.
+    The times of samples, commits, intervals and alarm events are changed in one transaction, from commit ``first`` on.
+    Samples that were uncertain only because the clock was not set become good.
 
     Args:
         database: the SQLite file of the segment.
@@ -30,7 +30,7 @@ def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
         shift: how far the clock was behind, in nanoseconds.
 
     Returns:
-        The number of samples that were moved.
+        The number of corrected samples.
 
     Raises:
         sqlite3.Error: the segment is as it was.

@@ -262,7 +262,7 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, shift: int) -> None:
-        """Have all stored times from before the wall clock was set corrected, by adding ``shift`` nanoseconds.
+        """Have all stored times corrected by ``shift`` nanoseconds that were taken before a wrong wall clock was set.
 
         Returns at once. The correction is made in the thread that commits, after the samples queued with such times are
         stored.
@@ -299,7 +299,7 @@ class Committer:
         return True
 
     def _holds_early_times(self) -> bool:
-        """Whether a time from before the wall clock was set is still queued. Call with the lock held."""
+        """Whether a time that was taken from a wrong wall clock is still queued. Call with the lock held."""
         return (
             any(batch.time < EARLIEST for batch in self._batches)
             or any(each.begin < EARLIEST for each in self._intervals)
@@ -336,7 +336,10 @@ class Committer:
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events, each with the number of changes of point names before it. Call with the lock held."""
+        """Queue alarm events; a change of point names that is queued later does not concern them.
+
+        Call with the lock held.
+        """
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
 
@@ -348,7 +351,7 @@ class Committer:
         return taken
 
     def _describe_what_is_due(self) -> None:
-        """Write the queued descriptions of points and report rules before which no samples are queued any more."""
+        """Write those queued descriptions of points and report rules that no queued samples come before."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
             _, descriptions, rules = self._descriptions[0]
             self.writer.describe_points(descriptions)
@@ -481,10 +484,10 @@ class Committer:
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
     def _drop_whole_intervals(self) -> None:
-        """Drop the older half of the queued intervals of which begin and end are still queued. Call with the lock held.
+        """Drop the older half of the intervals whose begin and end are both queued. Call with the lock held.
 
-        Rows of other intervals stay, few for each device: without them a device would be shown as not read for ever, or
-        not at all.
+        Entries of other intervals stay, a few for each device: without its end an interval would last for ever in the
+        store, and without its begin it would be missing there.
         """
         begun = {_key_of(each) for each in self._intervals if each.end is None}
         whole = [

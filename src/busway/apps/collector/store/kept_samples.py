@@ -44,7 +44,7 @@ class Choice:
         counters: by device and point, the states of accumulators whose last sample is not kept; they are stored beside
             the samples, so that the totals continue after a restart.
         passed_over: number of samples that are not kept.
-        last: by device and point, the samples to which the report rules compare later ones, once the commit is made.
+        last: by device and point, the kept samples that later samples are compared with, once the commit is made.
         unread: devices with an interval in this commit in which they are not read.
         has_gap: whether the commit has a gap of the whole collector.
     """

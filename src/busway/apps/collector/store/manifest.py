@@ -453,22 +453,24 @@ class Manifest:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     def begin_maintenance_again(self, earliest: int, now: int) -> None:
-        """Set the begin of maintenance to now where it was recorded before the clock was set, and so is unknown.
+        """Set the begin of maintenance to ``now`` if it was taken from a wrong wall clock: the true time is unknown.
 
         Args:
-            earliest: nanoseconds since 1970 UTC; a begin before it is from a clock that was not set.
+            earliest: nanoseconds since 1970 UTC; an earlier time is from a clock that was not set.
             now: nanoseconds since 1970 UTC.
         """
         with self.transaction() as database:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
     def begin_mending(self, first: int, shift: int, earliest: int) -> None:
-        """Record that times from before the clock was set are to be corrected; correct the begin of maintenance now.
+        """Record that stored times must be corrected, because a wrong wall clock was set.
+
+        Correct the begin of maintenance now.
 
         Args:
             first: number of the first commit whose times are corrected.
             shift: nanoseconds to be added.
-            earliest: nanoseconds since 1970 UTC; only times before it are corrected.
+            earliest: nanoseconds since 1970 UTC; only earlier times are corrected.
         """
         with self.transaction() as database:
             database.execute("DELETE FROM facts WHERE name = 'mended'")

@@ -197,9 +197,9 @@ def _query(kinds: set[str], low: int, high: int) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """Return the table with times as timestamps, and with the names of devices and points.
+    """Return the table with the names of devices and points, and with times as timestamps.
 
-    They are for people who open the Parquet file with other programs.
+    These columns are for people who open the Parquet file with other programs.
     """
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())
