@@ -33,7 +33,7 @@ MOST_TRIED: Final = 8
 
 @dataclass(slots=True)
 class Share:
-    """The load and the capacity of one of the collectors that share a plant.
+    """One of the collectors that share a plant, with its load and capacity.
 
     Attributes:
         name: name of the collector.
@@ -89,13 +89,13 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
     """Return the moves of shards (groups of links) that make the loads of a zone's collectors fair.
 
-    Empty if the loads are fair enough (rule 3), or if all collectors are draining. At most `MOST_MOVES` moves, and the
-    second one of an exchange.
+    Empty if the loads are fair enough (rule 3), or if all collectors are draining. At most `MOST_MOVES` moves are
+    returned, or one more if the last two are an exchange.
 
     Args:
         owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.
         shares: the live collectors; they are not changed.
-        moving: whether shards move already, so that collectors are levelled until all are within `END`.
+        moving: whether shards are moving now: then the loads are levelled until all are within `END`.
     """
     state = {
         each.name: Share(each.name, each.host, each.load, each.capacity, each.draining)
@@ -244,7 +244,7 @@ def _difference(giver: Share, taker: Share) -> float:
 
 
 class _Takers:
-    """The collectors that may take shards (groups of links), arranged so that the best one is found fast.
+    """The collectors that may take shards (groups of links), arranged to find the one that should take the next.
 
     Args:
         able: the collectors that do not drain; `take` adds to their loads.
@@ -278,10 +278,10 @@ class _Takers:
         return taker
 
     def _least_loaded(self, heap: list[tuple[float, str, Share]]) -> Share:
-        """Return the least loaded of the collectors with the same capacity.
+        """Return the least loaded of some collectors that have the same capacity.
 
         Args:
-            heap: load, name and collector; entries with loads of the past are removed.
+            heap: load, name and collector of each; entries whose load is out of date are removed.
         """
         while heap[0][0] != heap[0][2].load:  # it was the load before another shard was taken
             heappop(heap)

@@ -293,7 +293,7 @@ class FleetCollector:
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
     def _tell_costs(self) -> None:
-        """Give `member` the names of the configuration's shards (groups of links) and the cost of polling each."""
+        """Tell `member` which shards (groups of links) the configuration has, and what polling each of them costs."""
         loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
         costs = costs_by_link(self._configuration, loads)
         self.member.set_shards({shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()})
@@ -365,9 +365,9 @@ class FleetCollector:
         _log.info("the configuration of revision %d holds", revision)
 
     def _part_ended(self, task: asyncio.Task[None]) -> None:
-        """End all tasks after one of them has ended by a defect: leases lapse, and other collectors take the links.
+        """If a task has ended by a defect, end all others: leases lapse then, and other collectors take the links.
 
-        Called when a task has ended; does nothing while the collector ends in order.
+        Called for each task that ends; does nothing while the collector ends in order.
         """
         if self._is_ending or self._defect:
             return
@@ -388,7 +388,7 @@ class FleetCollector:
         self._permitted[link] = time.time_ns()
 
     def _may_send(self, link: str) -> bool:
-        """Whether a frame of a link that leaves now can no longer reach the device when the lease ends (rule 2)."""
+        """Whether a frame sent on a link now can reach the device only before the lease ends (rule 2)."""
         return self.member.may_begin(self.shard_of(link), self._now(), self._worst_sent.get(link, math.inf))
 
     def _told(self, event: ShardEvent) -> None:
@@ -486,10 +486,10 @@ class FleetCollector:
         self._active_since.update((link, now) for link in links)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Begin in the store the interval in which links are not owned, for the shards that these events end (rule 4).
+        """Begin in the store the intervals without ownership of the links whose shards these events end (rule 4).
 
-        It begins now; or at the last transaction if the lease has lapsed, since a process that was frozen learns only
-        when it wakes that it has lost a lease.
+        An interval begins now. If the lease has lapsed, it begins at the last transaction: a process that was frozen
+        learns only when it wakes that it has lost the lease.
         """
         now = time.time_ns()
         for event in events:
@@ -499,14 +499,14 @@ class FleetCollector:
                     self._note_unowned(link, begin, None)
 
     def _end_of(self, link: str, renewed: float | None, now: int) -> int:
-        """Return when the last transaction of a link was over, in nanoseconds since 1970 UTC, for a lease that lapsed.
+        """Return when the last transaction of a link ended, in nanoseconds since 1970 UTC.
 
-        At the earliest this is the last renewal of the lease, at the latest ``now``.
+        The result is not before the last renewal of the lease, and not after ``now``.
 
         Args:
             link: name of the link.
-            renewed: when the lease was renewed last, seconds since 1970 UTC; None for a lease that has not lapsed, and
-                ends now.
+            renewed: when the lapsed lease was renewed last, seconds since 1970 UTC; None for a lease that ends in
+                order.
             now: nanoseconds since 1970 UTC.
         """
         if renewed is None:
@@ -541,7 +541,7 @@ class FleetCollector:
 
 
 class _OtherOwners:
-    """The `OtherOwners` of a collector of a fleet: says who owns a device's link, and passes commands on to the owner.
+    """Tells the receiver of commands which collector owns a device's link, and passes commands on to that collector.
 
     Args:
         fleet: this collector.

@@ -238,7 +238,7 @@ class FleetCommands:
         )
 
     def _told(self, result: CommandResult) -> None:
-        """Publish the audit line of a command that has ended, in a task. Called by the collector for each command."""
+        """Publish the audit line of a command that has ended, in a task. The collector calls it for each command."""
         if not self._has_ended:
             task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")
             self._publishing.add(task)

@@ -111,7 +111,10 @@ async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
 
 
 def _running(found: dict[str, Entry]) -> set[str]:
-    """Return the keys of the table entries of collectors that have not ended in order; unreadable ones are left out."""
+    """Return the keys of the table entries of collectors that have not ended in order.
+
+    Entries that cannot be read are left out.
+    """
     members = {key: decode_member(entry.value) for key, entry in found.items() if key.startswith(MEMBERS)}
     return {key for key, record in members.items() if record is not None and not record.gone}
 
@@ -126,7 +129,7 @@ def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
 
     Args:
         found: all entries of the table, by key.
-        living: keys of the entries of collectors that live.
+        living: keys of the entries of those collectors that live.
 
     Raises:
         ConfigError: the zone's configuration in the table cannot be read.

@@ -87,9 +87,11 @@ class KeyMemory:
         return found is not None and found[0] == owner and found[1].state is CommandState.OPEN
 
     def end(self, result: CommandResult) -> bool:
-        """Set the final result of a command. Returns False and changes nothing if its key has no result here any more.
+        """Record the final result of a command.
 
-        The command's key stays taken either way.
+        Returns False and changes nothing if no result is kept for its key any more.
+
+        The key of the command stays used either way.
         """
         key = result.command.key
         if key not in self.results:
@@ -106,7 +108,7 @@ class KeyMemory:
             del self.used[digest]
 
     def encode(self) -> bytes:
-        """Return the memory as bytes for the shared table, with the newest results, up to `MOST_BYTES` of them."""
+        """Return the memory as bytes for the shared table: all keys, and the newest results up to `MOST_BYTES`."""
         newest: list[str] = []
         left = MOST_BYTES
         for owner, result in reversed(self.results.values()):

@@ -143,7 +143,7 @@ class KeyTable:
         return found, found is None
 
     def _doubt(self, key: str) -> None:
-        """Remember that this collector may have taken a key, though its command was refused and not sent (rule 3)."""
+        """Remember that a key may be taken for this collector, though its command was refused and not sent (rule 3)."""
         self._doubtful[key] = None
         if len(self._doubtful) > MOST_DOUBTFUL:
             del self._doubtful[next(iter(self._doubtful))]

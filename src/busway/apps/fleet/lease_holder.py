@@ -112,7 +112,7 @@ class Proposal:
 
 
 class NotConfirmed(Enum):
-    """Why a change that this collector wanted to make in the shared table was not confirmed.
+    """Why a proposed change of the shared table was not confirmed.
 
     ``CONFLICT``: the entry had another revision, and nothing was changed. ``UNKNOWN``: no answer says whether the
     change was made.
@@ -458,7 +458,7 @@ class FleetMember:
             self.clock_error = ahead if ahead > CLOCK_LIMIT else -behind if behind > CLOCK_LIMIT else 0.0
 
     def _clock_problem(self, now: float) -> str:
-        """Return in words that the wall clock is too wrong to own a shard; empty if it is not (rule 6).
+        """Return in words that the wall clock of this machine is too wrong to own a shard; empty if it is not (rule 6).
 
         Empty also if more live collectors agree with this clock than with the coordinator's.
         """
@@ -681,7 +681,7 @@ class FleetMember:
     def _free(self, now: float) -> dict[str, float]:
         """Return the shards (groups of links) that have no owner now, with the cost of each.
 
-        Also sets the time of the next check to when the next lease may be taken, if that is earlier.
+        If the lease of another shard may be taken before the next check, the time of that check is set to then.
         """
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
@@ -705,7 +705,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
 
     def _hand_on(self, now: float) -> None:
-        """Begin to give away shards (groups of links) that this collector must not keep or that `balance` moves."""
+        """Begin to give away the shards (groups of links) that this collector must not keep or that `balance` moves."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         takes = takers({shard: self.cost(shard) for shard in self.owned}, self._shares(now)) if self._ends else {}
         for shard, owned in self.owned.items():

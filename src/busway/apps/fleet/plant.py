@@ -56,12 +56,12 @@ def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
 
 
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
-    """Return the seconds from the permission of a transaction until none of its bytes can reach the device any more.
+    """Return how long a transaction may take from its permission until none of its bytes can reach the device any more.
 
-    The time to connect is included, and the time for which TCP repeats bytes that are not acknowledged; infinity if TCP
-    repeats them without limit. A poller repeats nothing. The wait of a frame for a serial line is not included:
-    permission is asked again when it leaves, with `longest_after_sending`. A gateway on the way that queues requests
-    adds to this time: its longest wait belongs to `LeaseTimes.guard`.
+    The result is in seconds. It includes the time to connect, and the time for which TCP repeats bytes that are not
+    acknowledged; it is infinite if TCP repeats them without limit. A poller repeats nothing. It does not include the
+    wait of a frame for a serial line: permission is asked again when the frame leaves, with `longest_after_sending`. A
+    gateway on the way that queues requests adds to this time: its longest wait belongs to `LeaseTimes.guard`.
 
     Args:
         configuration: the configuration of the plant.
@@ -132,7 +132,7 @@ def links_of_shards(
 
 
 def refuse_two_owners(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for links to one endpoint that different hosts could own (rule 1)."""
+    """Raise `ConfigError` for two links to one endpoint that different hosts could own (rule 1)."""
     hosts = configuration.hosts
     for link, first in _first_links(configuration, hosts).items():
         if list(hosts.get(link, ())) != list(hosts.get(first, ())):
@@ -146,7 +146,7 @@ def refuse_two_owners(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for a serial port whose host is not named (rule 2)."""
+    """Raise `ConfigError` for a link to a serial port that does not name the host of the port (rule 2)."""
     for name, link in configuration.links.items():
         if link.settings.endpoint.carrier == "serial" and name not in configuration.hosts:
             raise ConfigError(
@@ -158,7 +158,7 @@ def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if an endpoint would go from one shard to another (rule 3)."""
+    """Raise `ConfigError` if a new configuration would move an endpoint from one shard to another (rule 3)."""
     owners = [
         {
             place: (first, tuple(each.hosts.get(first, ())))
@@ -184,7 +184,7 @@ def _shown(link: str, hosts: Sequence[str]) -> str:
 
 
 def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return by link the first of the links to its endpoint, in the order of names."""
+    """Return for each link the name that comes first among all links to its endpoint."""
     first_at: dict[str, str] = {}
     found: dict[str, str] = {}
     for link in sorted(configuration.links):
@@ -197,7 +197,7 @@ def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequ
 
 
 def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return where a link leads to: an address in the network, or a port of each of its hosts."""
+    """Return what a link leads to: one address in the network, or a serial port on each of its hosts."""
     endpoint = configuration.links[link].settings.endpoint
     if endpoint.carrier == "serial":
         return [f"{endpoint.path} of {host}" for host in hosts.get(link, ())] or [endpoint.path]

@@ -114,7 +114,7 @@ class ZoneWatch:
         return found
 
     def take(self, entry: Entry) -> None:
-        """Update what is known by an entry that `Coordinator.watch` has yielded, or by one of its two marks."""
+        """Update the status by an entry that `Coordinator.watch` has yielded, or by one of its two snapshot marks."""
         if entry is SNAPSHOT_BEGINS:
             self._complete.clear()
             self._shown_again = set(self._entries)

@@ -9,7 +9,7 @@ _log = logging.getLogger("busway.fleet")
 
 
 class OutageLog:
-    """Logs each time in which the shared table cannot be followed: one line at its begin, and one at its end."""
+    """Logs the times in which the shared table cannot be followed: one line at the begin, and one at the end."""
 
     def __init__(self) -> None:
         self._is_lost = False
@@ -25,7 +25,7 @@ class OutageLog:
         self._is_lost = True
 
     def complete(self) -> None:
-        """Note that a watch has shown all entries of the table; logged if an outage ends by that."""
+        """Note that a watch has shown all entries of the table, which ends an outage; the end is logged."""
         if self._is_lost:
             _log.warning("the table of the zone is followed again")
         self._is_lost = False
