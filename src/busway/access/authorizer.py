@@ -70,8 +70,8 @@ class PolicyRights:
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is permitted without a rate limit: then the same read of these clients needs no further
-        check.
+        """Whether a read is permitted without a rate limit, so that the same read of these clients needs no check
+        later.
         """
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)

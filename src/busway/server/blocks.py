@@ -48,9 +48,7 @@ class Run(Protocol):
         """
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` items from ``position`` on of ``data``, which is the bytes of ``memory`` or a changed
-        copy.
-        """
+        """Return ``count`` items from ``position`` on of ``data``, which is the bytes of ``memory`` or a copy."""
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
         """Write ``count`` items from ``position`` on into ``data``, which is the bytes of ``memory`` or a copy.

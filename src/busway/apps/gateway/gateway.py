@@ -390,9 +390,7 @@ class Gateway:
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
-    """Return the parts of a gateway's configuration that only a restart changes: own unit, functions, server
-    options.
-    """
+    """Return what only a restart changes in a gateway's configuration: own unit, functions, server options."""
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 

@@ -185,8 +185,8 @@ class StreamAssembler:
             self._deliver(segment, found)
 
     def _skip(self) -> list[StreamPart]:
-        """Give up the bytes missing before the first waiting segment: return a gap, and the pieces in order
-        behind it.
+        """Give up the bytes missing before the first waiting segment: return a gap, and the pieces behind it in
+        order.
         """
         first = self._waiting[0]
         found: list[StreamPart] = [StreamGap(first.at - self._next, first.packet, first.time)]
