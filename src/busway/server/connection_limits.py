@@ -49,8 +49,7 @@ class PoolMember(Protocol):
         host: host of the client.
         is_priority: whether the client is a priority host.
         pool: the pool of its slot, set when it gets one.
-        last_used: when it was last used, in seconds; never decreases. The time of its connect until it has sent
-            something.
+        last_used: when it was last used, in seconds; before the first use, when it was connected. Never decreases.
         received: bytes received from the client so far.
     """
 

@@ -76,11 +76,9 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Start the timeout of a frame that was received in part. Returns when it runs out.
+        """Start the timeout of a frame that was received in part; return when it runs out, None for no timeout.
 
-        None without such a timeout.
-
-        ``anew``: True for a frame that began just now; False if it may have begun earlier, so that a running timeout
+        ``anew``: True for a frame that began just now; False if it may have begun earlier: a running timeout then
         stays.
         """
         since = self._begun[one] = now if anew else self._begun.get(one, now)

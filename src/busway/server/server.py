@@ -64,8 +64,8 @@ class Server:
         standard_port: whether to listen on port 502 too, beside each other port of ``tcp://`` (Messaging on TCP/IP
             V1.0b §3.1.3). True: yes, and the start fails if port 502 cannot be opened. False: no. None: yes if other
             hosts can reach the listener and its port is not 0; if port 502 cannot be opened, that is only logged.
-        local_connections: returns, for a status, how many connections this program has open towards other devices.
-            None counts those of the links of this process.
+        local_connections: returns, for a status, how many connections this program has open towards other devices. None
+            counts the connections that this process's links have open.
         tap: observes opened and closed connections and may send on them; for simulated devices that misbehave.
 
     Attributes:

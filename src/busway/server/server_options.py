@@ -15,10 +15,10 @@ Place = str | Endpoint | Listener
 
 
 def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -> tuple[list[Place], ChosenOptions]:
-    """Return listeners and options changed by the preset that the options name.
+    """Return listeners and options with the preset applied that ``options`` names, if any.
 
     Args:
-        places: where the server listens.
+        places: the listeners: URLs or `Listener` objects.
         options: options of the server by name; ``preset`` may be among them.
 
     Raises:
