@@ -78,7 +78,7 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
 def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> frozenset[int]:
     """Parse function codes or names into a set of codes. Raises `ConfigError`, also for a sub-function.
 
-    ``what`` is the subject of that error: what does not accept sub-functions.
+    ``what`` is the subject of that error, such as ``a route``.
     """
     found = parse_functions(value)
     for code, sub_code in found:
