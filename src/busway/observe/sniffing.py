@@ -157,7 +157,9 @@ class LineToHear:
 
     @property
     def timing(self) -> SerialTiming:
-        """Times of the line: by the settings of its port, or those of a network."""
+        """Times of the line, such as the silence between frames: by the settings of its port, or fixed ones over a
+        network.
+        """
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
