@@ -50,7 +50,7 @@ def named_links(
         file: the file.
         root: joins the paths among options to the file's folder.
         report: collects problems.
-        defaults: options of the program that uses the links, where they differ from those of links.
+        defaults: options for which the program that uses the links has other defaults.
     """
     offered = options_for("client", TlsParameters)
     security = {name: value for name, value in file.security.options().items() if name in offered}

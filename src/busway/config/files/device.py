@@ -435,7 +435,10 @@ class UnitSection(WholeSection):
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """All points of the unit, with final names and addresses; those of groups once for each place of the group."""
+        """All points of the unit, with final names and addresses.
+
+        Points of a repeated group once for each repetition.
+        """
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]
         grouped = (

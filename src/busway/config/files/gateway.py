@@ -37,7 +37,7 @@ NOT_OF_GATEWAYS: Final = {
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether the sections are those of a gateway file: a route or ``gateway``, or listeners but no units."""
+    """Whether these section names belong to a gateway file: ``route`` or ``gateway``, or listeners but no units."""
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 

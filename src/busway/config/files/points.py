@@ -233,7 +233,7 @@ STAND_IN: Final = "0"
 
 
 class WholeSection(Section):
-    """Base of file sections that report all errors at once: those of single keys, and keys that do not go together."""
+    """Base of file sections that report all errors at once: of single keys, and of keys that do not go together."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
         """Yield the errors of keys of this section that do not go together, each as path and sentence."""
@@ -715,6 +715,6 @@ def resolved(name: str, known: Sequence[str]) -> str:
 
     Args:
         name: the name as the group has it, such as ``voltage``.
-        known: full names of points around, those of the nearest group first, such as ``string.1.voltage``.
+        known: full names of points around, the nearest group first, such as ``string.1.voltage``.
     """
     return next((each for each in known if each == name or each.endswith(f".{name}")), name)
