@@ -33,7 +33,7 @@ class CloneOptions:
 
     Attributes:
         url: URL of the device.
-        unit: unit identifier, 0…255; None for that of the link.
+        unit: unit identifier, 0…255; None to use the link's.
         map: path of a register map in CSV, whose points are read; None: the tables are searched.
         out: path of the simulation file; None for stdout.
         watch: how long to observe how the values change, such as ``60s``; None for not at all. Needs ``map``.

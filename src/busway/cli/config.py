@@ -71,7 +71,7 @@ def config(
 
 
 def _kind_of(file: str) -> str:
-    """Return what a file is for, by the keys that only such files have: collector, gateway, simulation or server."""
+    """Return the kind of a file, by keys that only this kind has: collector, gateway, simulation or server."""
     from ..config.files import collector, gateway, simulation, system
     from ..config.files.schema import keys_of
     from ..config.reading import read_text

@@ -292,7 +292,7 @@ def _ports_of(file: Path) -> str:
 
 
 async def _move(devices: "list[Device]") -> None:
-    """Change the values of the devices until cancelled: those of a fifth of the devices every 0.2 s."""
+    """Change values of the devices until cancelled: every 0.2 s those of a fifth of the devices."""
     turn = 0
     while True:
         for place in range(turn % 5, len(devices), 5):

@@ -129,7 +129,7 @@ def _remembering_drain(
 ) -> "tuple[Callable[[], GatewayConfiguration], Callable[[], float]]":
     """Return ``read`` in a form that remembers the option ``drain``, and a function that returns this option.
 
-    The option is that of the configuration read last, in seconds; 0.0 before the first reading.
+    It returns the seconds in the configuration that was read last; 0.0 before the first reading.
     """
     seconds = 0.0
 
@@ -151,7 +151,7 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
     Args:
         words: URLs of listeners, followed by the URL of the upstream; or the path of one file.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
         deadline: text of ``--client-deadline``, which is for URLs only.
 
     Raises:

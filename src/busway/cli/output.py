@@ -27,12 +27,11 @@ class TableRow:
 
     Attributes:
         address: the address of the value.
-        value: what was read or written; None for a value that could not be read.
-        raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty for a value that could not be
-            read.
+        value: the value that was read or written; None if it could not be read.
+        raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty if it could not be read.
         type: name of its value type; ``bit`` for one bit.
         reason: why it could not be read; empty if it was read.
-        written: whether it was written, and not read.
+        written: True for a written value, False for one that was read.
         verified: whether the device held it when it was read back; None if it was not read back.
         holds: what the device holds instead, if ``verified`` is False.
     """

@@ -79,7 +79,7 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Return the listener options given on the command line, by name; they replace those of the file.
+    """Return the listener options given on the command line, by name; they replace the file's.
 
     Args:
         priority: hosts and networks of ``--priority``.

@@ -75,7 +75,7 @@ def chosen_source(
         device: name of a ready-made device.
         map_file: path of a register map.
         unit: the unit number for the register map.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
 
     Raises:
         ConfigError: none is named or more than one, there is no such device, or ``unit`` is given without a register
