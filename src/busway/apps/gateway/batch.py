@@ -84,10 +84,11 @@ class Batch(Call):
         forwarder: the forwarder of the upstream.
         link: the link that sends the requests.
         asker: the client that sent the batch; None once it has disconnected or was answered at its deadline.
-        tags, asked: the client's requests. Their positions are those of ``requests``, unless a single one was split.
+        tags, asked: the client's requests, in the order of ``requests``, which go upstream; a single request may be
+            split into several of these.
         told: positions of the requests that were answered one by one; empty if all are answered together.
-        joined: by position of a read, the other clients that wait for its reply.
-        deadlines: deadlines of the clients, if several wait; the entry None is that of ``asker``.
+        joined: the other clients that wait for a read's reply, by position of the read.
+        deadlines: deadlines of the clients, if several wait; key None stands for ``asker``.
         keys: if the reads may be shared, the key of each.
         shared: the table in which other clients find the batch by these keys; None if it has no reads to share.
         place: the range whose values are to be remembered; None for none.

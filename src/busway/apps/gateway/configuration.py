@@ -100,10 +100,9 @@ class GatewayConfiguration:
         The audit log, metrics and control socket are opened by `busway gateway`; a program opens those that it wants.
 
         Args:
-            listen: URLs or listeners that replace those of the file, as many and in the same order; empty for those of
-                the file.
-            options: ``authorize`` and ``policy`` instead of those of the file, ``audit`` as of `Gateway`;
-                ``standard_port`` as of `busway.serve`.
+            listen: URLs or listeners that replace the file's, as many and in the same order; empty to use the file's.
+            options: ``authorize`` and ``policy`` instead of the file's, ``audit`` as of `Gateway`; ``standard_port`` as
+                of `busway.serve`.
 
         Raises:
             ConfigError: an invalid option, or not as many listeners as the file has.
@@ -156,11 +155,11 @@ def load_gateway(
     Args:
         path: path of the file, in TOML.
         preflight: whether to open the files named in it too, such as certificates, so that their errors are found now.
-        changes: options of listeners, by name, that override those of the file.
+        changes: options of listeners, by name, that override the file's.
 
     Raises:
-        ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with
-            file, line and key.
+        ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with file, line
+            and key.
     """
     name = os.fspath(path)
     return parse_gateway(read_text(name), name, preflight=preflight, changes=changes)

@@ -220,8 +220,7 @@ class Gateway:
         The old ones are closed first, because they may hold ports that new ones need.
 
         Returns:
-            By name, the forwarders of the upstreams and the listeners of the new configuration, unchanged ones
-            included.
+            The forwarders of all upstreams, and all listeners, of the new configuration, each by name.
         """
         old_upstreams = {one.name: one for one in self.plan.upstreams}
         forwarders, listeners = dict(same_upstreams), dict(same_listeners)
@@ -335,7 +334,7 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """Return the values for the own unit's status registers: those of the gateway, and those of each upstream."""
+        """Return the values of the own unit's status registers: the gateway's, and a list of them for each upstream."""
         status = self.status()
         own = [
             int(status.uptime),
@@ -395,9 +394,11 @@ def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Return the option ``standard_port`` of a listener's server: whether it also listens on port 502.
+    """Return whether a listener's server also listens on port 502 (option ``standard_port``).
 
-    None leaves that to the server. At most one of the listeners gets another value than False.
+    None if the server decides.
+
+    Only one of the listeners may do so: the others get False.
     """
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}

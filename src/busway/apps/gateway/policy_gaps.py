@@ -31,12 +31,12 @@ def policy_gaps(
 ) -> Iterator[tuple[Place, str]]:
     """Yield the access rules that clients can evade by another route to the same device.
 
-    Yields for each rule its path in the gateway file, and a message.
+    For each rule these are its path in the gateway file, and a message.
 
     Args:
         policy: the access rules.
         routes: the routes of the file.
-        same_device: by name of upstream, the groups of units there that are the same device.
+        same_device: for each upstream, by name, the groups of units that are the same device.
     """
     devices = _reached_in_several_ways(routes, same_device)
     if not devices:
@@ -91,7 +91,7 @@ def _reached_in_several_ways(
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
     """Whether the access rule ``other`` surely applies to all clients to which ``rule`` applies.
 
-    So it is if each of its conditions (peers, roles, listeners) is missing or equal to that of ``rule``.
+    It does if each of its conditions (peers, roles, listeners) is missing, or is the same in ``rule``.
     """
     return (
         other.peers in (None, rule.peers)

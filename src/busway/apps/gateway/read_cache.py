@@ -93,9 +93,9 @@ class ReadCache(Generic[Shared]):
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Note the end of a write to a unit, successful or not.
+        """Record the end of a write to a unit, successful or not.
 
-        After the last one reads are shared and remembered again.
+        Once no write to the unit is in progress, its reads are shared and remembered again.
         """
         self._changed(unit, -1)
 

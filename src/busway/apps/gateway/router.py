@@ -215,11 +215,11 @@ class ListenerRouter:
     ) -> Message | Forwarding:
         """Return how a request is forwarded by a route, or the reply if it need not or cannot be forwarded.
 
-        A read may be answered with remembered values, if the route has them. The reply is exception 02 if the address
-        that the route shifts the request to does not exist, and 03 if the registers of the device are too wide for so
-        many in one reply.
+        A read is answered with remembered values if the route permits that and they are young enough. The reply is
+        exception 02 if the shifted address does not exist, and 03 if a reply cannot hold so many of the device's wide
+        registers.
 
-        ``forwarder`` is that of the route's upstream.
+        ``forwarder`` is the forwarder of the route's upstream.
         """
         width = forwarder.upstream.register_width
         if width != NARROW and isinstance(request, ReadRegisters) and request.count * width > MAX_DATA:
