@@ -25,7 +25,7 @@ def fault_problems(
 ) -> list[ConfigError]:
     """Return the errors in ``[[fault]]`` sections that the schema of the file cannot find, each with line and key.
 
-    These are unknown fault profiles, invalid parameters, and names that stand twice.
+    These are unknown fault profiles, invalid parameters, and names that are used twice.
 
     Args:
         sections: all sections ``fault`` of the file, in order.

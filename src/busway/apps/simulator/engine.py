@@ -307,7 +307,7 @@ class Engine:
 
         Args:
             time: seconds of the simulation.
-            kept: by key of the point, the saved state of its behaviour.
+            kept: the saved state of each behaviour, by the key of its point.
         """
         self._heap, old = [], self._heap
         for _, rank, unit, _, task in old:
@@ -338,7 +338,7 @@ def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
 
 
 def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
-    """Whether a behaviour takes over values of other points after each moment (`Observer`)."""
+    """Whether a behaviour reads and remembers values of other points after each moment (`Observer`)."""
     return hasattr(behaviour, "observe")
 
 

@@ -97,7 +97,7 @@ def load_declaration(
 
     Args:
         path: path of the file, in TOML. Every device file and every configuration file is a simulation file too.
-        changes: options of listeners, by name, that override those of the file.
+        changes: options of listeners, by name, that override the file's.
 
     Raises:
         ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
@@ -115,7 +115,7 @@ def parse_declaration(
     Args:
         text: content of the file.
         name: name of the file, for errors; paths in the text are relative to its folder.
-        changes: options of listeners, by name, that override those of the file.
+        changes: options of listeners, by name, that override the file's.
         read: returns the text of an included file by its path.
 
     Raises:
@@ -209,7 +209,7 @@ class _Including:
             raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
-        """Yield all units of an included file with their own numbers, and those of the files that it includes.
+        """Yield all units of an included file with their own numbers, and the units of files that it includes.
 
         Args:
             source: the file.

@@ -400,7 +400,7 @@ def _access(text: str) -> str:
 
 
 def _enumeration(text: str) -> dict[str, int]:
-    """Return by name the numbers in a cell of a register map such as ``0=off | 1=on``.
+    """Return the names and numbers in a cell such as ``0=off | 1=on``, as a dictionary from name to number.
 
     Raises:
         ValueError: the cell is written otherwise, or has a name twice.

@@ -83,7 +83,7 @@ class Simulation:
     Args:
         file: path of a simulation file; or the result of `busway.apps.simulator.includes.parse_declaration`.
         clock: the clock; None for that of the event loop, from the moment on that the simulation runs in one.
-        seed: seed of all random numbers; None for that of the file, which is 0 if it says nothing.
+        seed: seed of all random numbers; None to use the file's, which is 0 if it says nothing.
         speed: seconds of the simulation in one second of the clock, above 0.
 
     Raises:
@@ -326,8 +326,8 @@ class Simulation:
         """Create a server for the units, with the faults and observers of the simulation; it is not started yet.
 
         Args:
-            listen: URLs or listeners instead of those of the file.
-            options: options of `busway.serve`, instead of those of the file.
+            listen: URLs or listeners instead of the file's.
+            options: options of `busway.serve`, instead of the file's.
 
         Raises:
             ConfigError: an invalid option.
@@ -369,7 +369,7 @@ class Simulation:
         To be used as ``async with simulation.running("tcp://127.0.0.1:0"): …``.
 
         Args:
-            listen: URLs to listen on, instead of those of the file.
+            listen: URLs to listen on, instead of the file's.
 
         Raises:
             ConfigError: a listener cannot be used as configured.
@@ -492,7 +492,7 @@ class Simulation:
     # ---- values over restarts
 
     def _begin(self) -> None:
-        """Give all points their first values, or those of the saved state if there is one."""
+        """Give all points their first values; if the file names a saved state and there is one, the saved values."""
         path = self.declaration.state
         kept = None
         if path is not None:

@@ -138,7 +138,7 @@ class Lag:
     def value(self, time: float) -> float:
         """Return the value at a time, on its way to the target that the last `observe` computed.
 
-        Without a target, or at a time before that of an earlier call, the value stays as it is.
+        The value stays as it is without a target, or if an earlier call had a later time.
         """
         if math.isfinite(self._seen):
             way = self._value - self._seen
