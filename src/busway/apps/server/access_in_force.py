@@ -79,7 +79,7 @@ class AccessInForce:
         server.replace_policy(self._policy(rules, exposed))
 
     def replace_lists(self, new: DeclaredServer, rules: AccessRules | None) -> bool:
-        """Replace all address lists by those of a new configuration; open connections are not ended.
+        """Replace all address lists by the lists of a new configuration; open connections are not ended.
 
         Args:
             new: the new configuration, with the lists of single listeners.

@@ -59,7 +59,7 @@ class Configuration:
         control: path or address of the control socket; None for the default one.
         links: the links by name.
         warnings: warnings about the file, each with file, line and key.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
         at_once: sections whose changes a reload applies without a restart.
     """
 
@@ -85,8 +85,8 @@ class Configuration:
         those that it wants.
 
         Args:
-            listen: endpoints, or `Listener`s, instead of those of the file.
-            options: options of `busway.serve`, instead of those of the file.
+            listen: endpoints, or `Listener`s, instead of the file's.
+            options: options of `busway.serve`, instead of the file's.
 
         Raises:
             ConfigError: an endpoint or option is invalid, or the file has no unit.
@@ -109,7 +109,10 @@ class Configuration:
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """Return options of the file for `busway.serve`: those of ``[server]``, and TLS; not its policy and units."""
+        """Return options of the file for `busway.serve`: TLS and the options of ``[server]``.
+
+        Not its policy and units.
+        """
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
 
@@ -181,7 +184,7 @@ def load_configuration(
         path: the file, in TOML. Every device file is such a file.
         preflight: whether the files that it names, such as certificates, are opened too, so that what is wrong with
             them is reported now and not later.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
 
     Raises:
         FileError: the file is wrong; ``problems`` has all errors, each with file, line and key.
@@ -235,15 +238,16 @@ def put_together(
 ) -> Configuration:
     """Build the configuration of a file whose sections were checked one by one; errors go to a report, none is raised.
 
-    The result may be used only after `ConfigurationReport.end`, which raises the errors. Its warnings are those of the
-    report, and not set here.
+    The result may be used only after `ConfigurationReport.end`, which raises the errors. Its ``warnings`` are not set
+    here:
+    the report has them.
 
     Args:
         file: the sections of the file.
         name: path of the file; paths in it are relative to its folder.
         report: collects errors and warnings.
         preflight, changes: as of `load_configuration`.
-        link_defaults: defaults of the options of links that differ from those of `busway.open`.
+        link_defaults: options of links whose defaults differ from the defaults of `busway.open`.
     """
     makers = _Makers(file, name, report, changes or {})
     limits = makers.limits()

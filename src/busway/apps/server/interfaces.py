@@ -88,8 +88,8 @@ class DeclaredServer(Protocol):
         """Create the server that the configuration declares; it is not started yet.
 
         Args:
-            listen: endpoints or listeners instead of those of the file.
-            options: options of `busway.serve`, instead of those of the file.
+            listen: endpoints or listeners instead of the file's.
+            options: options of `busway.serve`, instead of the file's.
         """
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
