@@ -31,7 +31,7 @@ class Level(IntEnum):
 
 
 class Strength(Enum):
-    """How strongly the specifications ask for what a check tests; a failed should is only a warning."""
+    """How strongly the specifications ask for what a check tests: must or should. A failed should is only a warning."""
 
     MUST = "must"
     SHOULD = "should"
@@ -302,12 +302,12 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Bytes that were sent or received in a check, or an event such as the end of the connection, for reports.
+    """Bytes that a check sent or received, or an event such as the end of the connection; shown in reports.
 
     Attributes:
         sent: True for bytes to the device, False for bytes from it.
         data: the bytes; empty for an event.
-        words: what the bytes mean, by the dissector; or the event.
+        words: the meaning of the bytes, from the dissector; for an event, what happened.
     """
 
     sent: bool

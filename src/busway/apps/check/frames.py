@@ -74,7 +74,7 @@ class MbapSearch:
         return []
 
     def take_rest(self) -> bytes:
-        """Return the bytes that broke the stream, or else those of an unfinished frame.
+        """Return the bytes that broke the stream; if none did, the bytes of an unfinished frame.
 
         Nothing is forgotten: no frame can follow on a broken stream, and an unfinished frame may be completed.
         """
