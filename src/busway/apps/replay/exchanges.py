@@ -138,9 +138,9 @@ class Exchanges:
         self._matchers: dict[int, _NetworkMatcher | _LineMatcher] = {}
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
-        """Take the next event of the capture, and yield the exchanges that it completes; often none.
+        """Process the next event of the capture, and yield the exchanges that it completes; often none.
 
-        Events are to be given in order, each iterator used up before the next event.
+        Call it for each event in order, and use up each iterator before the next event.
         """
         channel = event.channel
         matcher = self._matchers.get(channel.number)
