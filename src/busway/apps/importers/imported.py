@@ -161,9 +161,9 @@ class ImportedDevice:
 
 
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
-    """Yield the tables in a list of an imported file, each with its position in the list.
+    """Yield the tables in a list of an imported file (TOML tables, YAML mappings), each with its position.
 
-    Tables are those of TOML, or mappings of YAML. Other elements are skipped, and so is a ``value`` that is no list.
+    Other elements are skipped; nothing is yielded if ``value`` is no list.
     """
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
