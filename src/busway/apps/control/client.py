@@ -88,7 +88,7 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """Ask a running program for a resource of its control service, and return the decoded JSON, or else the text.
+    """Ask a running program for a resource of its control service; return the decoded JSON, or text that is no JSON.
 
     Blocks until the response has come.
 

@@ -47,7 +47,7 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Note the file that was created for the control socket or its token, so that `remove` can remove it."""
+        """Store the path of the file that was created for the control socket or its token, for `remove`."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
