@@ -470,8 +470,9 @@ class Collector:
         """Return the measured load of each link since the start of the collector, by name of the link.
 
         Returns:
-            Two shares of the whole time, each 0…1: that of all requests, and that of the probes of silent devices,
-            which the first includes.
+            Two shares of the whole time, each 0…1: the time of all requests; and the part of it that probes of silent
+                devices
+            took.
         """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {
@@ -635,7 +636,7 @@ class Collector:
         return done
 
     def changed_links(self, configuration: CollectorConfiguration) -> frozenset[str]:
-        """Return the names of the links polled now that a reload with this configuration would end or begin anew."""
+        """Return the names of the polled links that a reload with this configuration would end or restart."""
         return frozenset(name for name, link in self._links.items() if link.key != _key_of(configuration, name))
 
     def _end_maintenance_of_others(self) -> None:
@@ -805,7 +806,7 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:
-    """Return for each point of a configuration what the store keeps beside its samples, such as the unit of measure."""
+    """Return the descriptions of all points of a configuration, such as units of measure, which the store keeps."""
     return [each for device in configuration.devices.values() for each in device.descriptions()]
 
 

@@ -85,7 +85,7 @@ class CollectedDevice:
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def descriptions(self) -> list[PointDescription]:
-        """Return for each point what the store keeps beside its samples, such as the unit of measure."""
+        """Return the descriptions of the device's points, such as units of measure, which the store keeps."""
         return [
             PointDescription(self.name, point.name, point.unit_of_measure, point.type == "bit", point.was or None)
             for point in self.points
@@ -130,7 +130,7 @@ class CollectorConfiguration:
 
     @property
     def hosts(self) -> Mapping[str, Sequence[str]]:
-        """By link, the machines of a fleet that can reach it, the preferred one first; without links that all reach."""
+        """For each link that only some machines of a fleet can reach, their names, the preferred one first."""
         return {each.name: each.hosts for each in self.file.link if each.hosts}
 
     @property
@@ -148,7 +148,7 @@ class CollectorConfiguration:
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
-        """Return the admission test of each link: the part of its time that polling takes, and what does not fit."""
+        """Return the result of the admission test of each link: its load, and the poll periods that it cannot keep."""
         found = []
         for name, link in self.links.items():
             books = [

@@ -135,7 +135,7 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """Return a copy without what was learnt, apart from pinned facts; with ``pinned``, without those too."""
+        """Return a copy without the learnt facts; pinned facts are kept, unless ``pinned`` is True."""
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -158,10 +158,12 @@ class DeviceKnowledge:
 
 
 class Knowledge:
-    """What the collector has learnt about all devices, by name; iterating gives pairs of name and facts, sorted.
+    """The facts that the collector has learnt about all devices.
+
+    Iterating gives pairs of device name and facts, sorted.
 
     Args:
-        devices: what is known from before, by device; None for nothing.
+        devices: facts known from before, by device; None for none.
     """
 
     def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:

@@ -14,7 +14,7 @@ class LearntFile:
     """The file in which a collector keeps what it learns about devices, to use it after a restart.
 
     Attributes:
-        path: the path of the file; it need not exist.
+        path: path of the file, which need not exist.
     """
 
     def __init__(self, path: Path) -> None:

@@ -158,11 +158,11 @@ def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
 
 
 def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
-    """Return the parts of a read that belong to no known item, no readable range and no exact block, in order.
+    """Return the parts of a read, in order, that lie in no known item, no readable range and no exact block.
 
     Args:
         read: the read.
-        known: all items of the device, in any order; those of other tables are ignored.
+        known: all items of the device, in any order; items of other tables are ignored.
         rules: the readable ranges and exact blocks of the device.
     """
     declared = [

@@ -314,5 +314,5 @@ class PlanBook:
 
 
 def _once(items: Iterable[ReadItem]) -> list[ReadItem]:
-    """Return the items without duplicate objects, in order."""
+    """Return the items in order, each object once."""
     return list({id(one): one for one in items}.values())

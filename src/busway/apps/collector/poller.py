@@ -521,7 +521,8 @@ class LinkPoller:
         """Pass on bad samples for a failed read, and learn from the failure.
 
         Returns:
-            The outcome of the turn so far: ``before``, of its earlier reads, combined with that of this read.
+            The outcome of the turn so far: ``before``, which is the outcome of its earlier reads, combined with this
+                failure.
         """
         reason, result = _judged(error)
         device.last_error = str(error)
@@ -616,7 +617,7 @@ class LinkPoller:
 
 
 def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
-    """Return why no allowed read fetches an item: what the device answered, or that the configuration forbids it."""
+    """Return the reason why no read fetches an item: what the device answered, or a rule of the configuration."""
     for hole in known.holes:
         if hole.table is item.table and hole.start < item.start + item.width and item.start < hole.end:
             return exception_reason(hole.code) if hole.code else Reason.TIMEOUT
@@ -624,7 +625,7 @@ def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
-    """Return the reason for the samples of a read that failed, and what the error shows about the device."""
+    """Return the reason for the bad samples of a failed read, and what its error shows about the device."""
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS
         return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED

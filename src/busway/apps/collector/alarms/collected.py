@@ -172,7 +172,7 @@ class CollectorAlarms:
     # What the collector does.
 
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
-        """Take over, at the start of the collector, the alarms that the journal leaves active or unacknowledged.
+        """Set the alarms at the start of the collector to those that are active or unacknowledged by the journal.
 
         Args:
             journal: the stored alarm events, in their order.

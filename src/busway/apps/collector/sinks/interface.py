@@ -89,11 +89,12 @@ class TopicSink(Protocol):
     """Interface of a sink that replaces characters of names in topics, so that two names could have the same topic."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names that the receiver knows a device and a point by.
+        """Return the names by which the receiver knows a device and a point.
 
         Returns:
-            The name of the device, and that of the point among the points of the device. Two points with equal results
-            could not be told apart.
+            The name of the device, and the name of the point within the device. The receiver could not tell two points
+                with
+            equal results apart.
         """
 
 

@@ -160,7 +160,7 @@ class PostgresqlSink:
 
     @asynccontextmanager
     async def _writing(self) -> AsyncIterator[None]:
-        """Return a context manager that makes a transaction of the database, and turns its errors into those of sinks.
+        """Context manager for a transaction of the database; its errors are raised as errors of sinks.
 
         Raises:
             SinkRefused: the database rejects the values.

@@ -50,7 +50,7 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples and intervals of a commit that the store has just made."""
+        """Store the samples and intervals of a commit as the last ones; called when the store has made the commit."""
         with self._lock:
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
@@ -102,7 +102,7 @@ class LastValues:
         return 0 if interval is None or interval.end is not None else interval.reason
 
     def intervals(self) -> dict[str, StateInterval]:
-        """Return by device the last interval in which it was not read; its end is None while it lasts."""
+        """Return for each device the last interval in which it was not read; its end is None while it lasts."""
         with self._lock:
             return dict(self._intervals)
 

@@ -86,11 +86,11 @@ class _Device:
         self.is_gone = False
 
     def learn(self, sample: CommittedSample) -> bool:
-        """Take over a sample as the last one of its metric.
+        """Store a sample as the last one of its metric.
 
         Returns:
             Whether the device needs a new birth message, because a metric is new or has another type, or it is not
-            born.
+                born.
         """
         point = sample.point
         known = self.kinds.get(point)
@@ -354,10 +354,9 @@ class SparkplugSink:
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
-        """Return a context manager that gives those of some samples or alarm events that are not published yet.
+        """Context manager that yields those of some samples or alarm events that are not published yet.
 
-        If the broker refuses one of a batch, the batch is sent again in parts: what was published before is then left
-        out.
+        After the broker has refused one, the batch is sent again in parts: what was published before is then left out.
         """
         first = min((each.commit for each in wanted), default=0)
         self._passed = {each for each in self._passed if each.commit >= first}
@@ -407,7 +406,7 @@ class SparkplugSink:
     # Births, deaths, data; the lock is held
 
     async def _births(self) -> None:
-        """Publish the birth of the edge node, then those of all devices that are not suspended or in maintenance.
+        """Publish the birth of the edge node, then the birth of each device that is not suspended or in maintenance.
 
         A birth tells hosts the names, types and last values of metrics.
         """
@@ -502,7 +501,7 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """Return the number of this connection (bdSeq, 0…255), one more than that of the last, and keep it in a file.
+        """Return the number of this connection (bdSeq, 0…255), one more than the last one, and keep it in a file.
 
         Raises:
             SinkDown: the file cannot be written.

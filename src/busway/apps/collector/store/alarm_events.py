@@ -75,7 +75,7 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Delete old alarm events from the manifest, except those of alarms that are active or not acknowledged.
+    """Delete old alarm events from the manifest, but no event of an alarm that is active or not acknowledged.
 
     Args:
         manifest: the manifest of the store.

@@ -90,9 +90,9 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether the manifest lists a segment file that is missing in the folder: then the writer has still to create it.
+    """Whether the manifest lists a segment file that is missing in the folder: the writer will create it soon.
 
-    Otherwise the segment was sealed or deleted meanwhile.
+    If it is not listed, the segment was sealed or deleted after the manifest was copied.
     """
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()

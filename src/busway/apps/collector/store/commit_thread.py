@@ -192,7 +192,7 @@ class Committer:
             self._changed.notify_all()
 
     def _note_queued(self) -> None:
-        """Note since when samples or intervals are queued. Call with the lock held."""
+        """Record the time since when samples or intervals wait in the queue. Call with the lock held."""
         if self._queued_since is None:
             self._queued_since = self._clock()
 

@@ -212,7 +212,7 @@ class StoredPoint:
 
     @property
     def name(self) -> str:
-        """Name of the point with that of its device: ``device/point``."""
+        """Device and name of the point: ``device/point``."""
         return f"{self.device}/{self.point}"
 
 
@@ -560,7 +560,7 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """Return by sink the last commit that it got (its cursor), and the number of samples lost for it."""
+        """Return for each sink the last commit that it got (its cursor), and the number of samples lost for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:
@@ -587,7 +587,7 @@ class Manifest:
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Replace the points, with their present and former names, in a copy of a manifest by those of the original.
+    """Copy the points, with their present and former names, from a manifest into a copy of it, replacing those there.
 
     Args:
         source: the file of the original manifest.

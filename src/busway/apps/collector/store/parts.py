@@ -165,7 +165,7 @@ def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """Return the samples of a table read from a Parquet file as rows, equal to those of a segment file."""
+    """Return the samples of a table read from a Parquet file as rows, in the form that segment files give."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}

@@ -191,9 +191,9 @@ class Segment:
         return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:
-        """Make all commits so far survive a power failure.
+        """Make all commits so far survive a power failure: write the write-ahead log to the disk.
 
-        They are in the write-ahead log; SQLite makes durable itself what it moves from there into the file.
+        SQLite itself does that for data which it moves from the log into the file.
 
         Raises:
             OSError: the log cannot be written to the disk.

@@ -283,7 +283,10 @@ class StoreWriter:
         return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
-        """Make all commits so far survive a power failure, where durability is ``process``. Raises `OSError`."""
+        """Make all commits so far survive a power failure: write the open segment's log to the disk.
+
+        Raises `OSError`.
+        """
         if self._segment is not None:
             self._segment.sync()
 
