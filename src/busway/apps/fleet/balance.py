@@ -69,12 +69,13 @@ class Move:
 
 
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
-    """Return by name of each shard (group of links) without owner the name of the collector that should take it.
+    """Return which collector should take each shard (group of links) that has no owner, by name of the shard.
 
-    The dearest shard goes first, each to the least loaded collector. Shards that no collector may take are left out.
+    The dearest shard goes first; each goes to the least loaded collector. Shards that no collector may take are left
+    out.
 
     Args:
-        free: by name, the cost of each shard without owner, in seconds of line time per second.
+        free: the cost of each shard without owner, by name, in seconds of line time per second.
         shares: the live collectors; they are not changed.
     """
     able = _Takers(Share(each.name, each.host, each.load, each.capacity) for each in shares if not each.draining)
@@ -115,8 +116,8 @@ def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share],
     """Return the moves of shards (groups of links) away from the collectors that drain; changes the loads in ``state``.
 
     Args:
-        owned: by shard, its owner and cost.
-        state: by name, all collectors.
+        owned: owner and cost of each shard, by name.
+        state: all collectors, by name.
         able: the collectors that do not drain.
     """
     found: list[Move] = []

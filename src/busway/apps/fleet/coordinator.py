@@ -96,7 +96,7 @@ class Coordinator(Protocol):
         with `SNAPSHOT_BEGINS` (rule 4).
 
         Raises:
-            ConfigError: the table can never be read, such as for want of rights.
+            ConfigError: the table can never be read, for example because rights are missing.
         """
 
     async def close(self) -> None:

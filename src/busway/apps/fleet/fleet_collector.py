@@ -82,13 +82,13 @@ class FleetCollector:
         name: name of this collector, the only one of that name in the zone.
         host: name of this machine, for links that only some machines can reach.
         shards: how many shards (groups of links) the zone has, 1…1024; the same for all collectors.
-        hosts: by link, the names of the machines that can reach the link, the preferred one first. Links that are
-            missing can be reached from all.
+        hosts: for each link, the names of the machines that can reach it, the preferred one first. Links that are
+            missing can be reached from all machines.
         times: the lengths of the leases, the same for all collectors; None for the defaults of `LeaseTimes`.
         capacity: this collector's part of the work, relative to the others.
         stream: gets the collector's samples; None if they stay in its own store.
-        revision: revision of the configuration, if that is from the coordinator: newer ones are then taken over (rule
-            6). 0 if it is not.
+        revision: revision of the configuration if the coordinator has it: newer revisions are then applied too (rule
+            6). 0 if the configuration is not from the coordinator.
         keys: the table of the keys of commands, the same for all collectors; not closed here. None for the table of
             ``coordinator``.
         zone: name of the zone, if `FleetCommands` passes on commands for links that others own; empty if commands
@@ -100,11 +100,11 @@ class FleetCollector:
         collector: polls the devices.
         ownership: the record of which links this collector owned when.
         outbox: sends the samples to the stream; None without a stream.
-        revision: revision of the configuration in force; 0 if that is not from the coordinator.
-        unowned_seconds: seconds for which links had no owner before this collector took them, as far as is known, the
+        revision: revision of the configuration in force; 0 if it is not from the coordinator.
+        unowned_seconds: seconds for which links had no owner before this collector took them, as far as is known; the
             sum of all links.
         pass_on: asks the owner of a link to execute a command; None while that is not possible.
-        refused: why the newest configuration of the zone was not taken; None if it was.
+        refused: why the newest configuration of the zone was not applied; None if it was.
 
     Raises:
         ConfigError: a transaction on a link may last longer than a lease allows, or a name is invalid.
@@ -299,7 +299,7 @@ class FleetCollector:
         self.member.set_shards({shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()})
 
     async def _follow(self) -> None:
-        """Take over new configurations of the zone and orders to drain from the coordinator, until cancelled."""
+        """Follow the coordinator's table until cancelled: apply newer configurations and orders to drain."""
         async with aclosing(self._coordinator.watch(CONTROL)) as entries:
             async for entry in entries:
                 if entry.key == CONFIGURATION and entry.value and entry.revision > self.revision:

@@ -159,7 +159,7 @@ class FleetCommands:
                 self._changed.set()
 
     async def _listen(self, links: Iterable[str]) -> None:
-        """Subscribe to the subjects of these links, and unsubscribe from those of all others."""
+        """Subscribe to the subjects of these links, and unsubscribe from the subjects of all other links."""
         errors = import_module("nats.errors")
         wanted = {command_subject(self._zone, link) for link in links}
         for subject in self._subscribed.keys() - wanted:

@@ -63,8 +63,8 @@ class ZoneStatus:
     """The status of a zone of a fleet: its collectors, the owner of each shard (group of links), its configuration.
 
     Attributes:
-        members: by name, the collectors.
-        leases: by name of a shard, its last known lease.
+        members: the collectors, by name.
+        leases: the last known lease of each shard, by name of the shard.
         configuration: path of the configuration file that an operator applied; empty if none was.
         revision: revision of that configuration; 0 for none.
         generation: the generation number of the zone.

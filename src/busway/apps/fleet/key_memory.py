@@ -34,8 +34,8 @@ class KeyMemory:
     """The keys of commands that were used, when each was used, and the results of the newest commands.
 
     Attributes:
-        used: by digest of a key, when the key was used, in seconds since 1970 UTC; in the order of use.
-        results: by key, the owner that took the key and the result of the command as far as it is known. An owner is
+        used: when each key was used, in seconds since 1970 UTC, by digest of the key; in the order of use.
+        results: for each key, the owner that took it, and the result of its command as far as it is known. An owner is
             ``collector/run``: the name of a collector and a random word for this start of it.
     """
 

@@ -127,7 +127,7 @@ class MemberDriver:
         """Follow the shared table, and take, renew and release shards (groups of links), until cancelled.
 
         Raises:
-            ConfigError: the table can never be read, such as for want of rights.
+            ConfigError: the table can never be read, for example because rights are missing.
         """
         try:
             async with asyncio.TaskGroup() as tasks:

@@ -271,7 +271,7 @@ class FleetMember:
         """Set which shards (groups of links) have links, and what each costs; owned shards without links are released.
 
         Args:
-            costs: by name of the shard, the seconds of line time per second that polling its links needs.
+            costs: seconds of line time per second that polling the links of each shard needs, by name of the shard.
         """
         self._costs = costs
         self._look_at = 0.0
@@ -337,26 +337,29 @@ class FleetMember:
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """Return by name of each shard (group of links) its last known lease; shards without a lease are missing."""
+        """Return the last known lease of each shard (group of links), by its name.
+
+        Shards without a lease are missing.
+        """
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """Prepare to receive all entries of the shared table: following the table begins, or begins again.
+        """Prepare to receive all entries of the shared table from the start, because its watch begins or begins again.
 
-        Known entries stay known. An entry that is then shown with a lower revision replaces the known one.
+        Known entries stay known; but an entry that is then shown with a lower revision replaces the known one.
         """
         self._complete_at = None
         self._shown_again = {f"{LEASES}{shard}" for shard in self._leases}
         self._shown_again |= {f"{MEMBERS}{name}" for name in (*self._members, self.name)}
 
     def end_snapshot(self, now: float) -> None:
-        """Note that all existing entries of the shared table were given to `entry`: what follows are changes."""
+        """Record that `entry` was given all entries that the shared table has; later entries are changes."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take over a new or changed entry of the shared table; an older revision than the known one is ignored."""
+        """Store a new or changed entry of the shared table; it is ignored if a newer revision of it is known."""
         self._forget_wrong_revision(entry)
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
@@ -368,7 +371,7 @@ class FleetMember:
             self._compare_zone(entry)
 
     def _forget_wrong_revision(self, entry: Entry) -> None:
-        """Forget what is known of an entry that is shown with a lower revision after the table was read anew."""
+        """Forget a known entry that the table, read from the start again, shows with a lower revision."""
         if entry.key not in self._shown_again:
             return
         self._shown_again.discard(entry.key)
@@ -479,7 +482,7 @@ class FleetMember:
             self._my_renewal = min(self._my_renewal, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Take over the answer to a proposed change of the shared table.
+        """Process the answer to a proposed change of the shared table.
 
         Args:
             proposal: the change, as `turn` returned it.
@@ -549,7 +552,7 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """Note that a shard's links have stopped and their samples are stored: the next turn releases the shard.
+        """Record that a shard's links have stopped and their samples are stored; the next turn releases the shard.
 
         To be called after an event `Step.LEAVE`.
         """
@@ -586,7 +589,10 @@ class FleetMember:
         return found
 
     def next_turn(self) -> float:
-        """Return when `turn` must be called again, in the clock of leases; earlier after a call of another method."""
+        """Return when `turn` must be called next, in the clock of leases.
+
+        Call it earlier after any other method was called.
+        """
         due = [self._look_at if self._complete_at is not None else float("inf")]
         if f"{MEMBERS}{self.name}" not in self._open:
             due.append(self._my_renewal)

@@ -102,7 +102,7 @@ def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) 
 
 
 def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, float]) -> dict[str, float]:
-    """Return by name of each link how busy polling keeps it, in seconds of line time per second; at least 0.001.
+    """Return how busy polling keeps each link, in seconds of line time per second, at least 0.001; by name of the link.
 
     Args:
         configuration: the configuration whose links are returned.
@@ -117,9 +117,9 @@ def links_of_shards(
     """Return the links of a configuration grouped by shard; shards without links are left out.
 
     Args:
-        configuration: of the whole plant.
+        configuration: the configuration of the whole plant.
         shards: how many shards the zone has, 1…1024.
-        hosts: by link, the hosts that can reach it; those that are missing are as the configuration says.
+        hosts: the hosts that can reach a link, by link; for missing links, the configuration says it.
     """
     shown = {**configuration.hosts, **(hosts or {})}
     firsts = _first_links(configuration, shown)

@@ -103,7 +103,7 @@ class ZoneWatch:
         return [*reversed(self._holes)]
 
     def sinks(self) -> dict[str, int]:
-        """Return by name of each sink the number of the last message that the sink has taken from the zone's stream."""
+        """Return for each sink, by name, the number of the last message that it has taken from the zone's stream."""
         found: dict[str, int] = {}
         for key, entry in sorted(self._entries.items()):
             if key.startswith(CURSORS) and entry.value:
@@ -114,7 +114,7 @@ class ZoneWatch:
         return found
 
     def take(self, entry: Entry) -> None:
-        """Update the status by an entry that `Coordinator.watch` has yielded, or by one of its two snapshot marks."""
+        """Update the status by an entry of the table, or by a mark: the begin or end of a snapshot of the table."""
         if entry is SNAPSHOT_BEGINS:
             self._complete.clear()
             self._shown_again = set(self._entries)

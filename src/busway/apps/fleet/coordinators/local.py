@@ -110,7 +110,7 @@ class LocalCoordinator:
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
         """Yield the entries and their changes while the file stays open.
 
-        End without an error when it is opened anew.
+        Ends without an error when the file is opened anew.
         """
         last, opening = 0, 0
         while True:

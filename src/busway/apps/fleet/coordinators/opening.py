@@ -30,7 +30,7 @@ class CoordinatorOptions:
     Attributes:
         user, password, token: credentials for the server; None if the URL or the credentials file has them.
         credentials: path of a NATS credentials file, or of a file with the seed of a key pair; None for none.
-        ca: path of a PEM file with the authorities of the server's certificate; None for those of the system.
+        ca: path of a PEM file with the authorities of the server's certificate; None for the system's own.
         certificate, key: paths of PEM files with the client's certificate and its key; None for none.
         replicas: number of servers that must keep each entry, 1…5 (NATS).
         domain: JetStream domain of the edge site that has the table, asked through the centre (NATS); None for the
