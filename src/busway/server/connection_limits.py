@@ -135,7 +135,7 @@ class Pools(Generic[One]):
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a new connection a slot, if necessary that of another connection, which is ``evicted`` in the result."""
+        """Give a new connection a slot, if necessary one of another connection (``evicted`` in the result)."""
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)

@@ -341,7 +341,7 @@ class ConnectionManagement:
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of open connections to ``counters``, which has those of closed connections already."""
+        """Add the counters of open connections to ``counters``, which already include closed connections."""
         for one in self._connections:
             if one.session is not None:
                 add_living(counters, one, one.session)

@@ -35,7 +35,7 @@ class RecordFile(TableView):
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """Return the memory that holds ``count`` records from ``record`` on, for a request that reads or writes them.
+        """Return the memory of ``count`` records from ``record`` on, for a request to read or write them.
 
         Raises:
             Refusal: 03 if ``count`` is 0, 02 if a record is missing (or is read-only and ``writes`` is True), 08 if the

@@ -148,7 +148,7 @@ class Server:
         self._responder = wrap(self._responder)
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer that is told of each request and its reply. Only while stopped.
+        """Register an observer that is called for each request and its reply. Only while stopped.
 
         Raises:
             ConfigError: the server is running.

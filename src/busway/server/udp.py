@@ -114,7 +114,7 @@ class UdpListener:
         return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of current peers to totals, which contain those of forgotten peers already."""
+        """Add the counters of current peers to ``counters``, which already include forgotten peers."""
         for peer in self._peers.values():
             add_living(counters, peer, peer.session)
 
@@ -215,7 +215,10 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Answer a datagram and those that wait behind it, up to 16, so that the loop need not wake up for each."""
+        """Answer a received datagram and further ones that wait in the socket, together at most 16.
+
+        So the event loop need not wake up for each of them.
+        """
         for left in range(_MOST_AT_ONCE - 1, -1, -1):
             now = time.monotonic()
             peer = self._listener.peer_of(self, data, addr, now)
