@@ -100,7 +100,10 @@ Room = Callable[[int], tuple[int, int]]
 
 
 def room_of_file(file: int) -> tuple[int, int]:
-    """Return free and total bytes of an open file's file system; enough of both if the system cannot tell."""
+    """Return free and total bytes of an open file's file system.
+
+    `MOST_RESERVED` for both if the system does not say.
+    """
     if not hasattr(os, "fstatvfs"):
         return MOST_RESERVED, MOST_RESERVED
     facts = os.fstatvfs(file)
@@ -346,7 +349,7 @@ class AuditLog:
             self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
-        """Keep those audit lines in the buffer that a write to the file has not written, and count the written ones.
+        """Remove written audit lines from the buffer and count them; lines that a write has not written stay.
 
         ``data`` is the text of all buffered lines, of which the file has taken the first ``at`` bytes.
         """
