@@ -130,7 +130,7 @@ class Dissector:
         return list(self.dissections(data))
 
     def dissections(self, data: bytes) -> Iterator[Dissection]:
-        """Yield the frames that `dissect` returns one by one, so that a long stream takes the memory of one frame."""
+        """Yield the frames of `dissect` one by one, so that only one frame of a long stream is in memory."""
         at, is_stream = 0, self._is_stream(data)
         while True:
             end = _end_of_mbap(data, at) if is_stream else len(data)

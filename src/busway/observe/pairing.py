@@ -264,7 +264,7 @@ class Pairing:
         return Heard(Kind.DAMAGED, damaged=found, gap=gap)
 
     def _unanswered(self, until: float) -> Heard:
-        """Return the event that the last request got no reply until the time ``until``, and count it."""
+        """Count the last request as unanswered until the time ``until``, and return that event."""
         asked, damage = self._asked, self._damage
         assert asked is not None
         unit = self.statistics.unit(asked.unit)

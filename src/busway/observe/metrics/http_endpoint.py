@@ -122,9 +122,11 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """Return the response to a request of the metrics, such as ``GET /metrics``; for other HTTP services too.
+        """Return the response to a request for the metrics, such as ``GET /metrics``.
 
-        Blocks for up to `ASK_SECONDS`: not for the source's event loop.
+        Another HTTP service may call it too.
+
+        Blocks for up to `ASK_SECONDS`; not to be called in the source's event loop.
 
         Raises:
             HttpError: another path or method.
