@@ -17,7 +17,7 @@ _AT_ONCE: Final = 256
 
 @contextmanager
 def collecting_paused() -> Iterator[None]:
-    """Context manager that switches the garbage collector off while many objects are created or freed."""
+    """Context manager that switches the garbage collector off, for code that creates or frees many objects."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
