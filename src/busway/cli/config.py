@@ -165,7 +165,7 @@ def _show(file: str) -> None:
 
 
 def _print_options(url: str | None) -> None:
-    """Print name, default, values and meaning of each option: of a link to a URL, or of all that files configure."""
+    """Print name, default, values and meaning of each option of a link to ``url``, or without a URL of all options."""
     from ..options.endpoints import parse_endpoint
     from ..options.offer import LINKS, Offer
 

@@ -210,7 +210,7 @@ class FleetDemo:
         await self._start_program(name, [sys.executable, "-m", "busway", "fleet", *words, *self._at])
 
     async def _start_program(self, name: str, words: list[str]) -> asyncio.subprocess.Process:
-        """Start a program whose output goes to the file ``NAME.log``, in a session that Ctrl-C does not reach."""
+        """Start a program that Ctrl-C does not reach; its output goes to the file ``NAME.log``."""
         with (self._folder / f"{name}.log").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, cwd=self._folder

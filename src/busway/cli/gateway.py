@@ -127,7 +127,7 @@ def gateway(
 def _remembering_drain(
     read: "Callable[[], GatewayConfiguration]",
 ) -> "tuple[Callable[[], GatewayConfiguration], Callable[[], float]]":
-    """Return ``read`` in a form that remembers the option ``drain``, and a function that returns this option.
+    """Return two functions: ``read``, changed to remember the option ``drain``; and one that returns this option.
 
     It returns the seconds in the configuration that was read last; 0.0 before the first reading.
     """

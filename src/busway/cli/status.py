@@ -52,7 +52,7 @@ def status(
 
 
 def _ask(where: str | None) -> list[dict[str, Any]]:
-    """Return the status of running programs: of the one that ``where`` names, or of all that this user has started.
+    """Return the status of the program that ``where`` names, or of all running programs of this user.
 
     Raises:
         LinkDown: there is no such program.

@@ -130,7 +130,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
 
 
 def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
-    """Read the addresses where ``raw`` was written, and return the values and bytes that the device has there now."""
+    """Read the values and bytes that the device has now at the addresses where ``raw`` was written."""
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
         states = found if isinstance(found, list) else [found]
