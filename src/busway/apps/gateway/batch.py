@@ -138,13 +138,13 @@ class Batch(Call):
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Yield a client's requests in this batch that have no answer yet, also those for reads that it has joined."""
+        """Yield a client's requests in this batch without an answer, including reads of others that it has joined."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Withdraw the requests of a disconnected client from this batch, also those for reads that it has joined."""
+        """Withdraw a disconnected client's requests from this batch, including reads of others that it has joined."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:

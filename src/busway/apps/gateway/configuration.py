@@ -116,12 +116,13 @@ class GatewayConfiguration:
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Apply this configuration to a gateway that runs, and return what changed, in words: one text for each part.
 
-        Own unit, functions and options of servers stay as they are: they change with a restart only.
+        Own unit, functions and options of servers stay as they are: only a restart changes them.
 
         Args:
             running: the `Gateway`, made from an earlier version of the file.
             listen: the listeners, one for each of the file.
-            policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the others.
+            policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the existing
+                listeners.
 
         Raises:
             LinkDown, ConfigError: a new listener or upstream cannot be opened; everything is as before.

@@ -135,7 +135,7 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """Return the units, as clients use them, of a route that names none: those that its upstream can have.
+    """Return the units of a route that names none, as clients number them: all that its upstream can have.
 
     Raises:
         ConfigError: with its offset the route has no unit left.

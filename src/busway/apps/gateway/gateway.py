@@ -170,8 +170,8 @@ class Gateway:
         listeners that were to change have lost their connections.
 
         Args:
-            plan: the new configuration; own unit, functions and options of servers must be those of the old one.
-            policy: the policy of new listeners until `replace_policy`; None for the policy of the others.
+            plan: the new configuration; own unit, functions and options of servers must be the same as before.
+            policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
 
         Raises:
             LinkDown: a new listener cannot be opened.
@@ -215,7 +215,7 @@ class Gateway:
         same_listeners: Mapping[str, _RunningListener],
         policy: Policy | None,
     ) -> tuple[dict[str, Forwarder], dict[str, _RunningListener]]:
-        """Stop listeners and serial ports that change, and open those of the new configuration; undo all on an error.
+        """Stop listeners and serial ports that change, and open the new ones; on an error undo all.
 
         The old ones are closed first, because they may hold ports that new ones need.
 

@@ -127,7 +127,10 @@ class ReadCache(Generic[Shared]):
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
     def changes(self, unit: int) -> int:
-        """Return a number that changes with every write to a unit; pass the one from before a read to `remember`."""
+        """Return a number that changes with every write to a unit.
+
+        Read it before a read is forwarded, and pass it to `remember` with the read's data.
+        """
         return self._unit(unit).changes
 
     # Values.

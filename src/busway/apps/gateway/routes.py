@@ -125,7 +125,7 @@ class Route:
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` would take to a unit that both routes have."""
+        """Whether this route takes every request that ``other`` takes, for the units that both have."""
         return (
             (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))

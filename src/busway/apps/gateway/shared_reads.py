@@ -36,8 +36,7 @@ def share(
 
     Returns:
         Tags and requests to send; and tag and request of each read that equals one of those to send: pass them to
-            `share`
-        again once that one is in flight.
+        `share` again once that one is in flight.
     """
     left: dict[Key, tuple[Any, ForwardedRequest]] = {}
     twice: list[tuple[Any, ForwardedRequest]] = []

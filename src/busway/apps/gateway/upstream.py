@@ -312,7 +312,7 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 
 
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
-    """Return the units of a serial link that owe a reply, which may still come late; empty for other links."""
+    """Return the units of a serial link whose reply is overdue and may still come; empty for other links."""
     session = link.session
     return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 
