@@ -217,7 +217,7 @@ def _is_number(section: SimulatedPointSection) -> bool:
 def _in_order(
     planned: Mapping[SimulatedPoint, _Plan], needed: Mapping[SimulatedPoint, Sequence[SimulatedPoint]]
 ) -> dict[SimulatedPoint, int]:
-    """Return the rank of each point, in an order in which formulas come after the points that they need.
+    """Return the points with behaviours in an order in which formulas can be computed, each with its rank.
 
     The rank says how many changes of unit there are on the way of values to the point's formula (`Driven.rank`).
 

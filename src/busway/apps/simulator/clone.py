@@ -153,8 +153,8 @@ def watch_points(
     Args:
         unit: the unit of the live device.
         clone: the clone, just made by `clone_points`.
-        moments: times of the reads in seconds since `clone_points`, ascending. The iterable must wait until each time:
-            the next is taken as soon as the reads for the one before have ended.
+        moments: times of the reads in seconds since `clone_points`, ascending. The iterable itself waits for each time
+            before it yields it.
         progress: called with a line of text about the progress, now and then.
 
     Raises:
@@ -375,7 +375,7 @@ class _Scanner:
             self._divide(first, count, found)
 
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
-        """Find the items that exist in a range that the device has refused as a whole, and read them into ``found``.
+        """Read into ``found`` the existing items of a range that the device has refused as a whole.
 
         The range is halved, and refused halves are halved again.
         """

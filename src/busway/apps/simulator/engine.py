@@ -48,7 +48,7 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that get new values at the same moments, or whose behaviours then observe other points.
+    """Points of one unit that are handled at the same moments: to get new values, or to observe other points.
 
     Attributes:
         device: the device that has the points.
@@ -68,7 +68,7 @@ class _Group:
 
 @dataclass(slots=True, eq=False)
 class _Release:
-    """An entry of the engine's schedule: the time at which a point that was set by hand follows its behaviour again.
+    """An entry of the engine's schedule: a point that was set by hand follows its behaviour again.
 
     Attributes:
         point: the point.
@@ -265,7 +265,7 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Keep a point at the value that was set by hand until `release`, or for ``resume_after`` seconds if set.
+        """Keep a point at a value that was set by hand, until `release` or, if set, for ``resume_after`` seconds.
 
         The behaviour continues from this value if it depends on its last one. Does nothing for a point without a
         behaviour. From any thread.

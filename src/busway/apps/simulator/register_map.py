@@ -121,7 +121,7 @@ def read_what_fits(path: str) -> tuple[list[tuple[int, dict[str, Any]]], list[Co
 
     Returns:
         For each row its line number and its keys, not yet checked; and what could not be read, each with line and
-            column.
+        column.
 
     Raises:
         FileError: the columns for name and address are missing, or doubled, each with file and line.

@@ -151,7 +151,7 @@ class Simulation:
 
     @property
     def left_out(self) -> int:
-        """The number of moments at which points should have changed but did not, because the program was too slow."""
+        """The number of moments that were skipped because the program was too slow; points did not change then."""
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:
@@ -528,7 +528,7 @@ class Simulation:
             self._engine.hold(point, self._time)
 
     def keep(self) -> None:
-        """Save the state of the simulation now, if its file names a place for that. Failures are logged."""
+        """Save the state of the simulation now, if its file names a file for that (``keep``). Failures are logged."""
         if self.declaration.state is not None:
             self._save(self.declaration.state, self._snapshot())
 
