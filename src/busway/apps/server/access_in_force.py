@@ -26,8 +26,8 @@ class AccessInForce:
 
     Attributes:
         rules: the access rules in force; None without a policy.
-        allow_list: the addresses that may connect, for all listeners; a listener may have a list of its own beside.
-        is_guarded: whether the server has a policy at all, so that one can be replaced; set by `guard`.
+        allow_list: the addresses that may connect to any listener; a listener may have a further list of its own.
+        is_guarded: whether the server has a policy at all, so that it can be replaced; set by `guard`.
         read_only: URLs of the listeners that are read-only because there is no policy; known once they are bound.
     """
 
@@ -116,8 +116,8 @@ class AccessInForce:
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
         """Return the policy of the access rules; without rules, one that makes some listeners read-only.
 
-        ``exposed`` has the URLs of these listeners, or beginnings of URLs. None is read-only if the command line allows
-        writes.
+        ``exposed`` has the URLs of these listeners, or beginnings of URLs. If the command line allows writes, no
+        listener is read-only.
         """
         if rules is not None:
             return rules.policy

@@ -33,7 +33,7 @@ class RunningServer(Protocol):
         """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer that is told of each request; to be called before the start."""
+        """Register an observer that is called for each request; to be called before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
         """Use another access policy from the next request on; open connections stay."""

@@ -79,7 +79,7 @@ class Reload:
         return done
 
     def exclude_rules_from_gc(self) -> None:
-        """Exclude the access rules from garbage collection if there are very many, because each run would visit all."""
+        """Exclude very many access rules from garbage collection, because each collection would visit them all."""
         rules = self._access.rules
         if rules is not None and len(rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
