@@ -45,7 +45,7 @@ class FrameSearch(Protocol):
         """Take received bytes, and return the frames that they complete; ``function`` is the code asked for last."""
 
     def finish(self, function: int) -> list[Frame]:
-        """Return the frames that count as complete because nothing more comes; ``function`` as of `receive`."""
+        """Return the frames that are complete if no more bytes come; ``function`` as of `receive`."""
 
     def take_rest(self) -> bytes:
         """Return the received bytes that are in no complete frame. On a serial line they are then forgotten."""
@@ -97,7 +97,7 @@ class RtuSearch:
         return self._found(function, is_over=False)
 
     def finish(self, function: int) -> list[Frame]:
-        """Return frames whose CRC fits though they are shorter than they announce, because nothing more comes."""
+        """Return frames with a right CRC that are shorter than they announce: no more bytes will come."""
         return self._found(function, is_over=True)
 
     def _found(self, function: int, *, is_over: bool) -> list[Frame]:

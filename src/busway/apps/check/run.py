@@ -440,7 +440,7 @@ class CheckRun:
         return Result(check, outcome, reason, evidence)
 
     def _learn(self, check: Check, outcome: Outcome) -> None:
-        """Note from the outcome of a check which facets are wrong and which functions are missing, for later checks."""
+        """Remember from a check's outcome which facets are wrong and which functions are missing, for later checks."""
         failed = outcome in (Outcome.FAILED, Outcome.WARNED)
         if check.facet is not None and failed:
             overlooked = _OVERLOOKED | (_LINES_TOO if self._target.framing != "mbap" else frozenset())

@@ -123,8 +123,7 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
     """Return the client certificate that the user has given for a changed handshake.
 
     Raises:
-        CannotOffer: the user has given none, or one that does not have the fault that is to be tested, or it cannot be
-            read.
+        CannotOffer: the user has given none, it does not have the fault to be tested, or it cannot be read.
     """
     word = next(word for word, one in CERTIFICATES.items() if one is change)
     if change not in given:
@@ -165,7 +164,7 @@ def _load_foreign(context: ssl.SSLContext) -> None:
 
 
 class ChangedChannel:
-    """A TLS connection whose socket does not block, with the methods of a plain socket that `NetworkWire` uses."""
+    """A TLS connection with a non-blocking socket, which has the methods of a socket that `NetworkWire` needs."""
 
     def __init__(self, channel: ssl.SSLSocket) -> None:
         self._channel = channel
