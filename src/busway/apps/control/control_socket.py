@@ -150,7 +150,7 @@ def is_alive(path: Path) -> bool:
 
 
 def sweep(directory: Path) -> None:
-    """Remove the Unix sockets in a directory that dead programs have left behind: those at which none answers."""
+    """Remove the Unix sockets of dead programs from a directory: those at which no program answers."""
     for path in directory.glob(f"*{SOCKET_SUFFIX}"):
         with contextlib.suppress(OSError):
             if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):
