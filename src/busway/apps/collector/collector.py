@@ -442,7 +442,7 @@ class Collector:
         self._committer.add_interval(interval)
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Register a function that is called with each commit after it was made, in the thread that commits.
+        """Register a function to be called with each new commit, in the thread that commits.
 
         The function must be quick; its errors are logged and counted.
         """
@@ -471,8 +471,7 @@ class Collector:
 
         Returns:
             Two shares of the whole time, each 0…1: the time of all requests; and the part of it that probes of silent
-                devices
-            took.
+            devices took.
         """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {
@@ -535,7 +534,7 @@ class Collector:
 
     @property
     def readers_lost(self) -> int:
-        """Number of batches that iterations over `samples`, now ended, have missed because they were too slow."""
+        """Number of batches that ended iterations over `samples` have missed, because they were too slow."""
         return self._readers.lost
 
     @property

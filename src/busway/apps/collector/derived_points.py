@@ -49,7 +49,7 @@ class DerivedPoints:
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """Return the members of groups of variable size that the device does not have, so that they are not read.
+        """Return the members of variable groups that the device does not have now, so that they are not read.
 
         While the size of a group is not known, all its members are among them.
         """

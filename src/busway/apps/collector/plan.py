@@ -41,7 +41,7 @@ __all__ = [
 
 
 class ReadItem(Protocol):
-    """Interface of an item, the place of one value in a table of a device; a `Point` has it."""
+    """Interface of an item: the registers or bits in a table that hold one value. `Point` implements it."""
 
     @property
     def table(self) -> Table:
@@ -153,7 +153,7 @@ def plan_reads(
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
-    """Return the seconds that planned reads take together at the given cost, whatever cost the plan assumed."""
+    """Return the seconds that planned reads take together at the given cost."""
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
@@ -260,7 +260,7 @@ def _plan_table(
 
 
 class _Borders:
-    """Decides which ranges of one table may be read, and which may be read together, by the rules of a device."""
+    """Decides by a device's rules which ranges of a table may be read, and which of them by one read."""
 
     def __init__(self, table: Table, rules: ReadRules) -> None:
         self._label = table.label
@@ -359,7 +359,7 @@ def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
 
 
 def _without_inner(places: list[_Place]) -> list[_Place]:
-    """Return ranges sorted by start, without those inside another one, so that their ends are sorted too."""
+    """Return ranges without those that lie inside another one, sorted by start and thereby by end."""
     places.sort(key=_END, reverse=True)
     places.sort(key=_START)
     kept: list[_Place] = []

@@ -137,7 +137,7 @@ class PlanBook:
         return with_knowledge(self._rules, self._map.knowledge)
 
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
-        """Return all polled points of the device, each once, those included that it does not have at present."""
+        """Return all polled points of the device, each once, including points that it does not have now."""
         return list(self._all)
 
     @property
@@ -218,7 +218,10 @@ class PlanBook:
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Replace those cached plans for which a new plan is enough faster by the cost learnt since (rule 3)."""
+        """Compare the cached plans with new ones for the cost learnt since.
+
+        Replace those that are much slower (rule 3).
+        """
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled

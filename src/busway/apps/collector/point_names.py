@@ -48,7 +48,7 @@ class PointNames:
         return moves
 
     def describe(self, described: Iterable[PointDescription]) -> Mapping[PointKey, str]:
-        """Adopt the point names of a new configuration: rename points (``was``), and add those that are new.
+        """Use the point names of a new configuration: rename points (``was``), and add new points.
 
         Returns:
             The new name of each renamed point, by its device and its old name.

@@ -86,7 +86,12 @@ class _CompiledRead:
 
 @dataclass(frozen=True, slots=True)
 class _QueuedWrite:
-    """A command's write that waits for its turn on the link; arguments as of `LinkPoller.write`."""
+    """A command's write that waits for its turn on the link.
+
+    Attributes:
+        perform: makes the write on the link and reports its result itself.
+        drop: called instead if polling ends first; None for nothing.
+    """
 
     perform: Callable[[], Awaitable[None]]
     drop: Callable[[], None] | None
@@ -522,7 +527,7 @@ class LinkPoller:
 
         Returns:
             The outcome of the turn so far: ``before``, which is the outcome of its earlier reads, combined with this
-                failure.
+            failure.
         """
         reason, result = _judged(error)
         device.last_error = str(error)
@@ -560,7 +565,7 @@ class LinkPoller:
             self._tell_unread(device)
 
     def _tell_unread(self, device: PolledDevice) -> None:
-        """Log each point that no allowed read can fetch any more; one that was refused is not asked for again."""
+        """Log each point that no allowed read can fetch any more, and is therefore no longer read, with the reason."""
         unread = {each.item.name: each.reason for each in device.book.unreadable}
         for point, reason in unread.items():
             if point not in device.unread:

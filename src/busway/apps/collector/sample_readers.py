@@ -62,7 +62,7 @@ class SampleReaders:
         self._has_begun = True
 
     async def read(self, devices: frozenset[str] | None) -> AsyncGenerator[SampleBatch, None]:
-        """Yield the samples that are taken from now on, until `end` is called; ``devices`` None: of all devices."""
+        """Yield samples that are taken from now on, until `end` is called; ``devices`` None is all devices."""
         reader = _Reader(devices)
         self._readers.append(reader)
         try:

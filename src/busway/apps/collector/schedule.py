@@ -359,7 +359,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Queue a round for the poll classes that are due, or add them to a round that waits (rules 2 and 3)."""
+        """Queue a polling round for the poll classes that are due, or add them to the waiting round (rules 2, 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())
@@ -583,7 +583,7 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Seconds within which a silent device is polled again once it answers, unless the link is overloaded."""
+        """Seconds until a silent device that answers again is polled again, at most; longer on an overloaded link."""
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 

@@ -95,7 +95,7 @@ class CollectorAlarms:
         return list(self._raised.values())
 
     def pending(self) -> list[AlarmKey]:
-        """Return device, point and limit of each alarm whose value is beyond the limit while its delay runs."""
+        """Return device, point and limit of each alarm that is not raised yet because its delay runs."""
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
@@ -172,7 +172,7 @@ class CollectorAlarms:
     # What the collector does.
 
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
-        """Set the alarms at the start of the collector to those that are active or unacknowledged by the journal.
+        """At the start of the collector, restore the alarms that the journal shows as active or unacknowledged.
 
         Args:
             journal: the stored alarm events, in their order.
@@ -222,7 +222,7 @@ class CollectorAlarms:
         self._show_anew(lambda named: _moved(named, shift, self._earlier))
 
     def end(self) -> None:
-        """End `events` for all programs that follow alarm events, after the events that they have not read."""
+        """End each iteration over `events`, once it has yielded the events that wait for it."""
         self._ended = True
         for reader in self._readers:
             reader.arrived.set()

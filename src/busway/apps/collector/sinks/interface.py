@@ -54,7 +54,7 @@ class AlarmSink(Protocol):
 
 @runtime_checkable
 class CurrentSink(Protocol):
-    """Interface of a sink whose receiver shows current values, apart from historical ones that arrive late.
+    """Interface of a sink whose receiver shows current values separately from historical values, which arrive late.
 
     It stays connected while nothing is to be sent, and is connected again after the connection was lost.
     """
@@ -78,7 +78,7 @@ class CurrentSink(Protocol):
 
 @runtime_checkable
 class DescribedSink(Protocol):
-    """Interface of a sink whose receiver is told what each point is, beside its samples."""
+    """Interface of a sink that also sends its receiver descriptions of the points, such as their units of measure."""
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
         """Use the points of a configuration, by device and name; called again for another one, from any thread."""
@@ -86,15 +86,14 @@ class DescribedSink(Protocol):
 
 @runtime_checkable
 class TopicSink(Protocol):
-    """Interface of a sink that replaces characters of names in topics, so that two names could have the same topic."""
+    """Interface of a sink that replaces some characters of names in topics, so that two names may become one."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
         """Return the names by which the receiver knows a device and a point.
 
         Returns:
             The name of the device, and the name of the point within the device. The receiver could not tell two points
-                with
-            equal results apart.
+            with equal results apart.
         """
 
 

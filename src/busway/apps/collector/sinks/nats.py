@@ -104,9 +104,9 @@ class NatsSink:
         return self._secrets.hide(error) or type(error).__name__
 
     async def _note(self, error: Exception) -> None:
-        """Keep the text of a connection error that the NATS library reports beside the error that `connect` raises.
+        """Keep the text of an error that the NATS library reports while connecting; the library calls this.
 
-        It is the cause, which the raised error does not tell.
+        The error that `connect` raises later does not name this cause.
         """
         self._cause = self._words(error)
 

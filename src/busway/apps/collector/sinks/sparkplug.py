@@ -90,7 +90,7 @@ class _Device:
 
         Returns:
             Whether the device needs a new birth message, because a metric is new or has another type, or it is not
-                born.
+            born.
         """
         point = sample.point
         known = self.kinds.get(point)
@@ -354,7 +354,7 @@ class SparkplugSink:
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
-        """Context manager that yields those of some samples or alarm events that are not published yet.
+        """Context manager that yields the samples or alarm events of ``wanted`` that are not published yet.
 
         After the broker has refused one, the batch is sent again in parts: what was published before is then left out.
         """

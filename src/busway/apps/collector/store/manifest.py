@@ -296,7 +296,7 @@ class Manifest:
                 database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
 
     def reserve_numbers(self) -> tuple[int, int]:
-        """Reserve a range of commit numbers; return the first number, and the one after the last."""
+        """Reserve a range of commit numbers; return its first number, and the number after its last."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
             first = 1 if row is None else row[0]
@@ -495,7 +495,7 @@ class Manifest:
         return found
 
     def former_names(self) -> list[tuple[str, int]]:
-        """Return names that points had before and that no point has now, with the points that had them.
+        """Return former names of points that no point has now, each with the point that had it.
 
         Returns:
             Pairs of a name, ``device/point``, and the id of its point.

@@ -23,7 +23,7 @@ from .segment import alarms_of, counters_of, facts_of, intervals_of, is_unmade, 
 
 
 def close_open_segments(folder: Path, manifest: Manifest) -> None:
-    """List the segments that an earlier process left open as finished, and delete files that are no longer listed."""
+    """List segments that an earlier process left open as finished, and delete files that are no longer listed."""
     for part in manifest.parts():
         if part.kind == "open":
             close_segment(folder, manifest, part)
@@ -57,7 +57,7 @@ def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
 
 
 def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[StateInterval | Gap]:
-    """Return the ends of intervals that an earlier process left open, and the gap from its end until now.
+    """Return the ends of intervals that an earlier process left open, and the gap since that process ended.
 
     Args:
         folder: the folder of the store.
@@ -96,7 +96,7 @@ def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
 
 
 def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
-    """Return the stored intervals in which a device was not read and that have no end yet, except for maintenance.
+    """Return the stored intervals without reads of a device that have no end yet, except maintenance.
 
     Maintenance continues after a restart.
     """
