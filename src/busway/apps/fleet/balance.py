@@ -245,7 +245,7 @@ def _difference(giver: Share, taker: Share) -> float:
 
 
 class _Takers:
-    """The collectors that may take shards (groups of links), arranged to find the one that should take the next.
+    """The collectors that may take shards (groups of links), arranged to find the best one for the next shard.
 
     Args:
         able: the collectors that do not drain; `take` adds to their loads.
@@ -261,7 +261,7 @@ class _Takers:
             heapify(heap)
 
     def take(self, shard: str, cost: float) -> Share | None:
-        """Give a shard to the collector that should have it, add the cost to that one's load, and return the collector.
+        """Choose the collector for a shard, add the shard's cost to its load, and return it.
 
         None if no collector may own the shard.
 

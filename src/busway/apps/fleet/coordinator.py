@@ -22,7 +22,7 @@ from ...errors import ModbusError
 
 
 class CoordinatorDown(ModbusError):
-    """Error: the coordinator, which keeps the table that collectors share, cannot be used now. Nothing was changed."""
+    """Error: the coordinator, with the table that collectors share, cannot be used now. Nothing was changed."""
 
 
 class OutcomeUnknown(ModbusError):

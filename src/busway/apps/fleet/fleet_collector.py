@@ -382,7 +382,7 @@ class FleetCollector:
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` unless this collector owns the link and its lease outlasts a transaction that begins now."""
+        """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now."""
         if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
         self._permitted[link] = time.time_ns()
@@ -418,7 +418,7 @@ class FleetCollector:
                     self.refused = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
-        """Apply events of shards: stop polling links that are owned no longer, begin with those that were gained.
+        """Apply events of shards: stop polling the links of lost shards, and begin with those of gained shards.
 
         Shards (groups of links) that are given away may be released once their links have stopped and their samples are
         committed.
@@ -541,7 +541,7 @@ class FleetCollector:
 
 
 class _OtherOwners:
-    """Tells the receiver of commands which collector owns a device's link, and passes commands on to that collector.
+    """Tells for commands which collector owns a device's link, and passes commands on to that collector.
 
     Args:
         fleet: this collector.

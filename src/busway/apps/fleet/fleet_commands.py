@@ -138,7 +138,7 @@ class FleetCommands:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take no more commands, and wait until those that run are ended, answered, and their audit lines published."""
+        """Take no more commands; wait until running ones have ended and their answers and audit lines are sent."""
         assert self._task is not None
         self._fleet.pass_on = None
         await end_tasks([self._task])

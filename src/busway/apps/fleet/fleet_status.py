@@ -26,7 +26,7 @@ from .records import (
 
 @dataclass(frozen=True, slots=True)
 class ZoneMember:
-    """The status of one collector of a zone: whether it lives, what it owns, and how busy that keeps its links.
+    """The status of one collector of a zone: whether it lives, which shards it owns, and its load.
 
     Attributes:
         record: what the collector tells of itself.

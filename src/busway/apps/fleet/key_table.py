@@ -48,7 +48,7 @@ def slot_of(key: str) -> str:
 
 
 class KeyTable:
-    """Takes the keys of one collector's commands in a table that the whole zone shares, so that each is sent only once.
+    """Takes the keys of a collector's commands in a table of the whole zone, so that each command is sent only once.
 
     Works while the ``async with`` block lasts. It is the `KeyClaims` of a collector of a fleet.
 

@@ -52,7 +52,7 @@ async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
 
 
 def end_if_cancelled() -> None:
-    """Raise `CancelledError` if the current task was cancelled, but a function that it awaited swallowed that."""
+    """Raise `CancelledError` if the current task was cancelled, but an awaited function swallowed that."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError

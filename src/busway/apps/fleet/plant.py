@@ -88,7 +88,7 @@ def longest_after_sending(configuration: CollectorConfiguration, link: str) -> f
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may last longer than a collector's right to poll it."""
+    """Raise `ConfigError` for a link whose transactions may take longer than a lease (right to poll) holds."""
     longest = times.ttl - times.guard - 2 * times.renew
     for name in configuration.links:
         seconds = longest_transaction(configuration, name)

@@ -519,9 +519,10 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield the entries that one consumer of NATS gets, then their changes.
+        """Yield the entries of the shared table, then their changes, as one NATS consumer gets them.
 
-        Ends without an error when the consumer has a gap or is silent, or disagrees with the leader.
+        Ends without an error when messages of the consumer are missing, when it is silent, or when it disagrees with
+        the leader.
         """
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         watch, subscription = _Watch(prefix, time.monotonic), None

@@ -135,7 +135,7 @@ def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
 
 
 async def until_up(ask: Callable[[], Awaitable[_T]], down: type[ModbusError], seconds: float) -> _T:
-    """Call a function until the server that it asks is up, and return its result; the first failure is logged.
+    """Call a function again and again until its server is up, and return its result; the first failure is logged.
 
     Args:
         ask: asks the server once.
