@@ -733,7 +733,7 @@ class Collector:
                 await self._write_learnt()
 
     def _mend(self, shift: int) -> None:
-        """Correct all times in the store and in memory by ``shift`` nanoseconds, because a wrong wall clock was set.
+        """Correct times in the store and in memory by ``shift`` nanoseconds, after a wrong wall clock was put right.
 
         Only times that this process took before that are changed.
         """

@@ -130,7 +130,10 @@ class CollectorConfiguration:
 
     @property
     def hosts(self) -> Mapping[str, Sequence[str]]:
-        """For each link that only some machines of a fleet can reach, their names, the preferred one first."""
+        """The machines that can reach a link, the preferred one first, by name of the link.
+
+        No entry if all machines can.
+        """
         return {each.name: each.hosts for each in self.file.link if each.hosts}
 
     @property

@@ -42,7 +42,7 @@ Classes = frozenset[str]
 class _KeptPlan:
     """A plan in the cache, and the costs for which it is known to be good enough (rule 4).
 
-    Costs are given as one number: how many registers take as much time as a request does whatever its width.
+    Costs are given as one number: how many registers take as much time as the fixed part of a request.
 
     Attributes:
         plan: the plan.
@@ -54,12 +54,12 @@ class _KeptPlan:
     most: float
 
     def is_good_at(self, price: float) -> bool:
-        """Whether the plan is good enough if a request takes as much time as ``price`` registers."""
+        """Whether the plan is good enough if the fixed part of a request takes as much time as ``price`` registers."""
         return self.least / NEAR <= price <= self.most * NEAR
 
 
 def _price_of(cost: ReadCost) -> float:
-    """Return how many registers take as much time as a request does whatever its width."""
+    """Return how many registers take as much time as the fixed part of a request (``base``)."""
     return cost.base / cost.per_register
 
 

@@ -33,7 +33,7 @@ class PointNames:
     _next: int = -1
 
     def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
-        """Return the points that a new configuration renames: by the point's number, its new description.
+        """Return the new descriptions of the points that a new configuration renames, by number of the point.
 
         Changes nothing. A point whose new name another point has and keeps is left out.
         """

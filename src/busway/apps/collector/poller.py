@@ -402,7 +402,10 @@ class LinkPoller:
             pass
 
     def mend(self, shift: int) -> None:
-        """Correct the begin of current silences and maintenance by ``shift`` nanoseconds, after a clock was set."""
+        """Correct the begins of current silences and maintenance by ``shift`` nanoseconds.
+
+        Only begins that were taken from a wrong wall clock are corrected, after the clock was put right.
+        """
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None and begun.begin < EARLIEST:

@@ -28,6 +28,6 @@ def _errors_of(group: ExceptionGroup[Exception]) -> list[Exception]:
 
 
 def log_defect(task: asyncio.Task[None]) -> None:
-    """Log the error with which a task has ended, if there is one: a done callback of tasks that end by no error."""
+    """Log the error with which a task has ended, if any; a done callback for tasks that should never fail."""
     if not task.cancelled() and task.exception() is not None:
         _log.error("%s ended unexpectedly", task.get_name(), exc_info=task.exception())

@@ -215,7 +215,7 @@ class CollectorAlarms:
             reader.take(shown)
 
     def mend(self, shift: int) -> None:
-        """Correct the times of alarms and events by ``shift`` nanoseconds, after a wrong wall clock was set.
+        """Correct the times of alarms and events by ``shift`` nanoseconds, after a wrong wall clock was put right.
 
         Only times that this process took from the wrong clock are changed.
         """

@@ -311,7 +311,7 @@ class SparkplugSink:
             device.is_gone = sample.reason in _NO_DEVICE
 
     async def show_current(self, points: Collection[tuple[str, str]] | None = None) -> None:
-        """Publish again the births of devices of which hosts do not show the current values, or show removed points.
+        """Publish births again for devices of which hosts show old values or removed points.
 
         Hosts do not show values that were sent as historical. A device that has lost all of its points is reported
         dead.

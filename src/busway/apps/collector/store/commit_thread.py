@@ -262,7 +262,7 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, shift: int) -> None:
-        """Have all stored times corrected by ``shift`` nanoseconds that were taken before a wrong wall clock was set.
+        """Have stored times corrected by ``shift`` nanoseconds that were taken from a wrong wall clock.
 
         Returns at once. The correction is made in the thread that commits, after the samples queued with such times are
         stored.
@@ -351,7 +351,7 @@ class Committer:
         return taken
 
     def _describe_what_is_due(self) -> None:
-        """Write those queued descriptions of points and report rules that no queued samples come before."""
+        """Write queued descriptions of points and report rules once all samples queued before them are stored."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
             _, descriptions, rules = self._descriptions[0]
             self.writer.describe_points(descriptions)

@@ -463,9 +463,9 @@ class Manifest:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
     def begin_mending(self, first: int, shift: int, earliest: int) -> None:
-        """Record that stored times must be corrected, because a wrong wall clock was set.
+        """Record that stored times must be corrected, because a wrong wall clock was put right.
 
-        Correct the begin of maintenance now.
+        The begins of maintenance are corrected at once.
 
         Args:
             first: number of the first commit whose times are corrected.

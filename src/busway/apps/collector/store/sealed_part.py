@@ -107,7 +107,7 @@ def _facts(table: Any) -> dict[str, int]:
 
 
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
-    """Yield the Parquet files to write for a segment: late samples by ten minutes each, then all others.
+    """Yield the Parquet files to write for a segment: one for each ten minutes of late samples, then one for the rest.
 
     For each file, its name and its period in nanoseconds since 1970 UTC: begin, and end, which is excluded.
     """

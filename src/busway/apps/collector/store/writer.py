@@ -225,9 +225,9 @@ class StoreWriter:
         return Commit(number, now, batches, intervals, alarms)
 
     def begin_mending(self, shift: int) -> None:
-        """Record that times stored since this start must be corrected, because a wrong wall clock was set.
+        """Record that times stored since this start must be corrected, because a wrong wall clock was put right.
 
-        `mend_next` does it.
+        `mend_next` corrects them, a segment at a time.
 
         Args:
             shift: nanoseconds to be added.
