@@ -167,7 +167,7 @@ def _level(
 def _exchange_all(
     costs: Mapping[str, list[tuple[float, str]]], order: list[Share], fair: float, found: list[Move]
 ) -> None:
-    """Append to ``found`` the exchanges of two shards that level two collectors, one for each collector (rule 5).
+    """Append to ``found`` exchanges of two shards that level the loads of two collectors, one per collector (rule 5).
 
     Args:
         costs: by collector, cost and name of each of its shards that may move.

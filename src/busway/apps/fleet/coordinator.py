@@ -75,7 +75,7 @@ class Coordinator(Protocol):
         """
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry of the shared table if it still has a revision (compare-and-set); returns the new revision.
+        """Change an entry of the shared table if it still has the given revision (compare-and-set); return the new one.
 
         Args:
             key: name of the entry.

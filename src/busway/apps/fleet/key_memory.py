@@ -43,7 +43,7 @@ class KeyMemory:
     results: dict[str, tuple[str, CommandResult]] = field(default_factory=dict)
 
     def found(self, result: CommandResult) -> CommandResult | None:
-        """Return the result of the first command with the key of a command; None if the key is new.
+        """Return the result of the first command that had the same key as this one; None if the key is new.
 
         Args:
             result: the command whose key is looked up, with its result so far.

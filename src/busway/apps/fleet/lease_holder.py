@@ -281,7 +281,7 @@ class FleetMember:
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
-        """Begin to give all shards (groups of links) to other collectors and to take none, or end that.
+        """Begin to give all shards (groups of links) to other collectors and to take none, or end this.
 
         Args:
             draining: False to take shards again.

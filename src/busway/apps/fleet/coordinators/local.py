@@ -245,7 +245,7 @@ def _changed(database: sqlite3.Connection, key: str, value: bytes, revision: int
 
 
 def _since(file: _OpenFile, prefix: str, last: int) -> tuple[int, list[Entry]]:
-    """Return the number of the file's opening, and the entries with a key prefix and a revision above ``last``."""
+    """Return how often the file had been opened, and the entries with a key prefix and a revision above ``last``."""
     rows = file.database.execute(
         "SELECT key, value, revision FROM entries WHERE revision > ? ORDER BY revision", (last,)
     )
