@@ -175,7 +175,10 @@ class Pairing:
         self._sure = ResponseTimes()
 
     def heard(self, found: Received) -> list[Heard]:
-        """Process a frame or damaged bytes, and return the resulting events: an earlier missing reply first."""
+        """Process a frame or damaged bytes, and return the resulting events in order.
+
+        The first may be a missing reply.
+        """
         events = self.tick(found.began)
         gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
         self._last_end = found.ended
