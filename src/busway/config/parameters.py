@@ -33,7 +33,7 @@ def declared_parameters(
 ) -> dict[str, Parameter]:
     """Return the parameters of a file with their values: its defaults, overridden by the given values.
 
-    Only the given values if ``parameters`` or ``required`` has a wrong type, which the file's schema reports.
+    Returns only the given values if ``parameters`` or ``required`` has a wrong type, which the file's schema reports.
 
     Args:
         source: the file.

@@ -68,7 +68,7 @@ class SecurityStatus:
         subject: the subject of the listener's own certificate.
         not_after: when that certificate expires, in seconds since 1970.
         days_left: days until it expires; negative afterwards.
-        reloads: how often the files were read again since the start.
+        reloads: how often the files of certificates were read again since the start.
         handshakes: number of handshakes in progress.
         established: number of completed handshakes.
         resumed: how many of the completed handshakes resumed a session.

@@ -216,8 +216,8 @@ class ListenerRouter:
         """Return how a request is forwarded by a route, or the reply if it need not or cannot be forwarded.
 
         A read is answered with remembered values if the route permits that and they are young enough. The reply is
-        exception 02 if the shifted address does not exist, and 03 if a reply cannot hold so many of the device's wide
-        registers.
+        exception 02 if the shifted address does not exist, and 03 if the registers of the device are
+        wider than 16 bits and so many do not fit into a reply.
 
         ``forwarder`` is the forwarder of the route's upstream.
         """

@@ -322,7 +322,9 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """Return which earlier routes take requests from a route: all of them for some units; and the units left for it.
+    """Return the earlier routes that leave a route no requests for some of its units, and the units left to it.
+
+    The first route that matches takes a request.
 
     Args:
         routes: all routes in their order.

@@ -239,8 +239,7 @@ def put_together(
     """Build the configuration of a file whose sections were checked one by one; errors go to a report, none is raised.
 
     The result may be used only after `ConfigurationReport.end`, which raises the errors. Its ``warnings`` are not set
-    here:
-    the report has them.
+    here: the report has them.
 
     Args:
         file: the sections of the file.

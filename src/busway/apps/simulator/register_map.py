@@ -324,9 +324,9 @@ def _column_of(key: str | None) -> str | None:
 
 
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the keys of a point that a row of a register map gives.
+    """Return the keys for a `SimulatedPointSection` that a row of a register map gives, and the errors in the row.
 
-    And column and message of each error in the row.
+    Each error is a column and a message.
     """
     cells = row.cells
     keys: dict[str, Any] = {}

@@ -437,7 +437,7 @@ class UnitSection(WholeSection):
     def placed(self) -> tuple[PlacedPoint, ...]:
         """All points of the unit, with final names and addresses.
 
-        Points of a repeated group once for each repetition.
+        A point of a repeated group occurs once for each repetition.
         """
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]

@@ -32,7 +32,7 @@ Url = Annotated[str, AfterValidator(_checked_url)]
 class ListenerSection(OptionSection):
     """``[[listener]]``: one address to listen on, with options that apply to it alone.
 
-    Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
+    Its limits override those of ``[server]``, its certificates those of ``[security]``.
     """
 
     checked_later: ClassVar[tuple[type[Any], ...]] = (TlsParameters, ListenerParameters)  # with those of [security]
