@@ -1,6 +1,7 @@
 """``busway scan``: finds the units that answer on a serial line, or behind an address.
 
-The asking is `busway.client.scanning`; ``--baud`` and ``--parity`` try several settings of a line, one after the other.
+`busway.client.scanning` does the asking; ``--baud`` and ``--parity`` try several settings of a line, one after the
+other.
 """
 
 import re

@@ -5,7 +5,7 @@ Knows streams; knows no command.
 1. A text that stdout does not take ends the command: `OutputLostError`, or `ReaderGoneError` if the reader has gone.
 2. A text that stderr does not take is lost: there is no other place to report it.
 3. A character that the encoding of a stream does not have is written as ``\\xe4`` or ``\\u2026``.
-4. A stream that is closed (``>&-``) is as the null device, so that no socket gets its number.
+4. A stream that is closed (``>&-``) is replaced by the null device, so that no socket gets its number.
 """
 
 import contextlib

@@ -5,8 +5,9 @@ requests, and `http_connection` parses them. The standard library's `ThreadingMi
 them:
 
 1. One request per connection, then the connection is closed. No keep-alive, no chunked bodies, no redirects.
-2. Head, body, time and number of connections are limited. One connection too many closes the oldest that has not sent
-   its whole request, or is answered 503 where all have. A peer that sends or reads slowly delays no other peer.
+2. Head, body, time and number of connections are limited. One connection too many closes the oldest one that has not
+   sent its whole request; if all have, the new connection is answered 503. A peer that sends or reads slowly delays no
+   other peer.
 3. The last descriptors of the process are never kept: they are for Modbus.
 """
 

@@ -6,9 +6,9 @@ Knows frames and times; knows no port and no clock. The frames come from a recei
    no reply.
 2. A reply of another unit or function than that of the request is stray, and the request goes on waiting.
 3. Damaged bytes while a request waits are taken for its reply, if no other comes.
-4. Where request and reply are alike (05, 06, 08, 22) nothing in the bytes tells a reply from the same request sent
-   again. Time does: what comes much later than the slowest reply that could be told for sure is another request.
-   Until enough of those were heard, everything within ``reply_window`` is a reply.
+4. If request and reply are alike (05, 06, 08, 22), nothing in the bytes tells a reply from the same request sent again.
+   Then time decides: a frame that comes much later than the slowest reply recognised for sure is another request. Until
+   enough such replies were heard, every frame within ``reply_window`` is a reply.
 """
 
 from collections import Counter

@@ -3,8 +3,8 @@
 Knows when bytes come and go; knows nothing of what they mean.
 
 1. A port that is absent, or vanishes, is waited for and opened again; the listener stays.
-2. An answer leaves when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If another
-   station sends before that, the answer is not sent any more.
+2. A reply is sent when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If another
+   station sends before that, the reply is dropped.
 3. Times are those of ``time.monotonic``, as the port tells them.
 """
 

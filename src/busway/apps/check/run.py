@@ -5,10 +5,10 @@ Knows wires, frames, judgements and the clock; knows no single check.
 1. Basic checks come first. A facet that one of them has shown to be wrong fails no other check: a wrong unit is
    overlooked, and after any other failure the rest is undecided.
 2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
-3. To find out that a request is not answered takes less than the timeout: a read of the probe is sent after it, when
-   ``quiet`` seconds are over or something came; what comes before the reply of the probe is the answer. Two frames on a
-   line need that gap, and a device that drops one of two requests in a segment fails only the checks about that. On a
-   serial line the timeout is waited for if the request may be answered, since no other frame may come between.
+3. To find out that a request is not answered, a run does not wait for the whole timeout: after ``quiet`` seconds, or
+   once something came, it sends a read of the probe. What comes before the reply to the probe is the answer. Two frames
+   on a line need that gap, and a device that drops one of two requests in a segment fails only the checks about that.
+   On a serial line the timeout is waited for if the request may be answered, since no other frame may come between.
 4. The scratch items are read before the first check that writes, written back after the last one, and read again.
 """
 

@@ -8,8 +8,9 @@ Pure; knows loads and names. Every collector computes the same from what it sees
 3. Shards move where a collector is further than `BEGIN` from the fair load, and until all are within `END`: between the
    two nothing moves, so loads that change a little move nothing.
 4. A move takes the shard that levels giver and taker best: the fewest moves, since each costs its links a moment.
-5. Where no move levels anything more, two collectors exchange a dearer and a cheaper shard, if that takes at least half
-   of their difference away: where shards are few and unlike, nothing else levels them. One exchange for each at once.
+5. If no move improves the balance any more, two collectors exchange a dearer and a cheaper shard, if that removes at
+   least half of the difference between them: if shards are few and unlike, nothing else levels the loads. Each
+   collector takes part in one exchange at a time.
 6. A collector that drains gives all it has; one that another host cannot reach is never asked to take a pinned shard.
 """
 

@@ -3,7 +3,8 @@
 Knows what nats-server says of itself; the protocol is nats-py's. It decides nothing: an operator has to know.
 
 1. nats-server before 2.10 acknowledges before it syncs. Later ones do as well, unless ``sync_interval`` is ``always``.
-2. Whether a later one does is in its system account alone. Without credentials for that it is not known, and told so.
+2. Whether a later one has that setting can be asked only with the credentials of its system account. Without them it is
+   not known, and the user is told so.
 """
 
 import asyncio

@@ -2,12 +2,12 @@
 
 Knows the collector, the member and the log of ownership; what is owned is decided by `lease_holder`.
 
-1. A link begins after its epoch is on disk. It stops before its shard is handed on: what runs ends, what was taken is
-   committed, and only then is the lease released.
+1. Polling of a link begins after its epoch is on disk. It stops before the link's shard is handed on: running requests
+   end, samples taken so far are committed, and only then is the lease released.
 2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take, and
    again when each of its frames leaves: on a line that may be seconds later. A lease that lapses therefore ends
    polling at once, whatever else waits.
-3. Changes of ownership are applied one after the other, all that have come together as one.
+3. Changes of ownership are applied one after the other; several that have come together are applied as one.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
    renewal: samples that the old owner still sends shrink this gap.

@@ -8,13 +8,14 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
    renewal was sent, plus the time to live, less the guard. A renewal without an answer does not count.
 2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
    guard, by this collector's own clock. It is taken by a compare-and-set on that revision: an old view harms nothing.
-3. What this start of the collector has let lapse is free for it at once; it gets a new epoch. What an earlier start
-   of the same name had is another owner's. An epoch is above all that the taker has seen of the shard, whatever
-   revision the coordinator gives: a server may count lower than the one before it.
+3. A shard whose lease this start of the collector has let lapse is free for it at once; it gets a new epoch. A lease of
+   an earlier start of the same name counts as another owner's. An epoch is above all that the taker has seen of the
+   shard, whatever revision the coordinator gives: a server may count lower than the one before it.
 4. One proposal of a key is open at a time.
 5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
 6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
-   so. Its clock is compared with the coordinator's; where most collectors agree against that one, that one is wrong.
+   so. Its clock is compared with the coordinator's; if most collectors agree that the coordinator's clock is wrong, it
+   is the wrong one.
 7. The first collector of a zone records how many shards there are and how long leases hold; a collector
    with other figures owns nothing and says so. With two numbers of shards a link could be in two, with two owners.
 """

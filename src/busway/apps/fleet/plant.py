@@ -1,11 +1,11 @@
 """The part of a plant's configuration that one collector of a fleet works on, and what its links need.
 
-1. What has one owner is an endpoint, whatever links name it: a line has one master. Links to one endpoint are in one
-   shard, that of the first of their names.
+1. What has one owner is the endpoint, however many links name it: a line has one master. Links to one endpoint are in
+   one shard, that of the first of their names.
 2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
    name their hosts, unless all collectors are on one machine.
-3. A newer configuration reaches collectors one after the other, and one may refuse it. So an endpoint never goes from
-   one shard to another by it, while a collector may live.
+3. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
+   move an endpoint from one shard to another while a collector may live.
 """
 
 from collections.abc import Container, Mapping, Sequence

@@ -4,7 +4,7 @@ Knows entries of the coordinator; asks no collector.
 
 1. A collector lives while its entry changes within the time of a lease, by the clock of this process.
 2. A hole is the time from an owner's last renewal, or its release, until the next owner took the shard, by the wall
-   clocks of both. An owner that fell silent may have polled for a part of it: it lasted so long at most.
+   clocks of both. An owner that fell silent may have polled for a part of that time, so the real hole may be shorter.
 """
 
 import asyncio

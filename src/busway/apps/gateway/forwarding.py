@@ -7,7 +7,7 @@ Knows upstreams, calls and who asked; knows no route and no listener.
 2. Each request is answered as soon as its own reply is there. None waits for the others of its batch.
 3. A read that is identical to one in flight shares its reply, if no write came between (`shared_reads`, `read_cache`).
    A priority host does not share what still waits in the queue for others: its own read goes before.
-4. A client that disconnects takes those of its requests with it that no other client waits for. A write that was sent
+4. When a client disconnects, those of its requests that no other client waits for are given up. A write that was sent
    goes on, and until it ends nothing of its unit is shared.
 5. Clients that share a read have a deadline each; the read goes on for the others.
 """

@@ -5,8 +5,8 @@ Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on
 1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered when it was sent. All
    units of an upstream hear it, so a route must permit the write for each of them. Where the policy denies it for one
    unit of one upstream, no upstream hears it.
-2. Requests without a route get 0A. Unit 0 and the own unit are then the gateway itself. A serial listener does not
-   answer for units without a route (`ListenerRouter.serves`).
+2. A request without a route gets 0A, unless it is for unit 0 or the gateway's own unit: then the own unit answers it.
+   A serial listener does not answer for units without a route (`ListenerRouter.serves`).
 3. A malformed request is answered here, as by any server: it could not be framed on a serial line. A request with an
    unknown function is forwarded unread.
 """

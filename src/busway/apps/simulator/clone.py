@@ -4,13 +4,14 @@ Knows how a device is read and what is made of it; knows no connection, no file 
 to the device.
 
 1. With a register map each of its points is read once, and the file has the points with the values that were read.
-2. Without one the tables are read in blocks. A block that is refused is divided until what is there and what is not
-   is known item by item; where a whole block is refused, single items in it are tried first (`STRIDE`), so that empty
-   tables cost little. ``thorough`` divides every block.
+2. Without one the tables are read in blocks. A block that is refused is divided until it is known of each item whether
+   it exists. If a whole block is refused, single items in it are tried first (`STRIDE`), so that empty tables cost
+   little. ``thorough`` divides every block.
 3. A value is kept in its unit of measure if writing it gives the same registers again, and as registers otherwise:
    the clone answers what the device did.
-4. Where a device is watched for a while, numbers that changed get a behaviour: what only grew in whole steps counts at
-   the rate that was seen, everything else walks within the range that was seen. Bits and numbers with names stay.
+4. If a device is watched for a while, numbers that changed get a behaviour: a whole number that only grew becomes a
+   counter with the observed rate, any other number a random walk within the observed range. Bits and numbers with names
+   stay constant.
 5. A point that the device refuses is left out, and a remark says so. A device that does not answer ends the cloning;
    the error names the point or range that was asked for.
 """

@@ -3,8 +3,8 @@
 Knows points, behaviours and the memory of devices; knows no clock: times are seconds of the simulation, handed in.
 
 1. A point changes at whole multiples of its ``every``, computed as such: no step is late because one before it was.
-2. At one moment a formula is computed after the points that it needs, in whatever units they are. What observes others
-   over time (`Observer`) sees them after that.
+2. At one moment a formula is computed after the points that it needs, in whatever units they are. Behaviours that
+   observe other points over time (`Observer`) read them after that.
 3. The points of a unit that change at one moment become visible together.
 4. A point that was set by hand stays as it is until it is released.
 5. After each unit the engine asks its caller whether to stop for now, so that requests are answered meanwhile.

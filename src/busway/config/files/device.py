@@ -6,7 +6,7 @@ An example is in `docs/reference/device-file.md`.
 
 Rules:
 
-1. A table that is not declared has exactly the items of its points; in one that is, every point must lie.
+1. A table that is not declared has exactly the items of its points. If a table is declared, its points must lie in it.
 2. ``first`` and the starts of ranges are offsets, 0-based; addresses of points are notations
    (`busway.values.addresses`).
 3. A group of points is written once, and repeated at each of its places.

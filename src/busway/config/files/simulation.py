@@ -7,7 +7,8 @@ An example is in `docs/simulator.md`.
 
 Rules:
 
-1. A point's first value lies in its range and has a name, if it has a range or names; so does what Modbus writes (04).
+1. If a point has a range or names, its first value lies in the range and has a name. A value that Modbus writes must
+   too, else it is refused with 04.
 2. Names stand for numbers: ``value = "auto"`` where ``enumeration = { auto = 1 }``.
 3. A hole is an address between the first and the last item of a table that no point takes. It is refused (02), or is
    read as a value and cannot be written. A table that is declared has no holes.

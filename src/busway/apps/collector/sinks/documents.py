@@ -3,8 +3,8 @@
 Pure.
 
 1. A sample that is sent again has the same document with the same key, because a commit does not change.
-2. A key ends with a digest of what it stands for, so that a document with other content has another key: where a file
-   that was read again hands on other points, or where a part of a batch was refused.
+2. A key ends with a digest of the document, so that a document with other content has another key. The content differs
+   at a repetition if the file was read again and other points are sent on, or if a part of the batch was refused.
 """
 
 import hashlib

@@ -4,10 +4,12 @@ Knows formats; knows nothing of cursors.
 
 1. Lines are appended and made durable before `send` returns; a line that was cut off by a crash is completed by a line
    break first. A batch that comes again is there twice, with the same commit.
-2. A Parquet file is one batch, and is called by its first commit: a batch that comes again replaces its file, wherever
-   it ends then, and files that an earlier process wrote of the same commits: a full disk may have left several.
+2. A Parquet file is one batch, and is named after its first commit. A batch that comes again replaces its file, even if
+   it ends with another commit then. It also replaces files that an earlier process wrote of the same commits: a full
+   disk may have left several.
 3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample of the batch.
-4. Events of alarms go to files of their own: ``-alarms`` before the end of the name; Parquet to the folder ``alarms``.
+4. Alarm events go to files of their own: with ``-alarms`` before the ending of the name; for Parquet, in the folder
+   ``alarms``.
 """
 
 import asyncio

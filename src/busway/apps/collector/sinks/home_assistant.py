@@ -3,7 +3,7 @@
 Pure. Knows points and units of measure; knows no topics.
 
 1. The device class follows from the unit of measure (`DEVICE_CLASSES`), where Home Assistant documents the two together
-   and no other class has the unit. It refuses an entity whose unit does not go with its class.
+   and no other class has the unit. Home Assistant refuses an entity whose unit does not go with its class.
 2. Numbers are measurements. Counters with a rollover and energies are totals that only grow; the energy dashboard takes
    no others. Texts, states, and numbers that stand for names have no state class.
 3. ``meta`` of the point overrides both, by ``device_class`` and ``state_class``; an empty text leaves them out.

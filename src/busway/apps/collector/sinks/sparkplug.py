@@ -5,20 +5,23 @@ is aiomqtt's (``busway[sparkplug]``).
 
 1. One connection, one edge node. Its last will is the death of the node, with the number (bdSeq) that its birth has
    too; the number is kept in a file, so that it goes on after a restart.
-2. A device is born with the last samples of all of its metrics known so far, and again when one is new, has another
-   type, or is no longer there. Data follow only a birth; those from before the connection are marked as historical.
-   Hosts do not show these: when no more follow, a device whose last values were among them is born again.
-3. Data go with QoS 0, as the standard wants it. `send` returns when a later message with QoS 1 was acknowledged: a
+2. A device is born with the last samples of all of its metrics known so far, and again when a metric is new, has
+   another type, or no longer exists. Data are sent only after a birth. Samples from before the connection are marked as
+   historical, and hosts do not show these. So when no more of them follow, a device whose last values were among them
+   is born again.
+3. Data are sent with QoS 0, as the standard demands. `send` returns when a later message with QoS 1 was acknowledged: a
    broker takes the messages of a connection in order, so it has the data too.
 4. With a primary host, nothing is sent while the host is offline: the edge node dies at once, and samples wait in the
-   store. One that was away knows nothing of before: it gets births before data.
+   store. A host that comes back does not know earlier births, so it gets births before data.
 5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
 6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
    born or not.
-7. Where the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
-   collector, as they come, by `SparkplugCommandTaker`. Subscribed to before the births, without retained messages.
-8. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
-   Until then it is not in births that hosts ask for, or that follow a connection.
+7. If the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
+   collector, as they come, by `SparkplugCommandTaker`. Their topics are subscribed to before the births are sent;
+   retained messages are not taken.
+8. A device dies when the collector suspends it, when it has no connection, or when its maintenance begins; its next
+   sample that has none of these reasons is a birth. Until then the device is left out of births that hosts ask for, or
+   that follow a connection.
 9. A birth that is too large for the broker goes without values.
 """
 

@@ -7,11 +7,12 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
    first commit that succeeds records the time of what was dropped as a gap with its number. Polling never waits.
 3. A second thread seals and drops parts, so that no sample waits for that.
 4. Without samples an empty commit every `ALIVE` seconds says that the collector lived.
-5. With ``durability = process`` the log is synced every `SYNC` seconds: that much a power failure costs. Where that
-   fails, it is said and tried again; what was committed stays committed, and is never committed twice.
-6. What is known of points changes between commits: samples that were added before go by the names of then.
-7. Where rules keep not every sample, that is decided when it is committed. Reads of which nothing is kept make no
-   commit; subscribers are told of them all the same, because they show that the values before still hold.
+5. With ``durability = process`` the log is synced every `SYNC` seconds: a power failure loses at most that much. If a
+   sync fails, that is logged, and it is tried again; what was committed stays committed, and is never committed twice.
+6. Names and descriptions of points change between two commits: samples that were added before are stored under the
+   names of that time.
+7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit;
+   subscribers are told of them all the same, because they show that the earlier values still hold.
 8. Last values are fed by commits. `Committer.is_behind` says when they cannot be trusted, because commits fail or hang.
 """
 

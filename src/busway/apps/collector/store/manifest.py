@@ -6,10 +6,10 @@ count: a reader reads it first, a writer changes it last.
 1. Every change is one transaction, and durable when it returns (``synchronous=FULL``); changes are rare.
 2. A file that a transaction makes superfluous is named in ``unlinks`` by that transaction, and unlinked after it. What
    is found there at the start was left by a crash.
-3. Commit numbers are reserved in blocks, and a start goes on behind the block: a number is never used twice, even where
-   a power failure took the commits that had it.
+3. Commit numbers are reserved in blocks, and after a start numbers continue behind the block: a number is never used
+   twice, even if a power failure lost the commits that had it.
 4. A point that is renamed keeps its id, and so its history. All new names of a configuration are given at once, so that
-   points may exchange theirs; each once, so that the next start gives them no second time.
+   points may exchange theirs. Each is given only once: the next start does not give it again.
 """
 
 import json

@@ -5,11 +5,13 @@
 Knows rows and columns; knows nothing of the manifest.
 
 1. Samples from before the ten minutes of the segment are late. They become parts of their own, one for each ten
-   minutes, so that a part covers the time that its neighbours do not; what has the same key is merged when it is read.
+   minutes, so that no part covers a long time. Samples with the same key in several parts are merged when they are
+   read.
 2. The driver of Arrow for SQLite fetches rows as columns, in half the time that rows take as objects of Python. It
-   takes the type of a column from its first row: the query puts one before the others, which is left out afterwards.
-3. Of Arrow's packages what is needed is loaded, and pandas and numpy are not, which pyarrow would load where they are
-   installed: a start takes a third of the time.
+   takes the type of a column from its first row: so the query puts an artificial row before the others, which is left
+   out afterwards.
+3. Only the needed packages of Arrow are loaded; pandas and numpy, which pyarrow would load if they are installed, are
+   not. So a start takes a third of the time.
 4. SQLite gives rows in the order of their key, by time. Then a stable sort by point alone is enough, which for numbers
    below each other costs a third of a sort by both. The order is checked, not assumed.
 5. The content of each file is durable when the program ends. Its name is not listed: the process that asked renames it.

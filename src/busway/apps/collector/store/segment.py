@@ -5,7 +5,7 @@ Knows one file and its tables; knows nothing of the manifest.
 1. A commit is one transaction: samples, intervals, and one row that says which times it covers. So rows can be read
    in the order of their commits without an index on each sample.
 2. The key is (time, point): rows arrive in the order of time, and only in that order can 400 000 of them be inserted in
-   a second. What has the same key replaces what was there.
+   a second. A sample with the key of an earlier one replaces it.
 3. NULL for a value that is not bad is NaN: SQLite has none. Integers beyond 63 bits are stored as eight bytes.
 4. The write-ahead log is moved into the file when it is larger than `LOG_LIMIT`.
 5. A segment ends, and the next commit begins another: when its ten minutes by the clock are over, when it is larger

@@ -4,8 +4,8 @@
    nothing drifts.
 2. An expression as rate or target is computed after each moment, and holds until the next (`Observer`). If it has no
    value, a counter stands still and a lag stays where it is.
-3. A value may be set by hand between two moments. It is also the value at earlier times, should the engine ask for one;
-   after that the behaviour continues from it.
+3. A value may be set by hand between two moments. If the engine then asks for the value at an earlier time, it gets
+   the value set; at later times the behaviour continues from it.
 """
 
 import math
