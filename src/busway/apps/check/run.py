@@ -159,7 +159,7 @@ class _Conversation:
     # Asking.
 
     def ask(self, ask: Ask) -> CheckedExchange:
-        """Send one request and return the exchange: what came back within the timeout, or until the end.
+        """Send one request and return the exchange: what came back within the timeout, or until the connection ended.
 
         Opens the connection if there is none. If the device closes it, the exchange says so.
 

@@ -236,7 +236,10 @@ class CapturedTraffic:
         return True if to else False if of else None
 
     def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
-        """Count a packet whose ports are none of the servers', and its ports if its bytes look like an MBAP frame."""
+        """Count a packet of which neither port is a server's.
+
+        Its ports are counted too (``other_ports``) if its bytes look like an MBAP frame.
+        """
         self._ignore(Ignored(f"{what} of other ports"))
         if _begins_like_a_frame(payload) and len(payload) == 6 + (payload[4] << 8 | payload[5]):
             for port in (source.port, destination.port):

@@ -23,7 +23,7 @@ from .segment import alarms_of, counters_of, facts_of, intervals_of, is_unmade, 
 
 
 def close_open_segments(folder: Path, manifest: Manifest) -> None:
-    """List segments that an earlier process left open as finished, and delete files that are no longer listed."""
+    """List as finished the segments that an earlier process left open, and delete files no longer listed."""
     for part in manifest.parts():
         if part.kind == "open":
             close_segment(folder, manifest, part)
