@@ -196,8 +196,8 @@ class PolicyAuthorizer:
     def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
         """Return the exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
-        For requests that reach several units at once. A rule with a rate counts such a request once, whatever the
-        number of units. A refusal is counted, logged and recorded like that of a request to one unit.
+        Such requests reach several units at once. A rule with a rate counts each of them once, whatever the number of
+        units. A refusal is counted, logged and recorded like that of a request to one unit.
 
         Args:
             context: the context of the request as received.

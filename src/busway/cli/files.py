@@ -43,7 +43,7 @@ def open_capture(name: str) -> "Capture":
 def refuse_to_replace(path: str, *, force: bool) -> None:
     """Raise `ConfigError` if the file ``path`` exists and ``force`` is False.
 
-    For commands to call before they do anything else.
+    Commands call it before they do anything else.
     """
     if not force and os.path.lexists(path):
         raise _there_already(path)

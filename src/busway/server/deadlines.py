@@ -39,8 +39,8 @@ class Timed(Protocol):
     def is_idle(self) -> bool:
         """Whether the idle timeout, once it is over, may close the connection.
 
-        Not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the client
-        is a priority host.
+        It may not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the
+        client is a priority host.
         """
 
 

@@ -138,7 +138,7 @@ class Server:
     def wrap_responder(self, wrap: Callable[[Responder], Responder]) -> None:
         """Replace the responder by ``wrap(responder)``, which may change or replace replies.
 
-        Only while the server is stopped.
+        Allowed only while the server is stopped.
 
         Raises:
             ConfigError: the server is running, and its sessions use the responder already.
@@ -148,7 +148,7 @@ class Server:
         self._responder = wrap(self._responder)
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer that is called for each request and its reply. Only while stopped.
+        """Register an observer that is called for each request and its reply. Allowed only while stopped.
 
         Raises:
             ConfigError: the server is running.
@@ -158,7 +158,9 @@ class Server:
         self._observers.append(observer)
 
     def use_tap(self, tap: ConnectionTap) -> None:
-        """Register an observer of opened and closed connections, which can also send on them. Only while stopped.
+        """Register an observer of opened and closed connections, which can also send on them.
+
+        Allowed only while stopped.
 
         Raises:
             ConfigError: the server is running.

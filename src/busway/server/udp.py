@@ -217,7 +217,7 @@ class _Socket(asyncio.DatagramProtocol):
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
         """Answer a received datagram and further ones that wait in the socket, together at most 16.
 
-        So the event loop need not wake up for each of them.
+        This saves the event loop from waking up for each of them.
         """
         for left in range(_MOST_AT_ONCE - 1, -1, -1):
             now = time.monotonic()

@@ -735,7 +735,7 @@ class Collector:
     def _mend(self, shift: int) -> None:
         """Correct times in the store and in memory by ``shift`` nanoseconds, after a wrong wall clock was put right.
 
-        Only times that this process took before that are changed.
+        Only times that this process took from the wrong clock are changed.
         """
         if not shift:
             return

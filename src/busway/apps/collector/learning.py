@@ -355,7 +355,7 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Learn from the result of the test read that `question` returns. Only while `is_asking`.
+        """Learn from the result of the test read that `question` returns. To be called only while `is_asking`.
 
         Args:
             outcome: the result of the read.

@@ -310,7 +310,7 @@ class PlanBook:
     def forget(self, known: DeviceKnowledge) -> None:
         """Replace the refused ranges and largest reads of the device by ``known``, and drop all plans.
 
-        For a user who had some facts forgotten or pinned.
+        Called after a user had some facts forgotten or pinned.
         """
         self._map = MapLearner(known, self._cost)
         self._plans.clear()

@@ -41,7 +41,7 @@ class _Reader:
 
 
 class SampleReaders:
-    """The programs that follow the samples of one collector; passes new samples to each. For one event loop.
+    """The programs that follow the samples of one collector; passes new samples to each. Used in one event loop only.
 
     ``bool()`` is True if there is such a program.
 

@@ -486,10 +486,10 @@ class FleetCollector:
         self._active_since.update((link, now) for link in links)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Begin in the store the intervals without ownership of the links whose shards these events end (rule 4).
+        """Record in the store that links are no longer owned: those of the shards that these events end (rule 4).
 
-        An interval begins now. If the lease has lapsed, it begins at the last transaction: a process that was frozen
-        learns only when it wakes that it has lost the lease.
+        The interval without ownership begins now. If the lease has lapsed, it begins at the last transaction: a
+        process that was frozen learns only when it wakes that it has lost the lease.
         """
         now = time.time_ns()
         for event in events:

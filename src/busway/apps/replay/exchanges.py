@@ -197,9 +197,9 @@ def _decoded(asked: CapturedFrame) -> tuple[AnyRequest | None, list[Trouble]]:
 
 
 def _reply_to(request: AnyRequest | None, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
-    """Decode a reply. Returns the message and no trouble.
+    """Decode a reply. Returns the message, and no trouble.
 
-    Or None and a trouble if it is malformed or of another function.
+    If the reply is malformed or of another function, returns None and a trouble.
     """
     try:
         reply = STANDARD.decode_reply(answered.pdu)

@@ -337,7 +337,7 @@ class _RecordedUnit:
     def faults(self, *, delays: bool) -> Iterator[dict[str, Any]]:  # what TOML has
         """Yield the ``[[fault]]`` sections that make the simulated unit refuse what the unit refused.
 
-        With ``delays`` one more, which delays its replies by the median response time.
+        With ``delays`` it yields one more, which delays the replies by the unit's median response time.
         """
         wanted: dict[tuple[int, int], dict[Table, ItemRanges]] = {}
         for function, code, spans in self._unlike():

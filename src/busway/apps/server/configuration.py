@@ -111,7 +111,7 @@ class Configuration:
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
         """Return options of the file for `busway.serve`: TLS and the options of ``[server]``.
 
-        Not its policy and units.
+        Its policy and units are not included.
         """
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}

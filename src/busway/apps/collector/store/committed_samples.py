@@ -92,7 +92,7 @@ class CommitRange:
 class CommitReader:
     """Reads the samples of a store in the order in which they were stored, from a commit number on.
 
-    For one thread at a time.
+    Used by one thread at a time.
     """
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:

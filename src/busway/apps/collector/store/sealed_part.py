@@ -111,7 +111,7 @@ def _facts(table: Any) -> dict[str, int]:
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
     """Yield the Parquet files to write for a segment: one for each ten minutes of late samples, then one for the rest.
 
-    For each file, its name and its period in nanoseconds since 1970 UTC: begin, and end, which is excluded.
+    Each file is given as its name and its period in nanoseconds since 1970 UTC: begin, and end, which is excluded.
     """
     begin = first_time_of(database)
     if begin is None:
