@@ -79,7 +79,7 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Context manager that replaces stdin, stdout and stderr of this process by streams with the rules above."""
+    """Context manager that replaces stdin, stdout and stderr of this process by streams that keep these rules."""
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)

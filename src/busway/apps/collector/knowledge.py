@@ -232,7 +232,7 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """Return the pairs of profile and firmware of which two or more devices have learnt the same facts, sorted."""
+        """Return each pair of profile and firmware of which several devices have learnt the same facts, in order."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 

@@ -183,7 +183,7 @@ class ListenerRoutes:
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
         """Return the first route that takes a request; None if no route does.
 
-        `Straddles` if the first route that the request touches has only a part of its addresses.
+        It is a `Straddles` if the first route that the request touches has only a part of its addresses.
 
         Args:
             unit: unit identifier that the client uses.
