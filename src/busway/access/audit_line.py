@@ -139,7 +139,11 @@ def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return three JSON texts for a request's audit line: its function and addresses, the old and the new values."""
+    """Return three pieces of a request's audit line.
+
+    The members ``"function":…,"address":…`` without braces, then the old and the new values as JSON lists, or ``null``
+    where they are unknown or where there are none. ``replaced``: the values before; None if unknown.
+    """
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
     facts = _FACTS.get(type(request), _other_facts)

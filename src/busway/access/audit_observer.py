@@ -16,8 +16,9 @@ from .audit_log import AuditLog
 
 
 class AuditObserver:
-    """Observer of a server's requests that appends an audit line for each write and each denied request.
+    """Observer of a server's requests that appends an audit line for each denied request, and for each write.
 
+    Only writes of the generic path come here; the fast path records its own (`busway.access.fast_path_rights`).
     Repeated denials of a client are recorded as one line with their number.
     """
 

@@ -46,8 +46,9 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
     """Whether the text ``wanted`` of an access rule may mean a listener, as it is configured or will be bound.
 
-    ``tcp://`` alone means all listeners of the scheme. A host name may be bound to any address, and a listener may be
-    added on port 502. True also for a text that is no URL: another check reports that.
+    ``tcp://`` alone means all listeners of the scheme. The port may be that of the listener or 502, since the server
+    may add a listener there (`standard_port`). A listener given by a host name fits any host. True also for a text that is
+    no URL: another check reports that.
     """
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]

@@ -144,6 +144,8 @@ class ReportRule:
     def is_change(self, before: object, now: object) -> bool:
         """Whether a value differs by more than the deadband from the last one that was passed on.
 
+        With ``percent``, the deadband is that part of the last value.
+
         Rounding errors of floats do not count: 0.8 does not differ from 0.7 by more than a deadband of 0.1. Values that
         are not finite numbers have changed if they are different; NaN is not different from NaN.
         """

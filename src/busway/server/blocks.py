@@ -236,7 +236,10 @@ class RegisterBits:
             self.patch(self.memory.data, position, count, data)
 
     def _bytes_of(self, position: int, count: int) -> tuple[int, int]:
-        """Return which bytes of the registers contain a range of bits: first byte, and the byte after the last."""
+        """Return where in memory the whole registers lie that contain a range of bits: first byte, byte after the last.
+
+        Always even: callers swap the two bytes of each register. ``position`` counts from the first bit of this view.
+        """
         return 2 * (self._start + position // 16), 2 * (self._start + (position + count + 15) // 16)
 
 

@@ -35,7 +35,9 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """Create the TLS handshake acceptor of a listener, which creates the protocol of each new connection.
+    """Create the TLS handshake acceptor of a listener and put it into ``management``, for reload, status and close.
+
+    Called for each accepted connection, the acceptor returns the connection's protocol.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.

@@ -61,7 +61,7 @@ def simulated_device(
             register map (``.csv``), or ``"device:meter"``. Values that a file keeps over restarts are neither restored
             nor saved.
         unit: the unit of values and of a map, 0…255; None for unit 1, which then answers for all units.
-        url: where to listen; a free port of 127.0.0.1 by default. Files with listeners of their own listen here too.
+        url: where to listen, instead of on the listeners that a file has; a free port of 127.0.0.1 by default.
         seed: seed of noise and random values; None for that of the file, or 0.
         speed: seconds that pass for the device in one real second.
         clock: clock of delays and behaviours, such as a `FakeClock`; the real time by default.

@@ -344,7 +344,7 @@ class CheckRun:
 
     Args:
         dialer: opens connections to the device.
-        target: the device for which the checks were made.
+        target: how the device is reached, and which items may be read and written; the same as of the checks.
         pace: the waiting times.
 
     Attributes:

@@ -243,7 +243,11 @@ class FleetCollector:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the coordinator has confirmed this collector's last change of the shared table."""
+        """Whether the coordinator is known to take this collector's changes of the shared table.
+
+        False from a change that was not confirmed until one that is; True at the start. A change that still waits, or
+        that met another revision, alters nothing.
+        """
         return self._driver.error is None
 
     @property
@@ -365,7 +369,7 @@ class FleetCollector:
         _log.info("the configuration of revision %d holds", revision)
 
     def _part_ended(self, task: asyncio.Task[None]) -> None:
-        """If a task has ended by a defect, end all others: leases lapse then, and other collectors take the links.
+        """If a task has ended, for whatever reason, end all others: leases lapse, and other collectors take the links.
 
         Called for each task that ends; does nothing while the collector ends in order.
         """

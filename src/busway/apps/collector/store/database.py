@@ -1,6 +1,6 @@
 """Opens connections to the SQLite files of a store, and makes transactions on them.
 
-Knows SQLite; knows no table.
+Knows SQLite; knows no table. Which pragmas a file has is decided by those who open it: `segment`, `manifest`.
 """
 
 import os

@@ -222,7 +222,11 @@ class _NotNeeded(MetaPathFinder):
 
 
 def main() -> None:
-    """Write the Parquet files of the segment that standard input names in JSON, and list them on standard output."""
+    """Write the Parquet files of one segment.
+
+    Standard input is JSON: path of the segment, points, and the process that asks. Standard output is a JSON list: for
+    each file its path, and what the manifest lists of it.
+    """
     asked = json.load(sys.stdin)
     sys.meta_path.insert(0, _NotNeeded())
     os.nice(_NICENESS)
