@@ -47,8 +47,8 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
     """Whether the text ``wanted`` of an access rule may mean a listener, as it is configured or will be bound.
 
     ``tcp://`` alone means all listeners of the scheme. The port may be that of the listener or 502, since the server
-    may add a listener there (`standard_port`). A listener given by a host name fits any host. True also for a text that is
-    no URL: another check reports that.
+    may add a listener there (`standard_port`). A listener given by a host name fits any host. True also for a text that
+    is no URL: another check reports that.
     """
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
