@@ -99,6 +99,11 @@ def _action_and_file(words: list[str]) -> tuple[str, str]:
         return "", words[0]
     if len(words) == 2 and words[0] in ACTIONS:
         return words[0], words[1]
+    if words[0] == "status":
+        raise ConfigError(
+            "a running collector shows its status on its page, which busway status names, and prints it by itself",
+            key="status",
+        )
     raise ConfigError(f"must be FILE, or {' or '.join(ACTIONS)} and FILE, not {' '.join(words)}", key="FILE")
 
 
