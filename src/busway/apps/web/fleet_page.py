@@ -76,7 +76,12 @@ class FleetApi:
 
     Args:
         watch: what the coordinator says of the zone, kept up to date.
+
+    Attributes:
+        name: the name of the page's module.
     """
+
+    name: Final = "fleet"
 
     def __init__(self, watch: ZoneWatch) -> None:
         self._watch = watch
