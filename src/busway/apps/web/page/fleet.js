@@ -19,5 +19,7 @@ async function showFleet() {
   byId("no-holes").hidden = found.holes.length > 0;
   byId("hole-table").hidden = found.holes.length === 0;
   fill("shard-rows", found.shards, (each) => each.shard, (each) => [each.shard, each.owner || "free", each.epoch, percent(each.load)], [3]);
-  setText(byId("fleet-sinks"), found.sinks.map((each) => `Sink ${each.name} has taken ${each.taken} messages of the stream.`).join(" "));
+  fill("fleet-sink-rows", found.sinks, (each) => each.name, (each) => [each.name, each.behind ?? "not known", each.taken], [1, 2]);
+  byId("no-fleet-sinks").hidden = found.sinks.length > 0;
+  byId("fleet-sink-table").hidden = found.sinks.length === 0;
 }
