@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import signal
 import socket
 import threading
@@ -16,6 +17,7 @@ from program import Busway
 from prometheus_client.parser import text_string_to_metric_families
 
 import busway
+from busway.apps.collector.running import find_collectors, noted
 from busway.apps.control import Control, ask, control_directories, find_running
 
 
@@ -304,6 +306,19 @@ def test_a_running_collector_is_named_with_its_page_and_gone_with_its_process(
         program.wait_for("collects into")
         program.stop(signal.SIGTERM)
     assert not (home / "busway" / f"{program.process.pid}.collector").exists()
+
+
+def test_paths_of_a_running_collector_are_whole_as_status_is_asked_from_elsewhere(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("busway.apps.collector.running.holder_of", lambda folder: os.getpid())
+    Path("plant.toml").touch()
+    for file, told in (("plant.toml", str(home / "plant.toml")), ("zone hall", "zone hall")):
+        with noted(file, "samples", "", is_in_fleet=False):
+            (found,) = find_collectors(*control_directories())
+            assert (found.file, found.store) == (told, str(home / "samples"))
+    assert find_collectors(*control_directories()) == []
 
 
 def test_a_word_that_collect_does_not_know_as_an_action_leads_to_the_page(run: Callable[..., Any]) -> None:

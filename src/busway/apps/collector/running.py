@@ -28,7 +28,7 @@ class RunningCollector:
 
     Attributes:
         pid: its process.
-        file: its configuration: the path of a file, or the name of a fleet's.
+        file: its configuration: the absolute path of a file, or the name of a fleet's.
         store: absolute path of the folder of its store.
         page: URL of its page; empty if it has none.
         is_in_fleet: whether it belongs to a fleet.
@@ -46,11 +46,12 @@ def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[No
     """Context manager that keeps the note of this process's collector; does nothing if it cannot be written.
 
     Args:
-        file, page, is_in_fleet: as of `RunningCollector`.
-        store: path of the store; the note has it as an absolute path.
+        file, store: paths; the note has them as absolute ones.
+        page, is_in_fleet: as of `RunningCollector`.
     """
     pid = os.getpid()
-    note = RunningCollector(pid, file, os.path.abspath(store), page, is_in_fleet)
+    name = os.path.abspath(file) if os.path.exists(file) else file
+    note = RunningCollector(pid, name, os.path.abspath(store), page, is_in_fleet)
     try:
         path = control_directory() / f"{pid}{NOTE_SUFFIX}"
         path.unlink(missing_ok=True)  # of a dead process with the same number
