@@ -347,6 +347,19 @@ def test_by_touch_three_points_get_three_axes_and_the_name_of_their_unit_is_told
         page.close()  # before its program ends: it would complain
 
 
+def test_the_chart_fills_its_place_whenever_its_points_were_chosen(page):
+    open_view(page, "trends")
+    for key in ("1/tank.level", "1/tank.target"):
+        page.fill("#trend-name", key)
+        page.keyboard.press("Enter")
+    page.wait_for_function(
+        """() => {
+            const chart = document.querySelector("#chart .uplot");
+            return chart && Math.abs(chart.offsetHeight - document.getElementById("chart").clientHeight) <= 2;
+        }"""
+    )
+
+
 def test_the_server_shows_indicators_connections_and_counters(page, unit, keep):
     unit.read("4x3")
     open_view(page, "server")

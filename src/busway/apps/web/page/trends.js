@@ -80,7 +80,7 @@ export class Trends {
   add() {
     const point = this.table?.byKey.get(byId("trend-name").value.trim());
     if (!point) {
-      setText(byId("trend-message"), "There is no point of this name.");
+      setText(byId("trend-message"), this.table ? "There is no point of this name." : "The points are still being loaded.");
       return;
     }
     byId("trend-name").value = "";
@@ -201,7 +201,7 @@ export class Trends {
       ],
     };
     this.chart = new uPlot(options, [this.times, ...this.columns], place);
-    this.fit();
+    requestAnimationFrame(() => this.fit()); // its legend has a height only now
     this.schedule();
   }
 
