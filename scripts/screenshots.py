@@ -117,6 +117,7 @@ def main(folder: Path) -> None:
             values.get_by_role("button", name="waterworks/tank.level", exact=True).wait_for()
             trends = chromium.new_page(viewport=SIZE, color_scheme="light")
             trends.goto(page)
+            trends.locator("#live[data-state=live]").wait_for()
             trends.click("#tab-trends")
             for name in ("1/tank.level", "1/pump.speed"):
                 trends.fill("#trend-name", name)

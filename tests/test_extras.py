@@ -13,6 +13,7 @@ import pytest
 from busway.errors import ConfigError, MissingExtra
 from busway.extras import EXTRA_OF, missing_extra
 
+ROOT = Path(__file__).parents[1]
 BARE = """
 import sys
 
@@ -127,3 +128,12 @@ def test_every_extra_that_an_error_names_brings_the_package() -> None:
     for package, extra in EXTRA_OF.items():
         wanted = {"yaml": "PyYAML"}.get(package, package.removeprefix("google.").replace("_", "-"))
         assert any(line.startswith(wanted) for line in project["optional-dependencies"][extra]), package
+
+
+def test_the_start_page_names_every_extra_that_is_for_users() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    install = (
+        (ROOT / "docs" / "index.md").read_text(encoding="utf-8").partition("## Install\n")[2].partition("\n## ")[0]
+    )
+    for extra in project["optional-dependencies"].keys() - {"bench", "docs", "release", "dev", "all"}:
+        assert f"`{extra}`" in install, extra

@@ -402,18 +402,18 @@ def test_a_configuration_that_is_slow_to_load_is_loaded_once_and_not_over_what_i
 def test_a_file_that_was_refused_or_needs_a_restart_is_told_in_every_view(new_page, plant):
     page = new_page(plant.page.url)
     about = plant.ask("/api/collector")[1]
-    expect(page.locator("#file")).to_be_empty()
+    expect(page.locator("#notes")).to_be_empty()
     answer(page, "/api/collector", {**about, "restart_needed": ["[collector] page", "[audit]"]})
-    expect(page.locator("#file")).to_have_text(
+    expect(page.locator("#notes")).to_have_text(
         "A restart is needed: changes of [collector] page, [audit] hold after the next start."
     )
     page.click("#tab-devices")
     page.unroute_all()
     answer(page, "/api/collector", {**about, "refused": ["line 3: poll_class", "line 4: link[0].url"]})
-    expect(page.locator("#file")).to_contain_text("nothing was changed: line 3: poll_class; line 4: link[0].url.")
-    expect(page.locator("#file")).to_be_visible()
+    expect(page.locator("#notes")).to_contain_text("nothing was changed: line 3: poll_class; line 4: link[0].url.")
+    expect(page.locator("#notes")).to_be_visible()
     page.unroute_all()
-    expect(page.locator("#file")).to_be_empty()
+    expect(page.locator("#notes")).to_be_empty()
 
 
 # The log, the table, and what everybody needs.

@@ -13,6 +13,7 @@ from urllib.error import URLError
 from urllib.request import urlopen
 
 import pytest
+from left_behind import left_in
 from program import Busway
 from waiting import until, wait_until
 
@@ -94,6 +95,15 @@ def test_a_file_with_errors_names_all_of_them(run, tmp_path: Path) -> None:
     assert result.code == 2
     assert "plant.toml:5: poll_class.all.perod" in result.err
     assert "plant.toml:11: device[0].lnk" in result.err
+
+
+@pytest.mark.parametrize("action", ["plan", "learnt"])
+def test_an_action_without_a_file_says_what_is_missing(
+    run: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, action: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run("collect", action)
+    assert (result.code, result.err) == (2, f"busway: FILE: is missing: busway collect {action} FILE\n")
 
 
 @pytest.mark.parametrize("words", [("plans", "x"), ("plan", "x", "y")])
@@ -310,7 +320,7 @@ def test_a_demo_that_is_interrupted_leaves_no_file_and_no_process(
         assert list(tmp_path.glob("busway-demo-*"))
         program.stop(number)
     assert program.process.returncode == 0
-    assert list(tmp_path.iterdir()) == []
+    assert left_in(tmp_path) == []
     with pytest.raises(ProcessLookupError):  # its session has no process any more
         os.killpg(program.process.pid, 0)
     with pytest.raises((URLError, ValueError)):  # ValueError: another program has taken the port since

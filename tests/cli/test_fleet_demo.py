@@ -9,6 +9,7 @@ from pathlib import Path
 
 import pytest
 from foreign_servers import needed
+from left_behind import left_in
 from program import Busway
 
 pytest.importorskip("nats")
@@ -45,7 +46,7 @@ def test_ctrl_c_or_a_closed_terminal_ends_the_demonstration_and_all_that_it_has_
         program.process.send_signal(end)
         assert program.process.wait(60) == 0
     assert not any(map(lives, started(said)))
-    assert not list(tmp_path.iterdir())
+    assert not left_in(tmp_path)
 
 
 @pytest.mark.soak
@@ -62,7 +63,7 @@ def test_a_killed_collectors_links_are_taken_over_and_it_comes_back(
     assert 10 < float(seconds) < 30
     (samples,) = re.findall(r"the sink has (\d+) samples", done.stderr)
     assert int(samples) > 2000
-    assert not list(tmp_path.iterdir())
+    assert not left_in(tmp_path)
     assert not any(map(lives, started(done.stderr)))
 
 

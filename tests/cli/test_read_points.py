@@ -144,6 +144,18 @@ def test_a_description_of_one_unit_serves_a_device_with_another_number(
     assert (found["level"]["unit"], found["level"]["value"]) == (7, 3.1)
 
 
+def test_a_description_without_a_number_serves_the_unit_that_is_asked_for(
+    run: Callable[..., Any], url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "tank.toml"
+    file.write_text('[[unit]]\n[[unit.point]]\nname = "level"\naddress = "4x1"\ntype = "float32"\norder = "CDAB"\n')
+    found = records(run("read", url, "--points", str(file), "-u", "7", "--json"))
+    assert (found["level"]["unit"], found["level"]["value"]) == (7, 3.1)
+    without = run("read", url, "--points", str(file))
+    assert (without.code, without.out) == (2, "")
+    assert f"{file}:1: unit[0].unit: is missing; or say it by --unit" in without.err
+
+
 def test_a_ready_made_device_and_a_register_map_are_files_too(
     run: Callable[..., Any], url: str, tmp_path: Path
 ) -> None:

@@ -70,6 +70,28 @@ def test_a_file_is_served_as_it_declares(tmp_path: Path) -> None:
         assert link.unit(3).read("4x1", "float32") == 2.5
 
 
+def test_a_file_that_does_not_say_its_unit_is_served_as_the_one_of_the_command_line(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    file = tmp_path / "tank.toml"
+    file.write_text(FILE)
+    other = run("serve", str(file), "--unit", "7")
+    assert (other.code, other.err) == (2, f"busway: --unit: {file} has the unit 3, not 7\n")
+    file.write_text(FILE.replace("unit = 3\n", ""))
+    without = run("serve", str(file))
+    assert without.code == 2
+    assert "unit[0].unit: is missing; or say it by --unit" in without.err
+    with serving(str(file), "-u", "7") as (_, (endpoint,)), busway.connect(endpoint) as link:
+        assert link.unit(7).read("4x1", "float32") == 2.5
+
+
+def test_without_a_file_the_unit_is_that_of_the_command_line() -> None:
+    with serving("--listen", "tcp://127.0.0.1:0", "--unit", "7") as (_, (endpoint,)), busway.connect(endpoint) as link:
+        assert link.unit(7).read_holding_registers(999, count=1) == [0]
+        with pytest.raises(busway.ExceptionReply, match="exception 0B"):
+            link.unit(1).read_holding_registers(0, count=1)
+
+
 def test_a_bad_file_is_refused_with_file_and_line(run: Callable[..., Any], tmp_path: Path) -> None:
     file = tmp_path / "tank.toml"
     file.write_text(FILE.replace("float32", "float31").replace("unit = 3", "unit = 300"))

@@ -159,7 +159,7 @@ def test_a_file_that_cannot_be_written_is_said(tank: str, points: Path, run: Cal
         (["--device", "toaster"], "--device toaster: there is no such device, but meter"),
         (["--device", "meter", "--force"], "--force: goes with --clone only"),
         (["--clone", "tcp://127.0.0.1:1", "--force"], "--force: goes with --out only"),
-        (["--device", "meter", "--unit", "3"], "--unit: goes with --clone and --map only"),
+        (["--device", "meter", "--unit", "3"], "--unit: does not go with --device"),
         (["--map", "gone.csv"], "gone.csv: cannot be read: no such file"),
         (["--device", "meter", "--out", "x"], "--out: goes with --clone only"),
         (["--device", "meter", "--thorough"], "--thorough: goes with --clone only"),
@@ -185,3 +185,19 @@ def test_a_bad_map_is_refused_with_line_and_column(points: Path, run: Callable[.
         result = run("simulate", *arguments)
         assert result.code == 2
         assert f"{points}:3: address: 'nowhere' is no address" in result.err
+
+
+def test_a_file_that_does_not_say_its_unit_is_simulated_as_the_one_of_the_command_line(
+    tmp_path: Path, run: Callable[..., Any]
+) -> None:
+    file = tmp_path / "tank.toml"
+    file.write_text('[[unit]]\nname = "tank ${unit}"\npoint = [{ name = "level", address = "4x1" }]\n')
+    result = run("simulate", str(file), "--check", "-u", "7")
+    assert (result.code, result.out) == (0, "unit 7: tank 7: 1 point, 0 with a behaviour\n")
+    file.write_text('[[unit]]\npoint = [{ name = "level", address = "4x1" }]\n')
+    without = run("simulate", str(file), "--check")
+    assert (without.code, without.out) == (2, "")
+    assert "unit[0].unit: is missing; or say it by --unit" in without.err
+    file.write_text('[[unit]]\nunit = [3, 4]\npoint = [{ name = "level", address = "4x1" }]\n')
+    other = run("simulate", str(file), "--check", "-u", "7")
+    assert (other.code, other.err) == (2, f"busway: --unit: {file} has the units 3, 4, not 7\n")

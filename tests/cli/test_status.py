@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import os
 import signal
 import socket
 import threading
@@ -16,6 +17,7 @@ from program import Busway
 from prometheus_client.parser import text_string_to_metric_families
 
 import busway
+from busway.apps.collector.running import find_collectors, noted
 from busway.apps.control import Control, ask, control_directories, find_running
 
 
@@ -87,7 +89,7 @@ def test_a_running_serve_is_found_and_tells_of_its_connections(home: Path, run: 
         program.stop(signal.SIGTERM)
     gone = run("status")
     assert (gone.code, gone.out) == (5, "")
-    assert "no server or gateway of yours is running" in gone.err
+    assert "no server, gateway or collector of yours is running" in gone.err
     assert list((home / "busway").iterdir()) == []
 
 
@@ -247,3 +249,79 @@ def test_a_running_serve_reads_its_policy_again_when_it_is_told(home: Path) -> N
             policy.write_text('[policy]\ndefault = "allow"\n')
             assert ask(running, "/reload", method="POST")["reloaded"]
             assert link.unit(1).read_holding_registers(0, count=1) == [0]
+
+
+COLLECTOR = """
+[collector]
+store = "{store}"
+page = "127.0.0.1:0"
+
+[poll_class.normal]
+period = 1
+
+[[link]]
+name = "line"
+url = "tcp://127.0.0.1:1"
+
+[[device]]
+name = "tank"
+link = "line"
+unit = 1
+profile = "tank.toml"
+"""
+TANK = """
+[[unit]]
+unit = 1
+point = [{ name = "level", address = "4x1" }]
+"""
+
+
+def test_a_running_collector_is_named_with_its_page_and_gone_with_its_process(
+    home: Path, run: Callable[..., Any]
+) -> None:
+    (home / "tank.toml").write_text(TANK)
+    file, store = home / "plant.toml", home / "samples"
+    file.write_text(COLLECTOR.format(store=store))
+    with Busway("collect", str(file)) as program:
+        page = program.wait_for("page on").split()[3]
+        pid = str(program.process.pid)
+        result = run("status")
+        assert result.code == 0, result.err
+        heading, row, _, hint = result.out.splitlines()
+        assert heading.split() == ["process", "collector", "store", "page"]
+        assert row.split() == [pid, str(file), str(store), page]
+        assert "its page" in hint
+        told = json.loads(run("status", "--json").out)
+        assert (told["pid"], told["page"], told["is_in_fleet"]) == (program.process.pid, page, False)
+        assert row in run("status", pid).out
+        with serving(home):
+            both = run("status").out
+            assert both.startswith("plant on tcp://127.0.0.1:")
+            assert row in both
+        program.process.kill()
+        program.process.wait(60)
+        gone = run("status")  # its note is left behind
+        assert (gone.code, gone.out) == (5, "")
+    with Busway("collect", str(file)) as program:
+        program.wait_for("collects into")
+        program.stop(signal.SIGTERM)
+    assert not (home / "busway" / f"{program.process.pid}.collector").exists()
+
+
+def test_paths_of_a_running_collector_are_whole_as_status_is_asked_from_elsewhere(
+    home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(home)
+    monkeypatch.setattr("busway.apps.collector.running.holder_of", lambda folder: os.getpid())
+    Path("plant.toml").touch()
+    for file, told in (("plant.toml", str(home / "plant.toml")), ("zone hall", "zone hall")):
+        with noted(file, "samples", "", is_in_fleet=False):
+            (found,) = find_collectors(*control_directories())
+            assert (found.file, found.store) == (told, str(home / "samples"))
+    assert find_collectors(*control_directories()) == []
+
+
+def test_a_word_that_collect_does_not_know_as_an_action_leads_to_the_page(run: Callable[..., Any]) -> None:
+    result = run("collect", "status", "plant.toml")
+    assert result.code == 2
+    assert "which busway status names" in result.err

@@ -177,6 +177,7 @@ def test_a_listener_hears_by_the_preset_too() -> None:
     [
         ("tcp://10.0.0.5", "only a line"),
         ("udp://10.0.0.5:4001", "only a line"),
+        ("rtu+tcp://:4001", "the host is missing"),
         ("rtu+udp://:4001?keepalive=off", "keepalive: unknown option"),
         ("rtu+tcp://10.0.0.5:4001?strict_timing=on", "strict_timing: unknown option"),
         ("rtu:///dev/ttyS0?delimiter=3", "delimiter: unknown option"),

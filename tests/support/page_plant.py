@@ -12,7 +12,7 @@ from urllib.parse import urlsplit
 
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
-from busway.apps.web.hosting import ControlPage
+from busway.apps.web.simulation_page import ControlPage
 
 PLANT = """\
 [[unit]]

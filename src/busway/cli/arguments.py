@@ -5,7 +5,7 @@ Knows how arguments are written and how errors name them; sends nothing.
 
 import contextlib
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import TYPE_CHECKING, Any, Final
 
 import typer
@@ -19,6 +19,9 @@ if TYPE_CHECKING:
 
 URL = typer.Argument(..., metavar="URL", help="The device: tcp://10.0.0.5, tcp://host:5020.")
 UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="Unit identifier, 0…255. On TCP 255, the device itself.")
+UNIT_OF_FILE = typer.Option(
+    None, "-u", "--unit", metavar="U", help="The unit of a FILE that does not say it, 0…255; without FILE, 1."
+)
 TYPE = typer.Option(
     None,
     "-t",
@@ -48,6 +51,46 @@ JSON = typer.Option(False, "--json", help="Print one JSON object per line.")
 CSV = typer.Option(False, "--csv", help="Print CSV with a header line.")
 
 _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
+
+
+def unit_number(text: str | None) -> int | None:
+    """Return the unit that ``--unit`` gives; None without it. Raises `ConfigError` if it is no number from 0 to 255."""
+    return None if text is None else whole_number(text, "--unit", 0, 255)
+
+
+@contextlib.contextmanager
+def hint_at_unit() -> Iterator[None]:
+    """Context manager in which the error about a file whose only unit has no number names the option ``--unit``."""
+    from ..config.files.file_error import FileError
+
+    try:
+        yield
+    except FileError as error:
+        raise FileError(
+            [
+                ConfigError(f"{each.message}; or say it by --unit", file=each.file, line=each.line, key=each.key)
+                if each.key == "unit[0].unit" and each.message == "is missing"
+                else each
+                for each in error.problems
+            ]
+        ) from None
+
+
+def refuse_other_unit(name: str, unit: int | None, there: Iterable[int]) -> None:
+    """Refuse a ``--unit`` that a file has not.
+
+    Args:
+        name: the file.
+        unit: what ``--unit`` gives; None without it.
+        there: the units of the file.
+
+    Raises:
+        ConfigError: the file has other units.
+    """
+    numbers = list(there)
+    if unit is not None and unit not in numbers:
+        units = f"unit {numbers[0]}" if len(numbers) == 1 else f"units {', '.join(map(str, numbers))}"
+        raise ConfigError(f"{name} has the {units}, not {unit}", key="--unit")
 
 
 def whole_number(text: str, name: str, low: int, high: int) -> int:

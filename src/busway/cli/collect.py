@@ -6,6 +6,7 @@
 """
 
 import asyncio
+import os
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
@@ -95,10 +96,17 @@ def _print_dashboard(words: list[str]) -> int:
 
 
 def _action_and_file(words: list[str]) -> tuple[str, str]:
-    if len(words) == 1:
+    if words[0] in ACTIONS and len(words) == 1 and not os.path.exists(words[0]):
+        raise ConfigError(f"is missing: busway collect {words[0]} FILE", key="FILE")
+    if len(words) == 1 and words[0] != "status":
         return "", words[0]
     if len(words) == 2 and words[0] in ACTIONS:
         return words[0], words[1]
+    if words[0] == "status":
+        raise ConfigError(
+            "a running collector shows its status on its page, which busway status names, and prints it by itself",
+            key="status",
+        )
     raise ConfigError(f"must be FILE, or {' or '.join(ACTIONS)} and FILE, not {' '.join(words)}", key="FILE")
 
 

@@ -1,5 +1,6 @@
 """Serves the page of a running collector and prints its status, for `busway collect`, its demonstration and fleets."""
 
+from collections.abc import Awaitable, Callable
 from contextlib import AsyncExitStack
 from typing import TYPE_CHECKING
 
@@ -12,48 +13,66 @@ if TYPE_CHECKING:
     from ..apps.collector.collector import Collector
     from ..apps.fleet.zone_watch import ZoneWatch
 
+    Newest = Callable[[], Awaitable[int | None]]
 
-async def open_page(stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None) -> None:
+
+async def open_page(
+    stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None, newest: "Newest | None" = None
+) -> None:
     """Serve the collector's web page until ``stack`` ends, and print its address; on an error, print a warning only.
+
+    `busway status` names the collector and its page until then.
 
     Args:
         stack: exit stack that stops the page when it closes.
         collector: the running collector; its file says where the page is, or ``off`` for no page.
         zone: the watched zone, for a collector of a fleet; None for no page of a fleet.
+        newest: returns the number of the newest message of the zone's stream, for the lag of sinks.
     """
-    at = collector.configuration.file.collector.page
-    if at == "off":
-        return
+    at, url = collector.configuration.file.collector.page, ""
     try:
-        await _open_page_at(at, stack, collector, zone)
+        url = "" if at == "off" else await _open_page_at(at, stack, collector, zone, newest)
     except ModbusError as error:
         warn(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
+    _note(stack, collector, url, is_in_fleet=zone is not None)
 
 
 async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
     """Serve the page of the demonstration, on a free port if its port is taken; on an error, print a warning only."""
-    at = collector.configuration.file.collector.page
+    at, url = collector.configuration.file.collector.page, ""
     try:
         try:
-            await _open_page_at(at, stack, collector)
+            url = await _open_page_at(at, stack, collector)
         except LinkDown:
             host, _, port = at.rpartition(":")
             warn(f"port {port} is taken; the page takes another")
-            await _open_page_at(f"{host}:0", stack, collector)
+            url = await _open_page_at(f"{host}:0", stack, collector)
     except ModbusError as error:
         warn(f"no page: {error}")
+    _note(stack, collector, url, is_in_fleet=False)
+
+
+def _note(stack: AsyncExitStack, collector: "Collector", page: str, *, is_in_fleet: bool) -> None:
+    from ..apps.collector.running import noted
+
+    configuration = collector.configuration
+    stack.enter_context(noted(configuration.name, configuration.store, page, is_in_fleet=is_in_fleet))
 
 
 async def _open_page_at(
-    at: str, stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None
-) -> None:
-    """Serve the collector's web page until ``stack`` closes, and print its address.
+    at: str,
+    stack: AsyncExitStack,
+    collector: "Collector",
+    zone: "ZoneWatch | None" = None,
+    newest: "Newest | None" = None,
+) -> str:
+    """Serve the collector's web page until ``stack`` closes, print its address, and return it.
 
     Args:
         at: host and port; port 0 takes a free one.
         stack: exit stack that stops the page.
         collector: the running collector.
-        zone: the watched zone, for a collector of a fleet.
+        zone, newest: as of `open_page`.
 
     Raises:
         LinkDown: the address is taken or cannot be bound.
@@ -67,11 +86,12 @@ async def _open_page_at(
         if zone is not None:
             from ..apps.web.fleet_page import FleetApi
 
-            fleet = FleetApi(zone)
+            fleet = FleetApi(zone, newest)
     except ImportError as error:
         raise missing_extra(error) or error from error
     page = await stack.enter_async_context(CollectorPage(collector, at, fleet))
     say(f"page on {page.url} (tokens that permit more than to view: {page.token_path})")
+    return page.url
 
 
 def print_status(collector: "Collector", *, as_json: bool) -> None:

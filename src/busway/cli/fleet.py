@@ -403,6 +403,7 @@ async def _run(
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_metrics import fleet_families
     from ..apps.fleet.lease_times import LeaseTimes
+    from ..apps.fleet.stream_head import newest_message
     from ..apps.fleet.zone_watch import ZoneWatch
 
     shared = await read_configuration(table)
@@ -435,7 +436,8 @@ async def _run(
             )
             member.collector.more_metrics.append(lambda: fleet_families(member))
             await take_commands(stack, member)
-            await open_page(stack, member.collector, await stack.enter_async_context(ZoneWatch(table)))
+            watch = await stack.enter_async_context(ZoneWatch(table))
+            await open_page(stack, member.collector, watch, partial(newest_message, table, zone))
             say(f"{name or host} collects into {configuration.store} by revision {shared.revision}")
             while not stop.is_set():
                 try:

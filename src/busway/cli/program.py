@@ -42,7 +42,7 @@ COMMANDS = {
     "fleet": "Share the links of a plant among several collectors.",
     "query": "Show what a store of the collector holds.",
     "store": "Check, back up or restore a store of the collector.",
-    "status": "Show the status of a running server or gateway.",
+    "status": "Show the status of servers and gateways, name pages of collectors.",
     "sniff": "Listen to a line, never send.",
     "decode": "Explain frames, field by field.",
     "replay": "Show what was said in a capture file, and what was wrong.",

@@ -21,6 +21,7 @@ from ..points.decoder import ReadDecoder
 from ..points.derived import Derivation
 from ..points.quality import exception_reason, reason_text
 from ..values import format_address
+from .arguments import hint_at_unit
 from .exits import ExitCode, exit_code_of
 from .output import LivePage, fewest_digits, json_value, print_aligned, print_csv, print_json, shown_value
 
@@ -69,7 +70,8 @@ def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]"
 
     Args:
         name: a device file, a simulation file, ``device:NAME``, or a register map whose name ends in ``.csv``.
-        unit: the number that was asked for; None for the only one that the file has.
+        unit: the number that was asked for; None for the only one that the file has. A file with one unit need not say
+            its number then.
 
     Returns:
         The number to ask, None if neither argument nor file has one, and the section of the unit.
@@ -83,7 +85,8 @@ def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]"
 
     if name.lower().endswith(".csv"):
         return unit, SimulatedUnitSection.model_validate({"unit": 1, "point": read_register_map(name)})
-    sections = [each.section for each in load_declaration(name).units]
+    with hint_at_unit():
+        sections = [each.section for each in load_declaration(name, unit=unit).units]
     numbers = [number for section in sections for number in section.unit]
     if unit is None:
         if len(numbers) != 1:

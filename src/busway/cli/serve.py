@@ -12,7 +12,16 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
-from .arguments import CAPTURE, QUIET, VERBOSE, show_traffic
+from .arguments import (
+    CAPTURE,
+    QUIET,
+    UNIT_OF_FILE,
+    VERBOSE,
+    hint_at_unit,
+    refuse_other_unit,
+    show_traffic,
+    unit_number,
+)
 from .exits import ExitCode
 from .files import capturing
 from .output import say
@@ -44,6 +53,7 @@ Examples:
   busway serve
   busway serve --listen tcp://127.0.0.1:1502
   busway serve plant.toml -v
+  busway serve meter.toml --unit 7
   busway serve plant.toml --listen tcp://:502 --policy policy.toml --audit audit.jsonl
 
 Without FILE, unit 1 has 1000 items in each table, and also answers to 0 and 255.
@@ -51,10 +61,9 @@ A listener that the network reaches is read-only without a policy; --allow-write
 """
 
 ITEMS = 1000
-"""Number of items in each table of unit 1 if no file is given."""
+"""Number of items in each table of the unit if no file is given."""
 BUILT_IN = f"""\
 [[unit]]
-unit = 1
 holding_registers = {ITEMS}
 input_registers = {ITEMS}
 coils = {ITEMS}
@@ -67,6 +76,7 @@ def serve(
     listen: list[str] | None = typer.Option(
         None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
     ),
+    unit: str | None = UNIT_OF_FILE,
     no_standard_port: bool = NO_STANDARD_PORT,
     policy: str | None = POLICY,
     allow_writes: bool = ALLOW_WRITES,
@@ -96,28 +106,38 @@ def serve(
         standard_port=False if no_standard_port else None,
         can_reload=file is not None or is_file(policy),
     )
-    service = Service(_reader(file, listener_changes(priority)), overrides)
+    number = unit_number(unit)
+    service = Service(_reader(file, number, listener_changes(priority)), overrides)
     show_traffic(verbose)
     with capturing(capture):
-        run(_serve(service, file))
+        run(_serve(service, file, 1 if number is None else number))
     return ExitCode.DONE
 
 
-def _reader(file: str | None, changes: dict[str, Any]) -> "Callable[[], Configuration]":
+def _reader(file: str | None, unit: int | None, changes: dict[str, Any]) -> "Callable[[], Configuration]":
     """Return a function that reads the server's configuration at the start and at each reload."""
-    from ..apps.server.configuration import load_configuration, parse_configuration
+    from ..apps.server.configuration import parse_configuration
+    from ..config.reading import read_text
 
     if file is None:
-        return lambda: parse_configuration(BUILT_IN, "busway serve", changes=changes)
+        number = 1 if unit is None else unit
+        return lambda: parse_configuration(BUILT_IN, "busway serve", changes=changes, unit=number)
     if "://" in file:
         raise ConfigError(f"is a file; where to listen is said by --listen {file}", key="FILE")
-    return lambda: load_configuration(file, changes=changes)
+
+    def read() -> "Configuration":
+        with hint_at_unit():
+            found = parse_configuration(read_text(file), file, changes=changes, unit=unit)
+        refuse_other_unit(file, unit, (number for section in found.file.unit for number in section.unit))
+        return found
+
+    return read
 
 
-async def _serve(service: "Service", file: str | None) -> None:
+async def _serve(service: "Service", file: str | None, unit: int) -> None:
     with stop_event() as stop:
         async with read_again_on_hangup(service), service:
             if file is None:
-                say(f"unit 1 has {ITEMS} coils, discrete inputs, input registers and holding registers")
+                say(f"unit {unit} has {ITEMS} coils, discrete inputs, input registers and holding registers")
             announce(service)
             await stop.wait()

@@ -64,7 +64,7 @@ if TYPE_CHECKING:
     from ..apps.server.interfaces import DeclaredServer
     from ..apps.server.service import Service
     from ..apps.simulator.simulation import Simulation
-    from ..apps.web.hosting import ControlPage
+    from ..apps.web.simulation_page import ControlPage
     from ..faults.fault import AppliedFault
     from ..faults.switchboard import FaultStatus
 
@@ -258,7 +258,7 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
     from ..options.text import host_and_port
 
     try:
-        from ..apps.web.hosting import ControlPage
+        from ..apps.web.simulation_page import ControlPage
     except ImportError as error:
         raise MissingExtra(error.name or "starlette", "web", purpose="the page", key="--api") from error
 

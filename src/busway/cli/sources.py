@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
+from .arguments import hint_at_unit, refuse_other_unit, unit_number
 from .exits import ExitCode
 
 if TYPE_CHECKING:
@@ -49,7 +50,9 @@ RANGE = typer.Option(
     None, "--range", metavar="A-B,…", help="With --clone without a map: offsets to search, 0-9999,40000-40999."
 )
 THOROUGH = typer.Option(False, "--thorough", help="With --clone without a map: search what seems empty, too.")
-UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="With --clone or --map: the unit, 0…255.")
+UNIT = typer.Option(
+    None, "-u", "--unit", metavar="U", help="The unit of --clone or --map, or of a FILE that does not say it: 0…255."
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,21 +77,19 @@ def chosen_source(
         file: path of a simulation file.
         device: name of a ready-made device.
         map_file: path of a register map.
-        unit: the unit number for the register map.
-        changes: options of listeners that replace the file's.
+        unit: the unit number for the register map, or for a file whose only unit has none.
+        changes: options of listeners that replace those of the file.
 
     Raises:
-        ConfigError: none is named or more than one, there is no such device, or ``unit`` is given without a register
-            map.
+        ConfigError: none is named or more than one, there is no such device, or ``unit`` is given with ``device``.
     """
-    from ..apps.simulator.includes import load_declaration
     from ..config.profiles import PREFIX, ready_made
 
     named = [key for key, value in (("FILE", file), ("--device", device), ("--map", map_file)) if value is not None]
     if len(named) != 1:
         raise ConfigError("one of FILE, --device and --map is needed", key=named[1] if named else "FILE")
-    if unit is not None and map_file is None:
-        raise ConfigError("goes with --clone and --map only", key="--unit")
+    if unit is not None and device is not None:
+        raise ConfigError("does not go with --device", key="--unit")
     if map_file is not None:
         path, number = map_file, unit
         return Chosen(path, lambda: _of_map(path, number, changes))
@@ -98,7 +99,17 @@ def chosen_source(
         except ConfigError as error:
             raise ConfigError(error.message, key=f"--device {device}") from None
     name = file if file is not None else f"{PREFIX}{device}"
-    return Chosen(name, lambda: load_declaration(name, changes=changes))
+    asked = unit_number(unit)
+    return Chosen(name, lambda: _of_file(name, asked, changes))
+
+
+def _of_file(name: str, unit: int | None, changes: dict[str, Any]) -> "SimulationDeclaration":
+    from ..apps.simulator.includes import load_declaration
+
+    with hint_at_unit():
+        found = load_declaration(name, changes=changes, unit=unit)
+    refuse_other_unit(name, unit, (number for each in found.units for number in each.section.unit))
+    return found
 
 
 def _of_map(path: str, unit: str | None, changes: dict[str, Any]) -> "SimulationDeclaration":
@@ -106,8 +117,9 @@ def _of_map(path: str, unit: str | None, changes: dict[str, Any]) -> "Simulation
     from ..apps.simulator.includes import parse_declaration
     from ..apps.simulator.register_map import read_register_map
     from ..config.files.simulation import SimulatedUnitSection
-    from .arguments import whole_number
 
-    number = 1 if unit is None else whole_number(unit, "--unit", 0, 255)
-    section = SimulatedUnitSection.model_validate({"unit": number, "point": read_register_map(path)})
+    number = unit_number(unit)
+    section = SimulatedUnitSection.model_validate(
+        {"unit": 1 if number is None else number, "point": read_register_map(path)}
+    )
     return parse_declaration(device_text([section]), path, changes=changes)

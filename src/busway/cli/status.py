@@ -1,6 +1,7 @@
 """``busway status``: shows the status of a running server or gateway, over its control socket.
 
-1. Without an argument the running programs of this user are found: one is shown, several are listed.
+1. Without an argument the running programs of this user are found: one is shown, several are listed. Collectors have no
+   control socket: their pages are named, and the command that shows more.
 2. A status indicator is a word; on a terminal its colour repeats it (S19: steady is *on*, blinking is *flashing*).
 3. All entries of the program's status are shown, also those that this command does not know; numbers that are zero and
    empty texts are left out.
@@ -8,6 +9,7 @@
 
 import sys
 from collections.abc import Iterator
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import typer
@@ -29,10 +31,11 @@ Examples:
   busway status /run/plant/control.sock --watch 2s
   busway status http://127.0.0.1:4711 --json
 
-Programs are asked over the socket that they make at their start (--control).
+Programs are asked over the socket that they make at their start (--control). Of collectors the pages are named, which
+show their status.
 """
 
-_WHOLE = ("listener", "connection", "process")
+_WHOLE = ("listener", "connection", "process", "page")
 """Columns whose cells are not wrapped on a narrow terminal."""
 
 
@@ -43,7 +46,7 @@ def status(
     as_json: bool = typer.Option(False, "--json", help="Print all that is told as one JSON object."),
     watch: str | None = typer.Option(None, "--watch", metavar="TIME", help="Ask again and again: 2s. Ends by Ctrl-C."),
 ) -> int:
-    """Show the status of a running server or gateway."""
+    """Show the status of a running server or gateway, and name the pages of collectors."""
     if watch is None:
         _show(_ask(where), as_json=as_json)
         return ExitCode.DONE
@@ -54,22 +57,29 @@ def status(
 def _ask(where: str | None) -> list[dict[str, Any]]:
     """Return the status of the program that ``where`` names, or of all running programs of this user.
 
+    Of a collector, it is the fields of `RunningCollector`.
+
     Raises:
         LinkDown: there is no such program.
         ConfigError: ``where`` is invalid.
     """
+    from ..apps.collector.running import find_collectors
     from ..apps.control.addresses import control_directories
     from ..apps.control.client import ask, find_one, find_running
 
     directories = control_directories()
+    collectors = [asdict(each) for each in find_collectors(*directories)]
     if where is not None:
-        return [ask(find_one(where, *directories))]
+        named = [each for each in collectors if str(each["pid"]) == where]
+        return named or [ask(find_one(where, *directories))]
     running = find_running(*directories)
-    if not running:
-        raise LinkDown("no server or gateway of yours is running, or none with a control socket", kind="missing")
+    if not running and not collectors:
+        raise LinkDown(
+            "no server, gateway or collector of yours is running, or none with a control socket", kind="missing"
+        )
     if len(running) == 1:
-        return [ask(running[0])]
-    return list(_tellers(running))
+        return [ask(running[0]), *collectors]
+    return [*_tellers(running), *collectors]
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
@@ -132,9 +142,12 @@ def _ask_again(where: str | None) -> list[dict[str, Any]]:
 
 
 def _sections(told: list[dict[str, Any]]) -> "list[StatusSection]":
-    from .status_view import list_of_programs, sections_of
+    from .status_view import collector_sections, list_of_programs, sections_of
 
-    return sections_of(told[0]) if len(told) == 1 else [list_of_programs(told)]
+    collectors = [one for one in told if "status" not in one]
+    programs = [one for one in told if "status" in one]
+    sections = sections_of(programs[0]) if len(programs) == 1 else [list_of_programs(programs)] if programs else []
+    return sections + collector_sections(collectors)
 
 
 def _print_plain(sections: "list[StatusSection]") -> None:

@@ -189,6 +189,23 @@ def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
     return StatusSection("", ("process", "name", "state", "uptime", "connections", "endpoints"), rows)
 
 
+def collector_sections(told: Sequence[JsonObject]) -> list[StatusSection]:
+    """Return the sections that name running collectors, and say where their status is; none without collectors.
+
+    Args:
+        told: the fields of `busway.apps.collector.running.RunningCollector`, of each collector.
+    """
+    if not told:
+        return []
+    rows = [[str(one["pid"]), one["file"], one["store"], one["page"] or "none"] for one in told]
+    sections = [StatusSection("", ("process", "collector", "store", "page"), rows)]
+    hint = "a collector shows its status on its page, and prints it every minute (busway collect --status-every)"
+    sections.append(StatusSection(hint))
+    if any(one["is_in_fleet"] for one in told):
+        sections.append(StatusSection("the collectors of a zone, their shards and sinks: busway fleet status"))
+    return sections
+
+
 def headline(told: JsonObject) -> str:
     """Return one line about a program: its name, endpoints and running time."""
     state = told["status"]

@@ -51,7 +51,7 @@ class TcpConnector:
         self._endpoint = endpoint
         self._sockets = sockets
         self._interface = interface
-        self._host = endpoint.host or "127.0.0.1"
+        self._host = endpoint.host
         # The port of a client is the system's choice (above 1024): a fixed one meets the half-open past of itself.
         self._local = (sockets.local_address, 0) if sockets.local_address else None
 
@@ -117,7 +117,7 @@ class UdpConnector:
         self._endpoint = endpoint
         self._sockets = sockets
         self._session = session
-        self._host = endpoint.host or "127.0.0.1"
+        self._host = endpoint.host
         self._is_whole = WHOLE[endpoint.framing]
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:

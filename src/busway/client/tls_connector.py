@@ -63,7 +63,7 @@ class TlsConnector:
         self._endpoint = endpoint
         self._sockets = sockets
         self._security = security
-        self._host = endpoint.host or "127.0.0.1"
+        self._host = endpoint.host
         self._port = endpoint.port or 0
         self._local = (sockets.local_address, 0) if sockets.local_address else None
         self._own_context = context

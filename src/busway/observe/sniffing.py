@@ -19,7 +19,7 @@ from ..errors import ConfigError, LinkDown
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
-from ..options.endpoints import Endpoint, parse_endpoint
+from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
 from ..options.offer import MONITORS, Offer
 from ..options.ports import OpeningParameters, SerialSettings
@@ -58,7 +58,7 @@ class SocketEar:
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
         """Connect to the device server that forwards the line's bytes. Raises `LinkDown`."""
         self._name = endpoint.url
-        address = endpoint.host or "127.0.0.1", endpoint.port or 0
+        address = endpoint.host, endpoint.port or 0
         try:
             self._socket = socket.create_connection(address, parameters.connect_timeout)
             configure(self._socket, parameters)
@@ -203,13 +203,15 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
             only its ``receive_buffer``. The host of a UDP URL is one of this machine, empty for all its IPv4 addresses.
 
     Raises:
-        ConfigError: another scheme, or an unknown option or value.
+        ConfigError: another scheme, no host of a device server on TCP, or an unknown option or value.
     """
     endpoint = parse_endpoint(url)
     if endpoint.framing == "mbap":
         raise ConfigError(
             f"{endpoint.url}: only a line can be listened to: rtu or ascii, alone or with +tcp or +udp",
         )
+    if endpoint.carrier == "tcp":
+        require_host(endpoint)
     chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(endpoint.options, of=endpoint.url)
     return LineToHear(
         endpoint,

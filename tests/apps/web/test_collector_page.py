@@ -73,7 +73,7 @@ def test_sinks_say_how_far_behind_they_are(plant: WatchedCollector) -> None:
 
 
 def test_the_page_and_all_that_it_names_are_served(plant: WatchedCollector) -> None:
-    waiting, seen = ["/"], set[str]()
+    waiting, seen = ["/", "/collector.js"], set[str]()
     while waiting:
         path = waiting.pop()
         if path in seen:
@@ -81,7 +81,7 @@ def test_the_page_and_all_that_it_names_are_served(plant: WatchedCollector) -> N
         seen.add(path)
         with urlopen(plant.page.url.rstrip("/") + path, timeout=60) as answer:
             text = answer.read().decode()
-        waiting += [f"/{name}" for name in re.findall(r'(?:src=|href=|from )"\.?/([^"]+)"', text)]
+        waiting += [f"/{name}" for name in re.findall(r'(?:src=|href=|from |import )"\.?/([^"]+)"', text)]
     assert {"/collector.js", "/history.js", "/dom.js", "/link.js", "/style.css", "/uplot/uPlot.esm.js"} <= seen
 
 

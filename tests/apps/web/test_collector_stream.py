@@ -12,7 +12,7 @@ from waiting import wait_until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
-from busway.apps.web import collector_stream
+from busway.apps.web import collector_stream, viewers
 from busway.apps.web.live_values import LiveValues
 
 
@@ -143,7 +143,7 @@ def test_more_points_than_fit_on_a_screen_are_refused(plant: WatchedCollector) -
 
 
 def test_there_is_a_limit_to_viewers(plant: WatchedCollector, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(collector_stream, "MOST_VIEWERS", 1)
+    monkeypatch.setattr(viewers, "MOST_VIEWERS", 1)
     with stream_of(plant) as socket:
         socket.recv(timeout=20)
         with pytest.raises((InvalidStatus, ConnectionClosed)), stream_of(plant) as other:
@@ -191,7 +191,7 @@ def test_an_event_that_waits_for_a_viewer_is_not_sent_once_its_token_is_removed(
         socket.recv(timeout=20)
 
         def at_once() -> None:  # before any tick
-            monkeypatch.setattr(collector_stream, "current_caller", lambda scope: None)
+            monkeypatch.setattr(viewers, "current_caller", lambda scope: None)
             stream.tell("command", {"key": "secret"})
 
         plant.loop.call_soon_threadsafe(at_once)

@@ -9,14 +9,11 @@ import pytest
 from page_plant import watched, watching
 
 import busway
-from busway.apps.web.collector_page import _SCRIPTS
-from busway.apps.web.hosting import ControlPage
+from busway.apps.web.simulation_page import ControlPage
 from busway.errors import ConfigError, LinkDown
 from busway.observe.trace import TRACE
 
 PAGE = files("busway.apps.web") / "page"
-COLLECTORS = {"collector.html", *(f"{name}.js" for name in _SCRIPTS)}
-"""What belongs to the page of the collector; test_collector_page.py looks at it."""
 
 
 @pytest.fixture(scope="module")
@@ -29,24 +26,30 @@ def test_the_page_and_all_that_it_names_are_served(plant):
     status, page, headers = plant.exchange("GET", "/")
     assert status == 200
     assert headers["content-type"].startswith("text/html")
-    named = re.findall(r'(?:src|href)="(/[^"]+)"', page.decode())
+    assert 'data-modules="simulation"' in page.decode()
+    named = {*re.findall(r'(?:src|href)="(/[^"]+)"', page.decode()), "/simulation.js"}
     assert "/app.js" in named
-    scripts = set(named)
-    for path in named:
-        if path.endswith(".js"):
-            scripts |= {
-                f"/{name}" for name in re.findall(r'from "\.?/([^"]+)"', plant.exchange("GET", path)[1].decode())
-            }
-    for path in scripts:
+    for path in named | scripts_of(plant, "/app.js") | scripts_of(plant, "/simulation.js"):
         assert plant.exchange("GET", path)[0] == 200, path
 
 
-def test_every_file_of_the_page_is_served_or_a_note(plant):
-    found = [one.name for one in PAGE.iterdir() if one.is_file()]
-    assert set(found) >= COLLECTORS
-    for name in set(found) - COLLECTORS:
-        path = "/" if name == "index.html" else f"/{name}"
-        assert plant.exchange("GET", path)[0] == 200, path
+def scripts_of(plant, path):
+    """The script of a path with all that it imports."""
+    found, waiting = set(), [path]
+    while waiting:
+        path = waiting.pop()
+        if path not in found:
+            found.add(path)
+            text = plant.exchange("GET", path)[1].decode()
+            waiting += [f"/{name}" for name in re.findall(r'(?:from|import) "\.?/([^"]+)"', text)]
+    return found
+
+
+def test_every_file_of_the_page_is_served_or_a_part_of_it_or_a_note(plant):
+    for one in PAGE.iterdir():
+        if one.is_file() and not one.name.endswith(".html"):
+            assert plant.exchange("GET", f"/{one.name}")[0] == 200, one.name
+    assert plant.exchange("GET", "/simulation.html")[0] == 404
     assert sorted(one.name for one in (PAGE / "uplot").iterdir()) == [
         "LICENSE",
         "NOTICE",
@@ -57,9 +60,9 @@ def test_every_file_of_the_page_is_served_or_a_note(plant):
 
 
 def test_the_page_brings_nothing_from_elsewhere_and_no_script_within_html():
-    html = (PAGE / "index.html").read_text(encoding="utf-8")
-    assert not re.search(r"<script(?![^>]*\bsrc=)", html)
-    assert not re.search(r"\son[a-z]+=|\sstyle=|<style", html)
+    for html in (one.read_text(encoding="utf-8") for one in PAGE.iterdir() if one.name.endswith(".html")):
+        assert not re.search(r"<script(?![^>]*\bsrc=)", html)
+        assert not re.search(r"\son[a-z]+=|\sstyle=|<style", html)
     own = [one.read_text(encoding="utf-8") for one in PAGE.iterdir() if one.name.endswith((".js", ".css", ".html"))]
     for text in own:
         assert not re.search(r"https?://(?!www\.w3\.org/)", text)
@@ -68,14 +71,9 @@ def test_the_page_brings_nothing_from_elsewhere_and_no_script_within_html():
 
 
 def test_the_page_is_small(plant):
-    paths = [
-        "/",
-        "/style.css",
-        "/uplot/uPlot.min.css",
-        "/uplot/uPlot.esm.js",
-        *(f"/{name}.js" for name in ("app", "points", "link", "dom", "trends", "traffic", "faults", "status")),
-    ]
-    whole = b"".join(plant.exchange("GET", path)[1] for path in paths)
+    paths = {"/", "/style.css", "/uplot/uPlot.min.css"} | scripts_of(plant, "/app.js")
+    paths |= scripts_of(plant, "/simulation.js")
+    whole = b"".join(plant.exchange("GET", path)[1] for path in sorted(paths))
     assert len(gzip.compress(whole)) < 100_000
 
 

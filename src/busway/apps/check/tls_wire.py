@@ -75,7 +75,7 @@ def changed_channel(
     endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
     context = None if change is TlsChange.PLAIN else _context(settings, change, given)
     try:
-        plain = socket.create_connection((endpoint.host or "127.0.0.1", endpoint.port or 0), limit)
+        plain = socket.create_connection((endpoint.host, endpoint.port or 0), limit)
     except OSError as error:
         raise link_down(error, endpoint=endpoint.url) from error
     if context is None:

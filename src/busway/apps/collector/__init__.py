@@ -22,6 +22,7 @@
 `device_status`   The status of a polled device: whether it answers, and what its reads have brought
 `learnt_file`     The file beside the store in which a collector keeps what it learns about devices, over restarts
 `sample_readers`  The programs that follow the samples of a running collector
+`running`         Notes by which `busway status` finds the running collectors of this user
 `report_rules`    Which report rule holds for a point, in the store and towards sinks
 `reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file
 `point_names`     Which points have other names after the configuration was read again: for store, alarms and totals

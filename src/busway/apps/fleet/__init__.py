@@ -13,6 +13,7 @@
 `control_entries`  the entries of operators: the plant's configuration, and which collectors are drained
 `fleet_status`     the status of a zone: collectors, owners of shards, configuration
 `zone_watch`       follows a zone for its web page: the status now, and times in which shards had no owner
+`stream_head`      the number of the newest message of a zone's stream, for the lag of sinks on the page
 `fleet_metrics`    the metrics of one collector in its fleet, for Prometheus
 `ownership_log`    the record of what this collector owned when, and of the epoch of its samples; it decides nothing
 `messages`         samples of one link as a message

@@ -19,7 +19,7 @@ from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
 from ...config.files.file_error import FileError
 from ...config.files.lines import Path as Place
-from ...config.files.schema import parse_with_source
+from ...config.files.schema import read_source, with_unit
 from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links
 from ...config.paths import rooted, within
@@ -195,7 +195,12 @@ def load_configuration(
 
 
 def parse_configuration(
-    text: str, name: str, *, preflight: bool = False, changes: Mapping[str, Any] | None = None
+    text: str,
+    name: str,
+    *,
+    preflight: bool = False,
+    changes: Mapping[str, Any] | None = None,
+    unit: int | None = None,
 ) -> Configuration:
     """Parse the configuration of a system from a TOML text.
 
@@ -203,12 +208,14 @@ def parse_configuration(
         text: the contents of the file.
         name: path of the file, for errors; paths in the text are relative to its folder. The file is not read.
         preflight, changes: as of `load_configuration`.
+        unit: number of the file's only ``[[unit]]`` if the text does not say it.
 
     Raises:
         FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
     """
     try:
-        file, source = parse_with_source(text, SystemFile, name)
+        source = with_unit(read_source(text, name), unit)
+        file = source.checked(SystemFile)
     except FileError as error:
         raise _what_reads_it(error) from None
     report = ConfigurationReport(source)

@@ -23,7 +23,7 @@ from typing import Any, Final
 
 from ...config.files.file_error import FileError
 from ...config.files.lines import Path
-from ...config.files.schema import Source, in_order, read_source
+from ...config.files.schema import Source, in_order, read_source, with_unit
 from ...config.files.simulation import (
     IncludeSection,
     Parameter,
@@ -91,24 +91,30 @@ class SimulationDeclaration:
 
 
 def load_declaration(
-    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None
+    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None, unit: int | None = None
 ) -> SimulationDeclaration:  # Any: options of several types
     """Load a simulation file with all its includes.
 
     Args:
         path: path of the file, in TOML. Every device file and every configuration file is a simulation file too.
-        changes: options of listeners, by name, that override the file's.
+        changes: options of listeners, by name, that override those of the file.
+        unit: number of the file's only ``[[unit]]`` if the file does not say it.
 
     Raises:
         ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
             key.
     """
     name = os.fspath(path)
-    return parse_declaration(read_profile(name), name, changes=changes)
+    return parse_declaration(read_profile(name), name, changes=changes, unit=unit)
 
 
 def parse_declaration(
-    text: str, name: str, *, changes: Mapping[str, Any] | None = None, read: Reader = read_included
+    text: str,
+    name: str,
+    *,
+    changes: Mapping[str, Any] | None = None,
+    read: Reader = read_included,
+    unit: int | None = None,
 ) -> SimulationDeclaration:
     """Parse the text of a simulation file, with all its includes.
 
@@ -117,11 +123,12 @@ def parse_declaration(
         name: name of the file, for errors; paths in the text are relative to its folder.
         changes: options of listeners, by name, that override the file's.
         read: returns the text of an included file by its path.
+        unit: as of `load_declaration`.
 
     Raises:
         FileError: the file or an included one is invalid; the error has all problems, each with file, line and key.
     """
-    source = read_source(text, name)
+    source = with_unit(read_source(text, name), unit)
     source = replace(source, data=own_units(FilledSource(source, declared_parameters(source, {}, None))))
     file = source.checked(SimulationFile)
     if problems := fault_problems(file.fault, source):

@@ -1,11 +1,14 @@
-"""The pages of a simulation and of a collector with their APIs: HTTP, one WebSocket, and the files of the pages.
+"""The page of a simulation, of a collector or of a fleet: one application with modules, its API and one WebSocket.
 
 =====================  =================================================================================================
 `hosting`              Serves a web page and its HTTP API on one address, in the running event loop
+`application`          The one application of all pages: shell, modules of the program, files, and the caller's role
 `access`               Access control of a web page: host, origin, caller and size of every request
 `connections`          Limits the connections of a page: their number, and the times for requests and messages
 `operations`           The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
 `messages`             What requests and responses of all pages have in common: base classes, errors, values as JSON
+`viewers`              The WebSockets of open pages: how a viewer is accepted, served and closed
+`simulation_page`      The web page of a simulation: its module, and the page that shows it
 `simulation_messages`  Requests and responses of a simulation's HTTP API, as data classes
 `simulation_api`       The HTTP API of a simulation's page: points, faults, connections, traffic
 `simulation_stream`    `/stream` of a simulation's page: a WebSocket that sends changes to viewers as JSON texts
@@ -18,18 +21,20 @@
 `collector_log`        The latest log messages of a collector, for its page: records of all loggers of busway
 `live_values`          Last committed values of all points, and what changed since a tick, for all viewers
 `fleet_page`           The fleet on the page of one of its collectors, and over HTTP
-`page`                 HTML, style and script
+`page`                 HTML, style and scripts: the shell, and the modules `simulation`, `collector` and `fleet`
 `simulation_faults`    Faults of a simulation as its HTTP API shows and changes them
 `page_tokens`          The file with the access tokens of a page: created at the first start, for its owner alone
 `collector_alarms`     The alarms of a collector and the maintenance of its devices, over HTTP
 =====================  =================================================================================================
 
 1. This package needs the extra ``web``, and is imported only when a page is started.
-2. A page runs in the event loop of its simulation or collector, so it never reads a state that is half changed.
+2. There is one shell, one navigation, one rule of access and one set of files; a program adds its modules to them.
+3. A page runs in the event loop of its simulation or collector, so it never reads a state that is half changed.
 
 Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections there may
 be, and how long each may wait: `connections`. Which tokens are valid: `page_tokens`. How an error is answered:
 `operations`. What a viewer of a collector is sent, and when: `live_values`, `collector_stream`; of a simulation:
-`simulation_stream`. In which time a viewer must take a message: `connections`. What a command from the page needs:
+`simulation_stream`. In which time a viewer must take a message, and
+that its token still holds: `viewers`. What a page consists of: `application`. What a command from the page needs:
 `collector_commands`.
 """

@@ -11,13 +11,6 @@ from pydantic import Field
 from .messages import Answer, Plain
 
 
-class CallerAnswer(Answer):
-    """Response: who asks, and what that role may do."""
-
-    name: str
-    role: str = Field(description="view, operate or configure; each includes those before it.")
-
-
 class CollectorAnswer(Answer):
     """Response: name, size and store of a collector."""
 

@@ -16,7 +16,7 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Final, Literal
 
-from fastapi import Depends, FastAPI, Query
+from fastapi import FastAPI, Query
 from starlette.exceptions import HTTPException
 from starlette.routing import WebSocketRoute
 
@@ -31,12 +31,12 @@ from ..collector.samples import NANOSECONDS, Quality, Value, quality_of, reason_
 from ..collector.store.query_results import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
-from .access import ROLES, Application, Caller, PageAccessRules, Role, require
+from .access import ROLES, PageAccessRules, Role
+from .application import PageModule
 from .collector_alarms import AlarmApi
 from .collector_commands import CommandsApi
 from .collector_log import MOST_LINES, CollectorLog
 from .collector_messages import (
-    CallerAnswer,
     CollectedDevices,
     CollectedPoint,
     CollectedPoints,
@@ -54,7 +54,7 @@ from .collector_messages import (
     TrendAnswer,
 )
 from .collector_stream import CollectorStream
-from .hosting import SHARED_FILES, HostedPage, guarded, page_application
+from .hosting import HostedPage
 from .messages import Failure, plain_value
 from .page_tokens import TOKEN_FILE, KeptTokens
 
@@ -70,15 +70,6 @@ _PLAN_SECONDS: Final = 30.0
 """Seconds for which ``/api/links`` shows the same read plan; then it is computed anew."""
 _LONGEST: Final = 366 * 86_400.0
 _MILLION: Final = 1_000_000
-_SCRIPTS: Final = (
-    "alarms", "collector", "collector_log", "commands", "configuration", "devices", "fleet", "history",
-    "session", "values",
-)  # fmt: skip
-_FILES: Final = {
-    **SHARED_FILES,
-    "/": ("collector.html", "text/html; charset=utf-8"),
-    **{f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8") for name in _SCRIPTS},
-}
 
 
 class CollectorPage(HostedPage):
@@ -93,12 +84,17 @@ class CollectorPage(HostedPage):
 
     Attributes:
         token_path: the file with the page's tokens; created by `start` if it does not exist.
+        title, description, name: of the OpenAPI document, and of the module.
         api: the routes that only read.
         commands: the routes for commands and the configuration.
 
     Raises:
         ConfigError: the address is invalid, or the tokens cannot be read or made.
     """
+
+    title = "busway collector"
+    description = "Last values, history, links, devices and sinks of a collector."
+    name = "collector"
 
     def __init__(self, collector: Collector, at: str, fleet: "FleetApi | None" = None) -> None:
         configuration = collector.configuration
@@ -122,19 +118,15 @@ class CollectorPage(HostedPage):
     def _lasting(self) -> contextlib.AbstractContextManager[object]:
         return self.api.log
 
-    def resources(self) -> FastAPI:
-        """Return the page's HTTP API as a FastAPI application, without the page's files and access rules."""
-        inner = page_application("busway collector", "Last values, history, links, devices and sinks of a collector.")
-        self.api.add_to(inner)
-        self.commands.add_to(inner)
-        AlarmApi(self._collector).add_to(inner)
-        if self._fleet is not None:
-            self._fleet.add_to(inner)
-        return inner
+    def modules(self) -> list[PageModule]:
+        """Return the modules that the page shows: the collector, and its fleet if it is in one."""
+        return [self, *([] if self._fleet is None else [self._fleet])]
 
-    def application(self, rules: PageAccessRules) -> Application:
-        """Return the ASGI application that serves the collector's page and API under these access rules."""
-        return guarded(self.resources(), _FILES, rules)
+    def add_to(self, application: FastAPI) -> None:
+        """Add the routes of the collector to a FastAPI application."""
+        self.api.add_to(application)
+        self.commands.add_to(application)
+        AlarmApi(self._collector).add_to(application)
 
 
 def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
@@ -183,7 +175,6 @@ class CollectorApi:
     def add_to(self, application: FastAPI) -> None:
         """Add these routes and the WebSocket ``/stream`` to a FastAPI application."""
         add = application.add_api_route
-        add("/api/caller", self.get_caller, methods=["GET"], summary="The caller and its role")
         add("/api/collector", self.get_collector, methods=["GET"], summary="The collector and its store")
         add("/api/points", self.list_points, methods=["GET"], summary="The points that are collected")
         add("/api/values", self.list_values, methods=["GET"], summary="The last committed value of each point")
@@ -199,10 +190,6 @@ class CollectorApi:
             summary="The history of a point, in buckets",
             responses={404: {"model": Failure, "description": "There is no such point."}},
         )
-
-    async def get_caller(self, caller: Annotated[Caller, Depends(require(Role.VIEW))]) -> CallerAnswer:
-        """Return name and role of the caller."""
-        return CallerAnswer(name=caller.name, role=caller.role.label)
 
     async def get_collector(self) -> CollectorAnswer:
         """Return name, number of devices and store of the collector, its last error, and whether it needs a restart."""

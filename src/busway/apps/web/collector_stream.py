@@ -25,17 +25,17 @@ from collections.abc import Iterable, Mapping
 from typing import Annotated, Any, Final
 
 from pydantic import Field, ValidationError
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket
 
 from ...errors import ConfigError
 from ..collector.admission import MOST_LOAD
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
-from .access import BEARER_PROTOCOL, POLICY_VIOLATION, Caller, caller_of, current_caller
-from .connections import MOST_VIEWERS, PROTOCOL, SEND_SECONDS
+from .access import Caller, caller_of
 from .live_values import LiveValues
 from .messages import Asked, plain_value
+from .viewers import Gone, accept, check, converse, send
 
 TICK: Final = 0.5
 """Seconds between two ticks: least time between two messages with values to the same viewer."""
@@ -45,8 +45,6 @@ MOST_EVENTS: Final = 256
 LEASED_PERIOD: Final = 1.0
 LEASE_SECONDS: Final = 10.0
 _LEASE_EVERY: Final = 4.0
-_TRY_AGAIN_LATER: Final = 1013
-_UNSUPPORTED: Final = 1003
 _MILLION: Final = 1_000_000
 _REVISIONS: Final = 1 << 30
 
@@ -169,32 +167,22 @@ class CollectorStream:
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends; close it at once if there are `MOST_VIEWERS` already."""
-        if len(self._viewers) >= MOST_VIEWERS:
-            await socket.close(_TRY_AGAIN_LATER, f"there are {MOST_VIEWERS} already")
+        """Serve the WebSocket of one open page until it ends; closes it at once if there are too many."""
+        if not await accept(socket, len(self._viewers)):
             return
-        offered = socket.scope.get("subprotocols", [])
-        shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)
-        await socket.accept(PROTOCOL if PROTOCOL in offered or shows_token else None)
         viewer = Viewer(caller_of(socket.scope))
         self._viewers.append(viewer)
         if self._ticker is None:
             self._ticker = asyncio.create_task(self._tick(), name="busway page ticks")
             self._ticker.add_done_callback(self._ticks_ended)
-        sender = asyncio.create_task(_send(socket, viewer))
         try:
-            await self._receive(socket, viewer)
-        except WebSocketDisconnect:
-            pass
+            await converse(socket, _send(socket, viewer), lambda text: self._take(viewer, text))
         finally:
             self._viewers.remove(viewer)
-            ended = [sender]
             if not self._viewers and self._ticker is not None:
-                ended.append(self._ticker)
-                self._ticker = None
-            for task in ended:
-                task.cancel()
-            await asyncio.gather(*ended, return_exceptions=True)
+                ticker, self._ticker = self._ticker, None
+                ticker.cancel()
+                await asyncio.gather(ticker, return_exceptions=True)
 
     def _ticks_ended(self, task: "asyncio.Task[None]") -> None:
         if not task.cancelled() and task.exception() is not None:
@@ -203,19 +191,16 @@ class CollectorStream:
             )
             self._ticker = None
 
-    async def _receive(self, socket: WebSocket, viewer: Viewer) -> None:
-        while True:
-            message = await socket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            try:
-                wanted = Shown.model_validate_json(message.get("text") or "")
-            except ValidationError:
-                await socket.close(_UNSUPPORTED, f'expected {{"shown": [at most {MOST_SHOWN} places]}}')
-                return
-            count = len(self.points)
-            viewer.shown = tuple(place for place in wanted.shown if place < count)
-            self._leased_at = 0.0
+    def _take(self, viewer: Viewer, text: str) -> str:
+        """Take over which points a page shows. Returns why its message is refused; empty if it is not."""
+        try:
+            wanted = Shown.model_validate_json(text)
+        except ValidationError:
+            return f'expected {{"shown": [at most {MOST_SHOWN} places]}}'
+        count = len(self.points)
+        viewer.shown = tuple(place for place in wanted.shown if place < count)
+        self._leased_at = 0.0
+        return ""
 
     async def _tick(self) -> None:
         while True:
@@ -297,27 +282,16 @@ def _points_of(collector: Collector) -> list[tuple[str, str]]:
 
 
 async def _send(socket: WebSocket, viewer: Viewer) -> None:
-    while True:
-        await viewer.wake.wait()
-        viewer.wake.clear()
-        if current_caller(socket.scope) != viewer.caller:
-            viewer.shown = ()
-            await _close(socket, POLICY_VIOLATION, "what its token permits has changed")
-            return
-        try:
-            async with asyncio.timeout(SEND_SECONDS):
-                if viewer.message:
-                    text, viewer.message = viewer.message, ""
-                    await socket.send_text(text)
-                    viewer.is_sending = False
-                while viewer.events:
-                    await socket.send_text(viewer.events.popleft())
-        except TimeoutError:
-            await _close(socket, _TRY_AGAIN_LATER, "it takes nothing")
-            return
-
-
-async def _close(socket: WebSocket, code: int, reason: str) -> None:
-    with contextlib.suppress(RuntimeError):  # it has ended meanwhile
-        if socket.application_state is WebSocketState.CONNECTED:
-            await socket.close(code, reason)
+    try:
+        while True:
+            await viewer.wake.wait()
+            viewer.wake.clear()
+            await check(socket)
+            if viewer.message:
+                text, viewer.message = viewer.message, ""
+                await send(socket, text)
+                viewer.is_sending = False
+            while viewer.events:
+                await send(socket, viewer.events.popleft())
+    except Gone:
+        viewer.shown = ()

@@ -5,7 +5,10 @@ polls. Shown are owners, epochs (numbers of ownerships), loads, how far sinks ar
 owner). Knows what the coordinator says of the zone, and the shapes of responses; asks no collector.
 """
 
+import asyncio
+import math
 import time
+from collections.abc import Awaitable, Callable
 from typing import Final
 
 from fastapi import FastAPI
@@ -15,6 +18,8 @@ from ..fleet.zone_watch import ZoneWatch
 from .messages import Answer
 
 MOST_SHARDS: Final = 1100
+NEWEST_SECONDS: Final = 2.0
+"""Seconds for which the number of the newest message of the stream is not asked again, however many pages are open."""
 
 
 class FleetCollectorAnswer(Answer):
@@ -56,6 +61,7 @@ class FleetSinkAnswer(Answer):
 
     name: str
     taken: int = Field(description="Number of the last message that it has taken.")
+    behind: int | None = Field(description="Messages of the stream that it has not taken; null if not known.")
 
 
 class FleetAnswer(Answer):
@@ -76,10 +82,20 @@ class FleetApi:
 
     Args:
         watch: what the coordinator says of the zone, kept up to date.
+        newest: returns the number of the newest message of the zone's stream, None if not known; asked at most every
+            `NEWEST_SECONDS`. None for a zone without a stream.
+
+    Attributes:
+        name: the name of the page's module.
     """
 
-    def __init__(self, watch: ZoneWatch) -> None:
-        self._watch = watch
+    name: Final = "fleet"
+
+    def __init__(self, watch: ZoneWatch, newest: Callable[[], Awaitable[int | None]] | None = None) -> None:
+        self._watch, self._newest = watch, newest
+        self._known: int | None = None
+        self._asked_at = -math.inf
+        self._asking = asyncio.Lock()
 
     def add_to(self, application: FastAPI) -> None:
         """Add the route to a FastAPI application."""
@@ -90,7 +106,7 @@ class FleetApi:
 
         At most `MOST_SHARDS` shards are listed.
         """
-        status = self._watch.status()
+        status, newest = self._watch.status(), await self._newest_message()
         return FleetAnswer(
             now=time.time_ns() // 1_000_000,
             is_complete=self._watch.is_complete,
@@ -127,5 +143,16 @@ class FleetApi:
                 )
                 for each in self._watch.holes()
             ],
-            sinks=[FleetSinkAnswer(name=name, taken=taken) for name, taken in self._watch.sinks().items()],
+            sinks=[
+                FleetSinkAnswer(name=name, taken=taken, behind=None if newest is None else max(0, newest - taken))
+                for name, taken in self._watch.sinks().items()
+            ],
         )
+
+    async def _newest_message(self) -> int | None:
+        async with self._asking:
+            now = time.monotonic()
+            if self._newest is not None and now - self._asked_at >= NEWEST_SECONDS:
+                self._known = await self._newest()
+                self._asked_at = time.monotonic()
+            return self._known

@@ -1,109 +1,41 @@
 """Serves a web page and its HTTP API on one address, in the running event loop.
 
-Knows sockets, the files of the page and the HTTP server; knows no resource.
+Knows sockets and the HTTP server; knows no file and no resource of the page (`application` does).
 
 1. On a loopback address no token is needed. On other addresses a token is created unless the user gives one. It is
    behind ``#`` in the URL of the page, a part that a browser does not send.
-2. The page consists of files of this package alone: its content security policy (CSP) allows no other files, and no
-   script within HTML.
-3. Everything has a limit: connections, bytes of a request and of a message, seconds of an idle connection.
+2. Everything has a limit: connections, bytes of a request and of a message, seconds of an idle connection.
 """
 
 import asyncio
 import contextlib
-import hashlib
 import logging
 import socket
 from abc import ABC, abstractmethod
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from http import HTTPStatus
-from importlib.resources import files
+from collections.abc import Iterator, Sequence
 from types import TracebackType
-from typing import Any, Final, Self, cast
+from typing import Any, ClassVar, Final, Self, cast
 
 import uvicorn
 from fastapi import FastAPI
-from starlette.requests import Request
-from starlette.responses import Response
-from starlette.routing import Route, WebSocketRoute
 
 from ...errors import ConfigError
 from ...observe.http import bind_tcp, bound_name
-from ...options.endpoints import parse_endpoint
 from ...options.text import host_and_port
 from ...options.tls import TlsParameters
 from ...transport.tls.context import WatchedContext, web_context
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
-from .access import AccessToken, Application, Message, PageAccess, PageAccessRules, Receive, Role, Scope, Send
-from .connections import SharedConnections, Throttle
-from .operations import failed, new_application, secure_document
+from .access import AccessToken, Application, PageAccessRules, Role
+from .application import PageModule, guarded, page_resources
+from .connections import SharedConnections
 from .page_tokens import SHORTEST_TOKEN, is_token, new_token
-from .simulation_api import Api
-from .simulation_stream import Streams
-from .simulation_subject import PageSubject
-from .simulation_traffic import Traffic
 
-_errors = logging.getLogger("busway.apps.web.errors")
-"""Log of requests that failed with an unexpected error. Each message is logged at most once a minute, as a client can
-repeat such a request without limit.
-"""
-_errors.addFilter(Throttle())
-
-DEFAULT_ADDRESS: Final = "127.0.0.1:8502"
 KEY: Final = "api"
 _WISH_LIMIT: Final = 256 * 1024
 """Most bytes of a WebSocket message from a browser."""
 _KEEP_ALIVE: Final = 15
 _STOP_SECONDS: Final = 1
-_FILES: Final = {
-    "/": ("index.html", "text/html; charset=utf-8"),
-    "/style.css": ("style.css", "text/css; charset=utf-8"),
-    "/icon.svg": ("icon.svg", "image/svg+xml"),
-    "/uplot/uPlot.min.css": ("uplot/uPlot.min.css", "text/css; charset=utf-8"),
-    "/uplot/uPlot.esm.js": ("uplot/uPlot.esm.js", "text/javascript; charset=utf-8"),
-    "/uplot/LICENSE": ("uplot/LICENSE", "text/plain; charset=utf-8"),
-} | {
-    f"/{name}.js": (f"{name}.js", "text/javascript; charset=utf-8")
-    for name in ("app", "link", "points", "trends", "traffic", "faults", "status", "dom")
-}
-FilesByPath = Mapping[str, tuple[str, str]]
-"""Static files of a page: by URL path, the file's name below the folder ``page`` and its content type."""
-SHARED_FILES: Final[FilesByPath] = {
-    path: _FILES[path]
-    for path in (
-        "/style.css",
-        "/icon.svg",
-        "/uplot/uPlot.min.css",
-        "/uplot/uPlot.esm.js",
-        "/uplot/LICENSE",
-        "/link.js",
-        "/dom.js",
-    )
-}
-"""The files that every page has."""
-_HEADERS: Final = (
-    (
-        b"content-security-policy",
-        b"default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
-        b" base-uri 'none'; form-action 'none'; frame-ancestors 'none'",
-    ),
-    (b"x-content-type-options", b"nosniff"),
-    (b"x-frame-options", b"DENY"),
-    (b"referrer-policy", b"no-referrer"),
-    (b"cross-origin-resource-policy", b"same-origin"),
-    (b"cross-origin-opener-policy", b"same-origin"),
-)
-
-
-@dataclass(frozen=True, slots=True)
-class _File:
-    """One static file of the web page: its bytes, content type and HTTP ``ETag``."""
-
-    content: bytes
-    kind: str
-    tag: str
 
 
 class HostedPage(ABC):
@@ -117,12 +49,16 @@ class HostedPage(ABC):
         tls: certificate and key for HTTPS, and the authority of clients' certificates; None for HTTP.
 
     Attributes:
+        title, description: title and description of the OpenAPI document of the page's API.
         url: URL of the page, without the token; empty while the page is stopped.
         token: token that requests must carry; empty if no token is needed.
 
     Raises:
         ConfigError: the address is invalid, or the token is too short.
     """
+
+    title: ClassVar[str]
+    description: ClassVar[str]
 
     def __init__(self, at: str, *, token: str | None = None, key: str = KEY, tls: TlsParameters | None = None) -> None:
         if token is not None and not is_token(token):
@@ -139,8 +75,16 @@ class HostedPage(ABC):
         self._opened = contextlib.ExitStack()
 
     @abstractmethod
+    def modules(self) -> Sequence[PageModule]:
+        """Return the modules that the page shows, in the order of their views."""
+
+    def resources(self) -> FastAPI:
+        """Return the page's HTTP API as a FastAPI application, without the page's files and access rules."""
+        return page_resources(self.title, self.description, self.modules())
+
     def application(self, rules: PageAccessRules) -> Application:
         """Return the ASGI application that serves page and API under these access rules; called by `start`."""
+        return guarded(self.resources(), [module.name for module in self.modules()], rules)
 
     def _lasting(self) -> contextlib.AbstractContextManager[object]:
         """Return a context manager that is entered while the page is served; a subclass may override it."""
@@ -225,96 +169,6 @@ class HostedPage(ABC):
         await self.stop()
 
 
-class ControlPage(HostedPage):
-    """The web page of a simulation with its API; it is served while the ``async with`` block lasts::
-
-        async with ControlPage(simulation) as page:
-            print(page.url)
-
-    Args:
-        subject: the running simulation.
-        at: host and port to listen on; port 0 takes a free port.
-        token: token that every request to the API must carry. None: no token is needed on a loopback address, and a new
-            token is created on other addresses.
-        name: name of the simulation, which the page shows.
-
-    Attributes:
-        traffic: the latest Modbus frames of the simulation; recorded while the page is served.
-        api: the HTTP API of the simulation.
-        streams: the WebSockets of the open pages.
-
-    Raises:
-        ConfigError: the address is invalid, the token is too short, or (from `start`) traffic is already recorded.
-    """
-
-    def __init__(
-        self,
-        subject: PageSubject,
-        at: str = DEFAULT_ADDRESS,
-        *,
-        token: str | None = None,
-        name: str = "simulation",
-    ) -> None:
-        super().__init__(at, token=token)
-        self.traffic: Traffic = Traffic(self._ports)
-        self.api: Api = Api(subject, self.traffic, name)
-        self.streams: Streams = Streams(self.api)
-
-    @contextlib.contextmanager
-    def _lasting(self) -> Iterator[None]:
-        self.traffic.start()
-        try:
-            yield
-        finally:
-            self.traffic.stop()
-
-    def application(self, rules: PageAccessRules) -> Application:
-        """Return the ASGI application that serves the simulation's page and API under these access rules."""
-        inner = page_application(
-            "busway simulator",
-            "Values, faults and traffic of a simulated plant. The WebSocket /stream reports events as they happen.",
-        )
-        self.api.add_to(inner)
-        inner.routes.append(WebSocketRoute("/stream", self.streams.serve))
-        return guarded(inner, _FILES, rules)
-
-    def _ports(self) -> set[int]:
-        endpoints = [parse_endpoint(url) for url in self.api.server.endpoints]
-        return {one.port for one in endpoints if one.port is not None}
-
-
-def page_application(title: str, description: str) -> FastAPI:
-    """Return a FastAPI application without routes. Unexpected errors of its routes are logged and answered with 500.
-
-    Args:
-        title: title of the OpenAPI document.
-        description: description in the OpenAPI document.
-    """
-    return new_application(title, description, {Exception: _failed})
-
-
-def guarded(inner: FastAPI, shown: FilesByPath, rules: PageAccessRules) -> Application:
-    """Return the ASGI application of a page: an API, the files of the page, access rules and common HTTP headers.
-
-    Args:
-        inner: application with the routes of the API; routes for the files are added to it.
-        shown: the files of the page; requests for them need no token.
-        rules: who may use the page.
-    """
-    page = _read_files(shown)
-
-    async def show_file(request: Request) -> Response:
-        found = page[request.url.path]
-        headers = {"ETag": found.tag, "Cache-Control": "no-cache"}
-        if request.headers.get("if-none-match") == found.tag:
-            return Response(status_code=HTTPStatus.NOT_MODIFIED, headers=headers)
-        return Response(found.content, media_type=found.kind, headers=headers)
-
-    inner.routes.extend(Route(path, show_file) for path in page)
-    secure_document(inner)
-    return _with_headers(PageAccess(inner, rules, lambda path: path in page))
-
-
 class _Server(uvicorn.Server):
     """The HTTP server of the page (uvicorn), changed to leave signals to the program and to report when it listens.
 
@@ -368,38 +222,6 @@ def _configured(application: Application, context: WatchedContext | None) -> uvi
         timeout_keep_alive=_KEEP_ALIVE,
         timeout_graceful_shutdown=_STOP_SECONDS,
     )
-
-
-def _read_files(shown: FilesByPath) -> dict[str, _File]:
-    """Return the static files of a web page, by URL path."""
-    place = files(__package__) / "page"
-    found = {}
-    for path, (name, kind) in shown.items():
-        content = place.joinpath(name).read_bytes()
-        found[path] = _File(content, kind, f'"{hashlib.sha256(content).hexdigest()[:16]}"')
-    return found
-
-
-def _with_headers(inner: Application) -> Application:
-    """Return an ASGI application that passes requests to ``inner`` and adds the page's common HTTP headers."""
-
-    async def application(scope: Scope, receive: Receive, send: Send) -> None:
-        async def send_more(message: Message) -> None:
-            if message["type"] == "http.response.start":
-                headers: list[tuple[bytes, bytes]] = [*message["headers"], *_HEADERS]
-                if not any(name.lower() == b"cache-control" for name, _ in headers):
-                    headers.append((b"cache-control", b"no-store"))
-                message = {**message, "headers": headers}
-            await send(message)
-
-        await inner(scope, receive, send_more)
-
-    return application
-
-
-async def _failed(request: Request, error: Exception) -> Response:
-    _errors.error("a request could not be answered", exc_info=error)
-    return failed(HTTPStatus.INTERNAL_SERVER_ERROR, "it could not be answered; the log says why")
 
 
 def _reachable_name(bound: socket.socket) -> str:

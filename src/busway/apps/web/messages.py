@@ -32,6 +32,13 @@ class Failure(Answer):
     error: str = Field(description="A sentence.")
 
 
+class CallerAnswer(Answer):
+    """Response: who asks, and what that role may do."""
+
+    name: str
+    role: str = Field(description="view, operate or configure; each includes those before it.")
+
+
 def plain_value(value: Any) -> Plain:
     """Return a value in a form that JSON can represent (`Plain`).
 

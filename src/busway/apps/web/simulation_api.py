@@ -12,13 +12,14 @@ from dataclasses import dataclass, field
 from http import HTTPStatus
 from typing import Annotated, Any, Final, cast
 
-from fastapi import FastAPI, Query
+from fastapi import Depends, FastAPI, Query
 from starlette.exceptions import HTTPException
 
 from ...errors import ModbusError
 from ...values.refusal import shown
 from ...version import __version__
 from ..control.json_status import plain
+from .access import Role, require
 from .messages import Failure, plain_value
 from .simulation_faults import add_fault_to, all_fault_profiles, all_faults, fault_named
 from .simulation_messages import (
@@ -89,34 +90,65 @@ class Api:
         """Add the routes of the API to a FastAPI application."""
         get, put, post, patch, delete = ([name] for name in ("GET", "PUT", "POST", "PATCH", "DELETE"))
         add = application.add_api_route
+        operates = [Depends(require(Role.OPERATE))]
         add("/api/simulation", self.get_simulation, methods=get, summary="The simulation")
         add(
             "/api/simulation",
             self.change_simulation,
             methods=patch,
+            dependencies=operates,
             summary="Change the speed, pause it, let it go on",
         )
         add("/api/units", self.list_units, methods=get, summary="The units")
         add("/api/points", self.list_points, methods=get, summary="Points")
         add("/api/values", self.get_values, methods=get, summary="All values by key")
-        add("/api/values", self.set_values, methods=post, summary="Set many values")
+        add("/api/values", self.set_values, methods=post, dependencies=operates, summary="Set many values")
         add(_POINT, self.get_point, methods=get, responses=_NO_POINT, summary="A point")
-        add(_POINT, self.set_point, methods=put, responses=_NO_POINT, summary="Set a value, against its behaviour")
+        add(
+            _POINT,
+            self.set_point,
+            methods=put,
+            dependencies=operates,
+            responses=_NO_POINT,
+            summary="Set a value, against its behaviour",
+        )
         add(
             "/api/units/{unit}/release/{name:path}",
             self.release_point,
             methods=post,
+            dependencies=operates,
             responses=_NO_POINT,
             summary="Let a point follow its behaviour again",
         )
         add("/api/faults", self.list_faults, methods=get, summary="Faults, and what can be put on")
-        add("/api/faults", self.add_fault, methods=post, status_code=201, summary="Put a fault on")
-        add(_FAULT, self.switch_fault, methods=patch, responses=_NO_FAULT, summary="Switch a fault on or off")
-        add(_FAULT, self.remove_fault, methods=delete, responses=_NO_FAULT, summary="Take a fault off")
+        add(
+            "/api/faults",
+            self.add_fault,
+            methods=post,
+            dependencies=operates,
+            status_code=201,
+            summary="Put a fault on",
+        )
+        add(
+            _FAULT,
+            self.switch_fault,
+            methods=patch,
+            dependencies=operates,
+            responses=_NO_FAULT,
+            summary="Switch a fault on or off",
+        )
+        add(
+            _FAULT,
+            self.remove_fault,
+            methods=delete,
+            dependencies=operates,
+            responses=_NO_FAULT,
+            summary="Take a fault off",
+        )
         add("/api/connections", self.list_connections, methods=get, summary="Connections")
         add("/api/lines", self.list_lines, methods=get, summary="Listeners and their status indicators")
         add("/api/counters", self.get_counters, methods=get, summary="Counters")
-        add("/api/counters/reset", self.reset_counters, methods=post, summary="Set them to zero")
+        add("/api/counters/reset", self.reset_counters, methods=post, dependencies=operates, summary="Set them to zero")
         add("/api/traffic", self.list_traffic, methods=get, summary="The last frames")
 
     # The simulation.

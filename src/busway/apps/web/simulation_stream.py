@@ -20,12 +20,11 @@ from collections.abc import Callable, Sequence
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, ValidationError
-from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
+from starlette.websockets import WebSocket
 
-from .access import BEARER_PROTOCOL
-from .connections import MOST_VIEWERS, PROTOCOL, SEND_SECONDS
 from .messages import Asked, plain_value
 from .simulation_api import Api
+from .viewers import Gone, accept, converse, send
 
 INTERVAL: Final = 0.1
 """Least seconds between two messages to one viewer."""
@@ -37,8 +36,6 @@ MOST_POINTS: Final = 5000
 simulation down.
 """
 FRAMES_AT_ONCE: Final = 50
-_TRY_AGAIN_LATER: Final = 1013
-_UNSUPPORTED: Final = 1003
 
 Index = Annotated[int, Field(ge=0)]
 
@@ -200,54 +197,15 @@ class Streams:
         return len(self._viewers)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends; close it at once if there are `MOST_VIEWERS` already."""
-        if len(self._viewers) >= MOST_VIEWERS:
-            await socket.close(_TRY_AGAIN_LATER, f"there are {MOST_VIEWERS} already")
+        """Serve the WebSocket of one open page until it ends; closes it at once if there are too many."""
+        if not await accept(socket, len(self._viewers)):
             return
-        offered = socket.scope.get("subprotocols", [])
-        shows_token = any(one.startswith(BEARER_PROTOCOL) for one in offered)
-        await socket.accept(PROTOCOL if PROTOCOL in offered or shows_token else None)
         viewer = SimulationViewer(self._api)
         self._join(viewer)
-        sender = asyncio.create_task(self._send(socket, viewer))
         try:
-            await self._receive(socket, viewer)
-        except WebSocketDisconnect:
-            pass
+            await converse(socket, _send(socket, viewer), lambda text: _take(viewer, text))
         finally:
             self._leave(viewer)
-            sender.cancel()
-            await asyncio.gather(sender, return_exceptions=True)
-
-    async def _receive(self, socket: WebSocket, viewer: SimulationViewer) -> None:
-        while True:
-            message = await socket.receive()
-            if message["type"] == "websocket.disconnect":
-                return
-            text = message.get("text")
-            if text is None:
-                await socket.close(_UNSUPPORTED, "what was sent is no text")
-                return
-            try:
-                problem = viewer.wish(Wish.model_validate_json(text))
-            except ValidationError:
-                problem = "invalid request; expected keys: points, traffic, after"
-            if problem:
-                await socket.close(_UNSUPPORTED, problem)
-                return
-
-    async def _send(self, socket: WebSocket, viewer: SimulationViewer) -> None:
-        while True:
-            text = json.dumps(await viewer.next(), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
-            try:
-                async with asyncio.timeout(SEND_SECONDS):
-                    await socket.send_text(text)
-            except TimeoutError:
-                with contextlib.suppress(RuntimeError):
-                    if socket.application_state is WebSocketState.CONNECTED:
-                        await socket.close(_TRY_AGAIN_LATER, "it takes nothing")
-                return
-            await asyncio.sleep(INTERVAL)
 
     # Watching the simulation.
 
@@ -293,3 +251,18 @@ class Streams:
     def _say(self, say: Callable[[SimulationViewer], None]) -> None:
         for viewer in self._viewers:
             say(viewer)
+
+
+def _take(viewer: SimulationViewer, text: str) -> str:
+    try:
+        return viewer.wish(Wish.model_validate_json(text))
+    except ValidationError:
+        return "invalid request; expected keys: points, traffic, after"
+
+
+async def _send(socket: WebSocket, viewer: SimulationViewer) -> None:
+    with contextlib.suppress(Gone):
+        while True:
+            text = json.dumps(await viewer.next(), ensure_ascii=False, separators=(",", ":"), allow_nan=False)
+            await send(socket, text)
+            await asyncio.sleep(INTERVAL)

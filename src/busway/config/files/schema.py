@@ -13,7 +13,7 @@ import math
 import re
 import tomllib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from difflib import get_close_matches
 from functools import reduce
 from inspect import get_annotations
@@ -199,6 +199,20 @@ def read_source(text: str, name: str) -> Source:
         raise FileError([_syntax_problem(text, error, name)]) from error
     except (ValueError, RecursionError) as error:
         raise FileError([_exhausting_problem(text, error, name)]) from error
+
+
+def with_unit(source: Source, unit: int | None) -> Source:
+    """Return a file whose only ``[[unit]]`` gets this number if it has none; any other file, and for None, unchanged.
+
+    A device file of one device may leave its number to the command line.
+    """
+    sections = source.data.get("unit")
+    if unit is None or not isinstance(sections, list) or len(sections) != 1:
+        return source
+    (section,) = sections
+    if not isinstance(section, dict) or "unit" in section:
+        return source
+    return replace(source, data={**source.data, "unit": [{"unit": unit, **section}]})
 
 
 def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, Source]:

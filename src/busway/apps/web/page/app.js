@@ -1,114 +1,92 @@
-// Puts the page together: views as tabs, colours, the stream and what is done with its messages.
+// The shell of every page: the modules that the program has, their views, who the user is, and the stream.
+//
+// A module is a file with `start(shell)`, which gives what the shell needs of it, all of it optional:
+//   views   by the id of a section: `refresh`, asked for each second, and `setVisible`
+//   load    asks for what the stream does not send, before the stream begins
+//   take    gets each message of the stream
+//   about   asks for what stands above the views, each second
+//   hint    where the user finds a token
 
 import { byId, setText } from "./dom.js";
-import { FaultView } from "./faults.js";
-import { Refusal, Stream, ask, useToken } from "./link.js";
-import { PointTable } from "./points.js";
-import { StatusView } from "./status.js";
-import { TrafficView } from "./traffic.js";
-import { Trends } from "./trends.js";
+import { Refusal, Stream, hasToken } from "./link.js";
+import { askForToken, learnRole, offerTokens, onRole, session, takeRole } from "./session.js";
+import { Views } from "./views.js";
+import "./theme.js";
 
-const VIEWS = ["points", "trends", "traffic", "faults", "server"];
-const THEMES = ["auto", "light", "dark"];
+const PERIOD = 1000;
+const AGAIN = 3000;
 const STATES = { waiting: "connecting", live: "live", down: "not connected" };
 
-const stream = new Stream(take, (state) => {
-  byId("live").dataset.state = state;
-  setText(byId("live"), STATES[state]);
-});
-const trends = new Trends(() => {
-  table.redraw();
-  if (!table.followsAll) table.followVisible();
-});
-const table = new PointTable(stream, trends);
-const traffic = new TrafficView(stream);
-const faults = new FaultView();
-const status = new StatusView();
+let begun = 0;
 
-function take(message) {
-  if (message.points) table.take(message.points, message.time);
-  if (message.traffic) traffic.take(message.traffic, message.skipped);
-  if (message.faults) faults.take(message.faults);
-  if (message.status) status.take(message.status);
+function state(name, text = STATES[name]) {
+  byId("live").dataset.state = name;
+  setText(byId("live"), text);
 }
 
-// Views.
+const stream = new Stream(
+  (message) => {
+    if (message.caller) takeRole(message.caller);
+    for (const one of modules) one.take?.(message);
+  },
+  (name) => {
+    state(name);
+    if (name === "down") askAgain();
+  },
+);
 
-function show(view, focus) {
-  for (const one of VIEWS) {
-    const tab = byId(`tab-${one}`);
-    const isShown = one === view;
-    tab.setAttribute("aria-selected", isShown);
-    tab.tabIndex = isShown ? 0 : -1;
-    byId(one).hidden = !isShown;
-    if (isShown && focus) tab.focus();
-  }
-  trends.setVisible(view === "trends");
-  traffic.setVisible(view === "traffic");
-  status.setVisible(view === "server");
-  if (location.hash !== `#${view}`) history.replaceState(null, "", `#${view}`);
-}
-
-for (const [at, view] of VIEWS.entries()) {
-  const tab = byId(`tab-${view}`);
-  tab.addEventListener("click", () => show(view, true));
-  tab.addEventListener("keydown", (event) => {
-    const to = { ArrowRight: at + 1, ArrowLeft: at - 1, Home: 0, End: VIEWS.length - 1 }[event.key];
-    if (to === undefined) return;
-    event.preventDefault();
-    show(VIEWS[(to + VIEWS.length) % VIEWS.length], true);
-  });
-}
-addEventListener("hashchange", () => {
-  const wanted = location.hash.slice(1);
-  if (VIEWS.includes(wanted)) show(wanted, false);
-});
-
-// Colours.
-
-function colours(theme) {
-  if (theme === "auto") delete document.documentElement.dataset.theme;
-  else document.documentElement.dataset.theme = theme;
-  setText(byId("theme"), `Theme: ${theme}`);
-  table.redraw();
-  trends.redraw();
-}
-
-let theme = localStorage.getItem("busway-theme");
-if (!THEMES.includes(theme)) theme = "auto";
-byId("theme").addEventListener("click", () => {
-  theme = THEMES[(THEMES.indexOf(theme) + 1) % THEMES.length];
-  localStorage.setItem("busway-theme", theme);
-  colours(theme);
-});
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => colours(theme));
-
-// The beginning.
-
-byId("token-form").addEventListener("submit", () => {
-  useToken(byId("token-input").value);
-  begin();
-});
-
+/** Everything that is loaded first, then the stream. What is begun meanwhile, with another token, takes its place. */
 async function begin() {
+  begun += 1;
+  const mine = begun;
   try {
-    await ask("GET", "/api/simulation");
-    await table.load();
-    trends.use(table);
-    await faults.load();
-    stream.open();
+    await learnRole();
+    for (const one of modules) {
+      await one.load?.(() => mine === begun);
+      if (mine !== begun) return;
+    }
+    stream.reopen();
+    await about();
   } catch (error) {
-    if (error instanceof Refusal && error.status === 401) {
-      byId("token").showModal();
-    } else {
-      setText(byId("live"), error.message);
-      byId("live").dataset.state = "down";
-      setTimeout(begin, 3000);
+    if (mine !== begun) return;
+    if (error instanceof Refusal && error.status === 401) askForToken(hasToken() ? error.message : "");
+    else {
+      state("down", error.message);
+      setTimeout(() => mine === begun && begin(), AGAIN);
     }
   }
 }
 
-colours(theme);
-const wanted = location.hash.slice(1);
-show(VIEWS.includes(wanted) ? wanted : "points", false);
+/** The stream has ended or could not begin: perhaps the token is taken no longer, or permits something else now. */
+async function askAgain() {
+  const mine = begun;
+  try {
+    await learnRole();
+  } catch (error) {
+    if (mine !== begun || error.status !== 401) return; // begun anew, or nothing answers: the stream tries again
+    stream.stop();
+    state("down", error.message);
+    askForToken(error.message);
+  }
+}
+
+const about = () => Promise.all(modules.map((one) => one.about?.()));
+
+async function keepUp() {
+  if (!document.hidden) {
+    await about().catch(() => {}); // the stream says when nothing answers
+    await views.refresh();
+  }
+  setTimeout(keepUp, PERIOD);
+}
+
+const names = document.body.dataset.modules.split(" ");
+const views = new Views(); // first: the modules look for the badges of their tabs
+const shell = { stream, begin, refresh: (id) => views.shown === id && views.refresh() };
+const modules = (await Promise.all(names.map((name) => import(`/${name}.js`)))).map((module) => module.start(shell));
+views.use(Object.assign({}, ...modules.map((one) => one.views)));
+setText(byId("token-hint"), modules.find((one) => one.hint)?.hint ?? "");
+onRole(() => (document.body.dataset.role = session.role));
+offerTokens(begin);
 begin();
+setTimeout(keepUp, PERIOD);

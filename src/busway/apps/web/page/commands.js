@@ -3,12 +3,12 @@
 
 import { byId, clockSeconds, element, keyed, setText, valueText } from "./dom.js";
 import { ask } from "./link.js";
+import { isInexact, typedNumber } from "./typed.js";
 
-const NUMBER = /^[+-]?(\d+(\.\d*)?|\.\d+)([eE][+-]?\d+)?$/;
 const STATES = { on: true, true: true, 1: true, off: false, false: false, 0: false };
 const OUTCOMES = { done: "Written", failed: "Not written", refused: "Refused", expired: "Expired, nothing was sent", unknown: "It is not known whether it was written" };
 
-/** A value as it was typed; throws a sentence. Decimals are never guessed: 1,5 may be one and a half, or a list. */
+/** A value as it was typed; throws a sentence. */
 export function typedValue(text, kind) {
   const typed = text.trim();
   if (!typed) throw new Error("Type a value.");
@@ -18,12 +18,8 @@ export function typedValue(text, kind) {
     if (state === undefined) throw new Error(`${typed} is no state: type on or off.`);
     return state;
   }
-  if (typed.includes(",")) throw new Error(`${typed} is no number: decimals stand behind a point, as in 1.5, and nothing groups digits.`);
-  if (!NUMBER.test(typed)) throw new Error(`${typed} is no number: type it as 12, -3.5 or 1e-3.`);
-  const number = Number(typed);
-  if (!Number.isFinite(number)) throw new Error(`${typed} is too large.`);
-  if (/^[+-]?\d+$/.test(typed) && !Number.isSafeInteger(number)) throw new Error(`A browser cannot send ${typed} exactly; use the API.`);
-  return number;
+  if (isInexact(typed)) throw new Error(`A browser cannot send ${typed} exactly; use the API.`);
+  return typedNumber(typed);
 }
 
 /** The values of a point that are chosen rather than typed, by what the list says; empty for a point of any number. */

@@ -1,19 +1,9 @@
 // Devices, links and sinks: how they do, and the maintenance of a device.
 
-import { byId, element, keyed, setText } from "./dom.js";
+import { byId, element, fill, keyed, percent, setText } from "./dom.js";
 import { ask } from "./link.js";
 import { may } from "./session.js";
 import { ago } from "./values.js";
-
-const percent = (part) => `${(100 * part).toFixed(1)} %`;
-
-/** Fill a table; `cells` gives the texts of an item. */
-export function fill(id, items, keyOf, cells, numbers) {
-  const make = (item) =>
-    element("tr", {}, ...cells(item).map((_, at) => element(at ? "td" : "th", { class: numbers.includes(at) ? "number" : false, scope: at ? false : "row" })));
-  const update = (row, item) => cells(item).forEach((text, at) => setText(row.children[at], String(text)));
-  keyed(byId(id), items, keyOf, make, update);
-}
 
 export class DeviceView {
   constructor() {

@@ -108,3 +108,14 @@ export function keyed(parent, items, keyOf, make, update) {
   }
   for (const child of known.values()) child.remove();
 }
+
+/** Fill a table; `cells` gives the texts of an item. */
+export function fill(id, items, keyOf, cells, numbers) {
+  const make = (item) =>
+    element("tr", {}, ...cells(item).map((_, at) => element(at ? "td" : "th", { class: numbers.includes(at) ? "number" : false, scope: at ? false : "row" })));
+  const update = (row, item) => cells(item).forEach((text, at) => setText(row.children[at], String(text)));
+  keyed(byId(id), items, keyOf, make, update);
+}
+
+/** A part of a whole in words. */
+export const percent = (part) => `${(100 * part).toFixed(1)} %`;

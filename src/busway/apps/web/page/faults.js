@@ -2,6 +2,7 @@
 
 import { byId, element, keyed, setText, valueText } from "./dom.js";
 import { ask } from "./link.js";
+import { typedNumber } from "./typed.js";
 
 export class FaultView {
   constructor() {
@@ -145,9 +146,11 @@ function plain(text) {
 }
 
 function number(text, label) {
-  const found = Number(text.replace(",", "."));
-  if (Number.isNaN(found)) throw new Error(`${label}: a number is needed.`);
-  return found;
+  try {
+    return typedNumber(text);
+  } catch (error) {
+    throw new Error(`${label}: ${error.message}`);
+  }
 }
 
 /** The numbers of "1, 5, 10-12". */

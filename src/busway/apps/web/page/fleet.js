@@ -1,13 +1,13 @@
-// The zone of a collector that is one of a fleet: who owns what, how far behind, and when nothing was owned.
+// The module of a fleet: the zone of a collector: who owns what, how far behind, and when nothing was owned.
 
-import { fill } from "./devices.js";
-import { byId, setText } from "./dom.js";
+import { byId, fill, percent, setText } from "./dom.js";
 import { ask } from "./link.js";
 
-const percent = (part) => `${(100 * part).toFixed(1)} %`;
+export const start = () => ({ views: { fleet: { refresh: showFleet } } });
+
 const seconds = (hole) => ((hole.end - hole.begin) / 1000).toFixed(1);
 
-export async function showFleet() {
+async function showFleet() {
   const found = await ask("GET", "/api/fleet");
   const away = found.is_complete ? "" : "The coordinator is away; this is what was known last. ";
   const file = found.revision ? `Configuration: revision ${found.revision}, ${found.configuration}` : "No configuration was applied.";
@@ -19,5 +19,7 @@ export async function showFleet() {
   byId("no-holes").hidden = found.holes.length > 0;
   byId("hole-table").hidden = found.holes.length === 0;
   fill("shard-rows", found.shards, (each) => each.shard, (each) => [each.shard, each.owner || "free", each.epoch, percent(each.load)], [3]);
-  setText(byId("fleet-sinks"), found.sinks.map((each) => `Sink ${each.name} has taken ${each.taken} messages of the stream.`).join(" "));
+  fill("fleet-sink-rows", found.sinks, (each) => each.name, (each) => [each.name, each.behind ?? "not known", each.taken], [1, 2]);
+  byId("no-fleet-sinks").hidden = found.sinks.length > 0;
+  byId("fleet-sink-table").hidden = found.sinks.length === 0;
 }

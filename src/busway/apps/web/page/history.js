@@ -1,8 +1,10 @@
 // The history of one point from the store: mean as a line, minimum and maximum as a band, gaps as gaps.
 
 import uPlot from "/uplot/uPlot.esm.js";
+import { axis } from "./charts.js";
 import { byId, colour, setText } from "./dom.js";
 import { ask } from "./link.js";
+import { onTheme } from "./theme.js";
 
 const AGAIN = 5000;
 const HEIGHT = 260;
@@ -15,19 +17,27 @@ export class History {
     byId("span").addEventListener("change", () => this.load());
     byId("history-close").addEventListener("click", () => this.close());
     new ResizeObserver(() => this.chart?.setSize({ width: byId("chart").clientWidth, height: HEIGHT })).observe(byId("chart"));
+    onTheme(() => {
+      this.remove();
+      if (this.point) this.load();
+    });
     setInterval(() => this.point && !document.hidden && this.load(), AGAIN);
   }
 
   show(point) {
     this.point = point;
-    this.chart?.destroy();
-    this.chart = null;
+    this.remove();
     setText(byId("history-name"), `${point.device}/${point.point}`);
     setText(byId("history-message"), "");
     byId("history").hidden = false;
     byId("history-name").focus();
     byId("history").scrollIntoView({ block: "nearest" });
     return this.load();
+  }
+
+  remove() {
+    this.chart?.destroy();
+    this.chart = null;
   }
 
   close() {
@@ -61,14 +71,12 @@ export class History {
   }
 
   made() {
-    const line = colour("--line");
-    const axis = { stroke: colour("--soft"), grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 } };
     const edge = { stroke: "transparent", points: { show: false }, spanGaps: false };
     const options = {
       width: byId("chart").clientWidth,
       height: HEIGHT,
       scales: { x: { time: true } },
-      axes: [axis, { ...axis, label: this.point.unit_of_measure || undefined }],
+      axes: [axis(), axis({ label: this.point.unit_of_measure || undefined })],
       series: [
         { label: "Time" },
         { ...edge, label: "Maximum" },

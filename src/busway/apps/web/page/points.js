@@ -4,11 +4,13 @@
 // 2. The table is one stop of the Tab key; within it the arrows choose a row, Enter opens it, T puts it among the trends.
 // 3. A value is set in two steps: what is about to happen is said before it happens.
 
+import { Course, Sparkline } from "./course.js";
 import { byId, colour, eachFrame, element, numberOf, setText, valueText } from "./dom.js";
 import { ask, pointPath } from "./link.js";
+import { onTheme } from "./theme.js";
 import { FULL } from "./trends.js";
+import { isInexact, typedNumber } from "./typed.js";
 
-const COURSE = 60; // values of a course
 const SPARE = 4; // rows above and below what can be seen
 const PAGE = 2000; // points of one request
 const MOST = 5000; // that are followed all at once; of more, only those that can be seen
@@ -32,6 +34,7 @@ export class PointTable {
     this.grid.addEventListener("focus", () => this.mark());
     this.rows.addEventListener("click", (event) => this.click(event));
     new ResizeObserver(() => this.resize()).observe(this.grid);
+    onTheme(() => this.redraw());
     for (const id of ["search", "unit", "writable"]) byId(id).addEventListener("input", () => this.filter());
   }
 
@@ -66,8 +69,7 @@ export class PointTable {
       point.last_writer = writer;
       point.held = held;
       const number = numberOf(value);
-      point.course[point.next] = number;
-      point.next = (point.next + 1) % COURSE;
+      point.course.push(number);
       this.changed.add(index);
       this.trends.changed(point, number, time);
     }
@@ -152,7 +154,6 @@ export class PointTable {
 
   /** Draw everything anew: the colours have changed, or what stands among the trends. */
   redraw() {
-    Row.colour = "";
     for (const row of this.pool.values()) row.isFresh = true;
     this.draw();
   }
@@ -223,15 +224,13 @@ function known(point, unitName) {
     unitName,
     labels: new Map(Object.entries(point.enumeration).map(([name, number]) => [number, name])),
     text: `${point.key} ${unitName} ${point.address} ${point.description} ${point.unit_of_measure} ${point.table}`.toLowerCase(),
-    course: new Float64Array(COURSE).fill(NaN),
-    next: 0,
+    course: new Course(),
   };
 }
 
 /** One row of the table; shows one point after the other. */
 class Row {
   static made = 0;
-  static colour = "";
 
   constructor(parent) {
     this.name = element("span", { class: "c-name", role: "rowheader" });
@@ -244,9 +243,9 @@ class Row {
     this.value.append(this.number, this.measure);
     this.raw = element("span", { class: "c-raw", role: "gridcell" });
     this.writer = element("span", { class: "c-writer", role: "gridcell" });
-    this.canvas = element("canvas", { "aria-hidden": "true" });
+    this.spark = new Sparkline();
     this.trend = element("button", { type: "button", class: "quiet", tabindex: "-1", "data-act": "trend" }, "Trend");
-    this.set = element("button", { type: "button", class: "quiet", tabindex: "-1", "data-act": "set" }, "Set");
+    this.set = element("button", { type: "button", class: "quiet", tabindex: "-1", "data-act": "set", "data-needs": "operate" }, "Set");
     this.element = element(
       "div",
       { class: "row", role: "row", id: `row-${(Row.made += 1)}` },
@@ -254,7 +253,7 @@ class Row {
       this.value,
       this.raw,
       this.writer,
-      element("span", { class: "c-spark", role: "gridcell" }, this.canvas),
+      element("span", { class: "c-spark", role: "gridcell" }, this.spark.canvas),
       element("span", { class: "c-do", role: "gridcell" }, this.trend, this.set),
     );
     parent.append(this.element);
@@ -287,42 +286,7 @@ class Row {
     setText(this.writer, point.last_writer);
     this.element.classList.toggle("held", point.held);
     this.trend.setAttribute("aria-pressed", isTrend);
-    this.drawCourse();
-  }
-
-  drawCourse() {
-    const canvas = this.canvas;
-    const scale = window.devicePixelRatio || 1;
-    const width = Math.round(110 * scale);
-    const height = Math.round(28 * scale);
-    if (canvas.width !== width) canvas.width = width;
-    if (canvas.height !== height) canvas.height = height;
-    const context = (this.context ??= canvas.getContext("2d"));
-    context.clearRect(0, 0, width, height);
-    const { course, next } = this.point;
-    let low = Infinity;
-    let high = -Infinity;
-    let count = 0;
-    for (const value of course) {
-      count += value === value;
-      if (value < low) low = value;
-      if (value > high) high = value;
-    }
-    if (!count) return;
-    const range = high - low || 1;
-    const rise = (height - 4 * scale) / range;
-    const step = width / (COURSE - 1);
-    context.strokeStyle = Row.colour ||= colour("--accent");
-    context.lineWidth = 1.5 * scale;
-    context.beginPath();
-    if (count === 1) context.moveTo(0, height / 2);
-    for (let place = 0; place < COURSE; place++) {
-      const value = course[(next + place) % COURSE];
-      if (value !== value) continue;
-      const y = high === low ? height / 2 : height - 2 * scale - (value - low) * rise;
-      context.lineTo(place * step, y);
-    }
-    context.stroke();
+    this.spark.draw(point.course);
   }
 }
 
@@ -500,12 +464,11 @@ function valueFrom(input, point) {
   if (Object.keys(point.enumeration).length) return text;
   if (/^(u?int|float|bcd)/.test(point.type)) {
     if (["NaN", "Infinity", "-Infinity"].includes(text) && point.type.startsWith("float")) return text;
-    const number = Number(text.replace(",", "."));
-    if (text === "" || !Number.isFinite(number)) throw new Error("A number is needed.");
+    if (text === "") throw new Error("Type a value.");
+    const number = typedNumber(text);
     if (point.minimum !== null && number < point.minimum) throw new Error(`It must be at least ${point.minimum}.`);
     if (point.maximum !== null && number > point.maximum) throw new Error(`It must be at most ${point.maximum}.`);
-    if (Number.isInteger(number) && !Number.isSafeInteger(number)) return text;
-    return number;
+    return isInexact(text) ? text : number;
   }
   if (Array.isArray(point.value)) return text.split(",").map((one) => (one.trim() === "on" ? true : one.trim() === "off" ? false : Number(one)));
   return text;

@@ -27,6 +27,7 @@ export function takeRole(caller) {
   Object.assign(session, caller);
   setText(byId("who"), session.name === session.role ? session.role : `${session.name}: ${session.role}`);
   setText(byId("sign"), hasToken() ? "Sign out" : "Sign in");
+  byId("sign").hidden = !hasToken() && may("configure"); // there is no more to get
   for (const told of listeners) told();
 }
 

@@ -1,6 +1,6 @@
 // The server: its listeners with their status indicators, its connections, what it counts; and the head of the page.
 
-import { byId, bytesText, duration, element, keyed, setText } from "./dom.js";
+import { byId, bytesText, duration, element, fill, keyed, setText } from "./dom.js";
 import { ask } from "./link.js";
 
 const INDICATORS = [
@@ -28,7 +28,7 @@ export class StatusView {
     if (document.title !== `${simulation.name} – busway simulator`) document.title = `${simulation.name} – busway simulator`;
     const speed = simulation.speed !== 1 ? `, ${simulation.speed} × speed` : "";
     const clock = ` · ${duration(Math.floor(simulation.time))}${speed}${simulation.paused ? ", paused" : ""}`;
-    setText(byId("endpoints"), simulation.endpoints.join("  ") + clock);
+    setText(byId("summary"), simulation.endpoints.join("  ") + clock);
     byId("pause").hidden = false;
     setText(byId("pause"), simulation.paused ? "Resume plant" : "Pause plant");
     if (this.isVisible) this.draw();
@@ -43,7 +43,7 @@ export class StatusView {
   draw() {
     const { lines, connections, counters } = this.status;
     keyed(byId("lines"), lines, (line) => line.endpoint, makeLine, updateLine);
-    keyed(byId("connections").tBodies[0], connections, (one) => `${one.listener} ${one.peer}`, makeConnection, updateConnection);
+    fill("connection-rows", connections, (one) => `${one.listener} ${one.peer}`, connectionCells, [2, 3, 4, 5]);
     byId("connections").hidden = connections.length === 0;
     byId("connections-empty").hidden = connections.length > 0;
     counts(byId("counters"), counters);
@@ -82,15 +82,9 @@ function updateLine(card, line) {
   counts(card.querySelector("dl"), { open: is_open, listen_only, requests, foreign, damaged, abandoned, event_count, ...line.counters });
 }
 
-function makeConnection() {
-  const cells = ["", "", "number", "number", "number", "number"];
-  return element("tr", {}, ...cells.map((name) => element("td", name ? { class: name } : {})));
-}
-
-function updateConnection(row, one) {
+function connectionCells(one) {
   const who = one.role ? `${one.peer} (${one.role})` : one.peer;
-  const texts = [who, one.state, String(one.requests), bytesText(one.received), bytesText(one.sent), duration(Math.floor(one.age))];
-  texts.forEach((text, at) => setText(row.cells[at], text));
+  return [who, one.state, one.requests, bytesText(one.received), bytesText(one.sent), duration(Math.floor(one.age))];
 }
 
 /** Counters as a list; what they hold themselves stands behind their name. */

@@ -5,7 +5,9 @@
 // 3. It is drawn at most five times a second, and only while it can be seen.
 
 import uPlot from "/uplot/uPlot.esm.js";
-import { byId, clockSeconds, colour, element, setText } from "./dom.js";
+import { axis } from "./charts.js";
+import { byId, clockSeconds, element, setText } from "./dom.js";
+import { onTheme } from "./theme.js";
 
 const MOST_POINTS = 8;
 export const FULL = `At most ${MOST_POINTS} points fit into the chart.`;
@@ -33,10 +35,14 @@ export class Trends {
     byId("trend-name").addEventListener("input", () => this.propose());
     byId("span").addEventListener("change", () => this.schedule());
     new ResizeObserver(() => this.fit()).observe(byId("chart"));
+    onTheme(() => this.redraw());
   }
 
   use(table) {
     this.table = table;
+    this.points = [];
+    this.times = [];
+    this.columns = [];
     this.propose();
     const kept = JSON.parse(sessionStorage.getItem("busway-trends") || "[]");
     for (const key of kept) {
@@ -74,7 +80,7 @@ export class Trends {
   add() {
     const point = this.table?.byKey.get(byId("trend-name").value.trim());
     if (!point) {
-      setText(byId("trend-message"), "There is no point of this name.");
+      setText(byId("trend-message"), this.table ? "There is no point of this name." : "The points are still being loaded.");
       return;
     }
     byId("trend-name").value = "";
@@ -160,8 +166,6 @@ export class Trends {
     const place = byId("chart");
     if (!this.points.length || !place.clientWidth) return;
     const isDark = getComputedStyle(document.documentElement).colorScheme === "dark";
-    const line = colour("--line");
-    const axis = { stroke: colour("--soft"), grid: { stroke: line, width: 1 }, ticks: { stroke: line, width: 1 } };
     const measures = [...new Set(this.points.map((point) => point.unit_of_measure))];
     const most = Math.max(Math.floor(place.clientWidth / 2 / AXIS), 2);
     const spare = Math.min(Math.max(place.clientWidth / 2 / measures.length - AXIS, 0), 12); // keeps figures off the label
@@ -170,15 +174,15 @@ export class Trends {
       height: Math.max(place.clientHeight - 40, 160),
       scales: { x: { time: true } },
       axes: [
-        { ...axis, values: (_, moments) => moments.map(clockSeconds), space: 80 },
+        { ...axis(), values: (_, moments) => moments.map(clockSeconds), space: 80 },
         ...measures.slice(0, most).map((measure, at) => ({
-          ...axis,
+          ...axis(),
           scale: `y-${measure}`,
           label: measure || (measures.length > 1 ? "no unit" : undefined),
           labelSize: AXIS - TICKS,
           size: TICKS + spare,
           side: at ? 1 : 3,
-          grid: at ? { show: false } : axis.grid,
+          ...(at && { grid: { show: false } }),
         })),
       ],
       series: [
@@ -197,7 +201,7 @@ export class Trends {
       ],
     };
     this.chart = new uPlot(options, [this.times, ...this.columns], place);
-    this.fit();
+    requestAnimationFrame(() => this.fit()); // its legend has a height only now
     this.schedule();
   }
 

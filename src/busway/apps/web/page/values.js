@@ -1,10 +1,11 @@
 // The table of values: thousands of points, of which only the rows that can be seen exist.
 // It takes the messages of the stream and tells it which points are shown.
 
-import { byId, colour, eachFrame, element, keyed, numberOf, setText, valueText } from "./dom.js";
+import { Course, Sparkline } from "./course.js";
+import { byId, eachFrame, element, keyed, numberOf, setText, valueText } from "./dom.js";
 import { may, onRole } from "./session.js";
+import { onTheme } from "./theme.js";
 
-const COURSE = 48;
 const BEYOND = 4;
 const MOST_SHOWN = 200;
 const QUALITY_UNREAD = "none";
@@ -19,25 +20,6 @@ export function ago(now, then) {
   return seconds < 172800 ? `${Math.round(seconds / 3600)} h` : `${Math.round(seconds / 86400)} d`;
 }
 
-/** The last numbers of a point. */
-class Course {
-  constructor() {
-    this.numbers = new Float64Array(COURSE);
-    this.length = 0;
-    this.next = 0;
-  }
-
-  push(number) {
-    this.numbers[this.next] = number;
-    this.next = (this.next + 1) % COURSE;
-    if (this.length < COURSE) this.length += 1;
-  }
-
-  at(index) {
-    return this.numbers[(this.next - this.length + index + COURSE) % COURSE];
-  }
-}
-
 export class ValueTable {
   constructor(stream, actions) {
     this.stream = stream;
@@ -47,6 +29,7 @@ export class ValueTable {
     this.reasons = { 0: ["good", ""] };
     this.clock = 0;
     this.shown = "";
+    this.sparks = new WeakMap(); // by row
     this.redraw = eachFrame(() => this.draw());
     byId("search").addEventListener("input", () => this.filter());
     byId("quality").addEventListener("change", () => this.filter());
@@ -54,6 +37,7 @@ export class ValueTable {
     new ResizeObserver(this.redraw).observe(byId("value-grid"));
     setInterval(() => document.hidden || this.redraw(), 1000);
     onRole(this.redraw);
+    onTheme(this.redraw);
   }
 
   /** Show these points from now on, without values until they come. */
@@ -153,7 +137,8 @@ export class ValueTable {
     const cell = (name, ...children) => element("span", { role: "cell", class: name }, ...children);
     const open = element("button", { type: "button", class: "quiet", onclick: () => this.actions.history(point) }, point.key);
     const write = element("button", { type: "button", class: "quiet", "aria-label": `Write ${point.key}`, onclick: () => this.actions.write(point) }, "Write");
-    return element(
+    const spark = new Sparkline();
+    const made = element(
       "div",
       { role: "row", class: "row" },
       cell("c-name", open),
@@ -161,13 +146,15 @@ export class ValueTable {
       cell("c-quality"),
       cell("c-raw"),
       cell("c-age"),
-      cell("c-spark", element("canvas", { width: 220, height: 56, "aria-hidden": "true" })),
+      cell("c-spark", spark.canvas),
       cell("c-do", write),
     );
+    this.sparks.set(made, spark);
+    return made;
   }
 
   update(row, { point, at }, height, now) {
-    const [, value, quality, raw, age, spark, act] = row.children;
+    const [, value, quality, raw, age, , act] = row.children;
     row.style.transform = `translateY(${at * height}px)`;
     row.setAttribute("aria-rowindex", at + 2);
     const measure = point.unit_of_measure && point.value !== null ? ` ${point.unit_of_measure}` : "";
@@ -179,35 +166,7 @@ export class ValueTable {
     if (quality.title !== quality.textContent) quality.title = quality.textContent;
     setText(raw, point.raw);
     setText(age, ago(now, point.time));
-    draw(spark.firstChild, point.course);
+    this.sparks.get(row).draw(point.course);
     act.firstChild.hidden = !(point.writable && may("operate"));
   }
-}
-
-/** Draw the course of a point where it has become another. */
-function draw(canvas, course) {
-  const drawn = course ? `${course.length} ${course.next} ${course.at(course.length - 1)}` : "";
-  if (canvas.dataset.drawn === drawn) return;
-  canvas.dataset.drawn = drawn;
-  const context = canvas.getContext("2d");
-  const { width, height } = canvas;
-  context.clearRect(0, 0, width, height);
-  if (!course || course.length < 2) return;
-  let low = Infinity;
-  let high = -Infinity;
-  for (let at = 0; at < course.length; at += 1) {
-    low = Math.min(low, course.at(at));
-    high = Math.max(high, course.at(at));
-  }
-  const range = high - low || 1;
-  context.strokeStyle = colour("--accent");
-  context.lineWidth = 3;
-  context.beginPath();
-  for (let at = 0; at < course.length; at += 1) {
-    const x = (at / (COURSE - 1)) * (width - 6) + 3;
-    const y = high === low ? height / 2 : height - 5 - ((course.at(at) - low) / range) * (height - 10);
-    if (at) context.lineTo(x, y);
-    else context.moveTo(x, y);
-  }
-  context.stroke();
 }

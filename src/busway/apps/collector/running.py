@@ -1,0 +1,82 @@
+"""Notes by which `busway status` finds the running collectors of this user, which have no control socket.
+
+Knows paths, JSON and the lock of a store; asks no collector.
+
+1. A collector writes a note in the directory of control sockets while it runs: ``<process id>.collector``, of mode
+   0600, with its file, its store and the URL of its page (without tokens).
+2. A note that a dead process left behind is not believed: the process must hold the lock of the store.
+"""
+
+import contextlib
+import json
+import os
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Final
+
+from ...errors import ConfigError
+from ..control.addresses import control_directory
+from .store.folder import holder_of
+
+NOTE_SUFFIX: Final = ".collector"
+
+
+@dataclass(frozen=True, slots=True)
+class RunningCollector:
+    """A running collector, as its note tells.
+
+    Attributes:
+        pid: its process.
+        file: its configuration: the absolute path of a file, or the name of a fleet's.
+        store: absolute path of the folder of its store.
+        page: URL of its page; empty if it has none.
+        is_in_fleet: whether it belongs to a fleet.
+    """
+
+    pid: int
+    file: str
+    store: str
+    page: str
+    is_in_fleet: bool
+
+
+@contextlib.contextmanager
+def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[None]:
+    """Context manager that keeps the note of this process's collector; does nothing if it cannot be written.
+
+    Args:
+        file, store: paths; the note has them as absolute ones.
+        page, is_in_fleet: as of `RunningCollector`.
+    """
+    pid = os.getpid()
+    name = os.path.abspath(file) if os.path.exists(file) else file
+    note = RunningCollector(pid, name, os.path.abspath(store), page, is_in_fleet)
+    try:
+        path = control_directory() / f"{pid}{NOTE_SUFFIX}"
+        path.unlink(missing_ok=True)  # of a dead process with the same number
+        descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
+        with open(descriptor, "w", encoding="utf-8") as opened:
+            json.dump(asdict(note), opened)
+    except (ConfigError, OSError):
+        yield  # only `busway status` misses it
+        return
+    try:
+        yield
+    finally:
+        with contextlib.suppress(OSError):
+            path.unlink()
+
+
+def find_collectors(*directories: Path) -> list[RunningCollector]:
+    """Return the running collectors whose notes are in these directories, by process."""
+    found = []
+    for directory in directories:
+        for path in directory.glob(f"*{NOTE_SUFFIX}"):
+            try:
+                note = RunningCollector(**json.loads(path.read_text(encoding="utf-8")))
+            except (OSError, ValueError, TypeError):
+                continue  # being written, or not ours
+            if holder_of(Path(note.store)) == note.pid:
+                found.append(note)
+    return sorted(found, key=lambda each: each.pid)
