@@ -22,7 +22,7 @@ PIP   := -m pip --disable-pip-version-check --quiet install
 OTHER_PYTHONS := 3.12 3.13
 
 # Exact versions: the interop tests compare values, and these programs change from release to release.
-PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pysparkplug==0.6.1
+PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pysparkplug==0.6.1 pysunspec2==1.3.7
 
 # Published programs that run over `busway.compat`, what they import, and the releases of pymodbus they were written for
 # where that is not the one above. In folders of their own: none of them meets the others' versions.
