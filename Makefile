@@ -51,11 +51,11 @@ ONE_PYTHON := $(addprefix tests/, \
 	$(addprefix test_, coroutine_tests.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
 	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
 	$(addprefix session/test_, client_stateful.py late_replies_model.py multidrop.py unit_breaker.py) \
-	$(addprefix apps/collector/test_, clock_walk.py learning.py plan.py right_values.py schedule.py) \
+	$(addprefix apps/collector/test_, clock_walk.py learning.py many_dead_devices.py plan.py right_values.py schedule.py) \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
 	apps/collector/commands/test_crashes.py apps/collector/sinks/test_kills.py \
 	apps/collector/sinks/test_sparkplug_walk.py apps/collector/store/test_crashes.py \
-	apps/collector/store/test_power_failure.py apps/fleet/test_lease_holder.py \
+	apps/collector/store/test_power_failure.py apps/collector/store/test_sealed_files.py apps/fleet/test_lease_holder.py \
 	$(addprefix cli/test_, demo.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
 	simulate_sources.py status.py))
 PYTEST_FLAGS ?=
