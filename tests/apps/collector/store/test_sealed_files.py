@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
-from busway.apps.collector.store import sealed_files
+from busway.apps.collector.store import reading, sealed_files
 from busway.apps.collector.store.file_rows import Sums
 from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store, TimePiece, pieces_of, runs_of
@@ -51,7 +51,7 @@ samples = st.tuples(
     values,
     st.sampled_from([0, Reason.HELD, Reason.TIMEOUT, Reason.LOST]).map(int),
 )
-files_of_samples = st.lists(st.lists(samples, max_size=12, unique_by=lambda one: one[:2]), min_size=1, max_size=4)
+files_of_samples = st.lists(st.lists(samples, max_size=12, unique_by=lambda one: one[:2]), min_size=2, max_size=4)
 moments = st.integers(-SECOND, 5 * FILE_SECONDS * SECOND)
 
 
@@ -61,8 +61,8 @@ def with_pyarrow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]
 
     def called(ask: Callable[[], Any]) -> Any:
         with monkeypatch.context() as patch:
-            patch.setattr(sealed_files, "_duckdb", lambda: None)
-            assert not sealed_files.reads_many()
+            for module in (sealed_files, reading):
+                patch.setattr(module, "reads_many", lambda: False)
             return ask()
 
     assert sealed_files.reads_many()
@@ -207,6 +207,6 @@ def test_names_of_folders_are_no_patterns_and_nothing_is_written_beside_them(
     folder.mkdir()
     (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path / "empty")
-    paths = written(folder, [[(1, 1, ("real", 1.0), 0)]])
-    assert [row[2] for row in sealed_rows(paths, [1], 0, 2**63 - 1)] == [1.0]
+    paths = written(folder, [[(1, 1, ("real", 1.0), 0)], [(1, 1, ("real", 2.0), 0)]])
+    assert sorted(row[2] for row in sealed_rows(paths, [1], 0, 2**63 - 1)) == [1.0, 2.0]
     assert os.listdir() == []

@@ -1,17 +1,19 @@
-"""Reads samples and sums from sealed files (Parquet): with DuckDB where it is installed, else with pyarrow.
+"""Reads samples and sums from sealed files (Parquet): many with DuckDB where it is installed, else with pyarrow.
 
 Knows the columns of sealed files; knows nothing of the manifest, nor which files overlap.
 
 1. Both ways give the same rows and the same sums; a test holds one against the other.
-2. DuckDB answers one question about many files at once, over long times in a third of the time. It works in memory
-   alone: it loads no extension and spills nothing into files.
+2. DuckDB answers one question about many files at once, over long times in a third of the time; of one file pyarrow is
+   asked, which is quicker then. DuckDB works in memory alone: it loads no extension and spills nothing into files.
 3. Its first version that keeps nanoseconds is 2.0; an older one is not used.
 4. `FileNotFoundError` means that a file was sealed anew or dropped since the manifest was read.
 """
 
 from collections.abc import Sequence
+from functools import cache
 from glob import escape
 from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Final
@@ -42,9 +44,15 @@ _SETTINGS: Final = {
 }
 
 
+@cache
 def reads_many() -> bool:
-    """Whether one question about many sealed files is cheaper than one for each: DuckDB is installed."""
-    return _duckdb() is not None
+    """Whether one question can be about many sealed files: DuckDB is installed, and new enough (rule 3)."""
+    if find_spec("duckdb") is None:
+        return False
+    try:
+        return int(version("duckdb").partition(".")[0]) >= 2
+    except (PackageNotFoundError, ValueError):
+        return False
 
 
 def sealed_rows(files: Sequence[Path], ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
@@ -61,7 +69,7 @@ def sealed_rows(files: Sequence[Path], ids: Sequence[int] | None, low: int, high
         MissingExtra: pyarrow is not installed.
     """
     arrow()
-    if _duckdb() is not None:
+    if len(files) > 1 and reads_many():
         return rows_of_table(_asked(_ROWS + _where(ids), "to_arrow_table", files, low, high))
     return [row for file in files for row in rows_of_table(_table(file, ids, low, high, _COLUMNS))]
 
@@ -81,7 +89,7 @@ def sealed_sums(files: Sequence[Path], ids: Sequence[int] | None, low: int, high
         MissingExtra: pyarrow is not installed.
     """
     arrow()
-    if _duckdb() is not None:
+    if len(files) > 1 and reads_many():
         found = _asked(_SUMS.format(_where(ids)), "fetchall", files, low, high, bucket=bucket)
         return {(number, point): Sums(*rest) for number, point, *rest in found}
     sums: SumsByBucket = {}
@@ -91,14 +99,6 @@ def sealed_sums(files: Sequence[Path], ids: Sequence[int] | None, low: int, high
 
 
 # DuckDB
-
-
-def _duckdb() -> Any:  # duckdb has types, but may not be there to check
-    """Return the module `duckdb`, or None where it is not installed or too old (rule 3)."""
-    if find_spec("duckdb") is None:
-        return None
-    module = import_module("duckdb")
-    return module if int(module.__version__.partition(".")[0]) >= 2 else None
 
 
 def _where(ids: Sequence[int] | None) -> str:
@@ -119,7 +119,7 @@ def _asked(question: str, form: str, files: Sequence[Path], low: int, high: int,
         FileNotFoundError: a file was dropped.
         OSError: a file cannot be read.
     """
-    duckdb = _duckdb()
+    duckdb = import_module("duckdb")
     names = [escape(str(file)) for file in files]  # DuckDB takes names for patterns
     try:
         with duckdb.connect(config=_SETTINGS) as database:
