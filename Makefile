@@ -22,7 +22,7 @@ PIP   := -m pip --disable-pip-version-check --quiet install
 OTHER_PYTHONS := 3.12 3.13
 
 # Exact versions: the interop tests compare values, and these programs change from release to release.
-PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pysparkplug==0.6.1
+PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pysparkplug==0.6.1 pysunspec2==1.3.7
 
 # Published programs that run over `busway.compat`, what they import, and the releases of pymodbus they were written for
 # where that is not the one above. In folders of their own: none of them meets the others' versions.
@@ -51,11 +51,12 @@ ONE_PYTHON := $(addprefix tests/, \
 	$(addprefix test_, coroutine_tests.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
 	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
 	$(addprefix session/test_, client_stateful.py late_replies_model.py multidrop.py unit_breaker.py) \
-	$(addprefix apps/collector/test_, clock_walk.py dashboards.py learning.py plan.py right_values.py schedule.py) \
+	$(addprefix apps/collector/test_, clock_walk.py dashboards.py learning.py many_dead_devices.py plan.py \
+	right_values.py schedule.py) \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
 	apps/collector/commands/test_crashes.py \
 	$(addprefix apps/collector/sinks/test_, hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
-	apps/collector/store/test_crashes.py apps/collector/store/test_power_failure.py \
+	$(addprefix apps/collector/store/test_, crashes.py power_failure.py sealed_files.py) \
 	$(addprefix apps/fleet/test_, chain_model.py coordinators.py lease_holder.py) \
 	$(addprefix cli/test_, demo.py fleet.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
 	simulate_sources.py status.py))

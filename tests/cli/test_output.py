@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.cli.output import TableRow, fewest_digits, json_value, shown_value, value_rows
+from busway.cli.output import TableRow, fewest_digits, float32_digits, json_value, shown_value, value_rows
 from busway.values import parse_address, parse_value, value_type
 
 
@@ -57,3 +57,16 @@ def test_consecutive_values_stand_at_consecutive_places() -> None:
     ]
     assert rows[1].raw_text == "0405 0607"
     assert [TableRow(parse_address("4x1"), None, raw).raw_text for raw in (b"", b"\1")] == ["", "1"]
+
+
+@pytest.mark.parametrize("value", [1e300, 0.1, 16777217.0, math.inf, 7, True, "0.1", None])
+def test_what_is_no_float32_is_shown_as_it_was_stored(value: object) -> None:
+    assert float32_digits(value) is value
+
+
+@pytest.mark.parametrize("text", ["0.1", "230.2", "-1e-40", "3.4028235e+38", "16777216.0", "0.0"])
+def test_a_float32_is_shown_with_its_own_digits(text: str) -> None:
+    (stored,) = struct.unpack(">f", struct.pack(">f", float(text)))
+    shown = str(float32_digits(stored))
+    assert struct.pack(">f", float(shown)) == struct.pack(">f", stored)
+    assert len(shown) <= len(text)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import struct
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -12,8 +13,10 @@ import pytest
 from collected import PUMP, at, filled, read_of
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.samples import Reason, StateInterval
+from busway.apps.collector.samples import PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.writer import StoreWriter
 
 
 @pytest.fixture
@@ -41,6 +44,29 @@ def test_the_columns_of_a_long_table_are_named_once(
 ) -> None:
     monkeypatch.setattr("busway.cli.query._CHUNK", 2)
     assert [line.split()[0] for line in run("query", data, "meter-7/voltage").out.splitlines()].count("time") == 1
+
+
+def test_a_point_of_type_float32_is_shown_with_the_digits_of_that_type(run: Callable[..., Any], tmp_path: Path) -> None:
+    """0.1 in a float32; beside it a point of another type that holds the same number, and one that has changed."""
+    single = struct.unpack(">f", struct.pack(">f", 0.1))[0]
+    group = PointGroup("d", ("single", "double", "changed"))
+    folder = str(tmp_path / "data")
+    with StoreWriter(folder, now=at(0)) as writer:
+        described = [PointDescription("d", name, is_float32=name != "double") for name in group.points]
+        writer.describe_points(described)
+        writer.commit([read_of(group, 1, single, single, 0.30000000000000004)], [], at(1))
+        wanted = {"single": 0.1, "double": 0.10000000149011612, "changed": 0.30000000000000004}
+        rows = [json.loads(line) for line in run("query", folder, "--json").out.splitlines()]
+        assert {row["point"]: row["value"] for row in rows} == {f"d/{name}": value for name, value in wanted.items()}
+        csv_rows = list(csv.DictReader(io.StringIO(run("query", folder, "--csv").out)))
+        assert {row["point"]: float(row["value"]) for row in csv_rows} == {f"d/{k}": v for k, v in wanted.items()}
+        assert [line.split()[2] for line in run("query", folder).out.splitlines()[1:]] == ["0.1", "0.1000000015", "0.3"]
+        rows = [json.loads(line) for line in run("query", folder, "--bucket", "1m", "--json").out.splitlines()]
+        assert {row["point"]: (row["minimum"], row["maximum"]) for row in rows} == {
+            f"d/{name}": (value, value) for name, value in wanted.items()
+        }
+        writer.describe_points([PointDescription("d", "single")])
+        assert {each.point for each in Store(folder).points() if each.is_float32} == {"changed"}
 
 
 def test_where_nothing_fits_that_is_said_on_stderr(run: Callable[..., Any], data: str) -> None:

@@ -121,6 +121,20 @@ def fewest_digits(value: float, size: int) -> float:
     return value
 
 
+def float32_digits(value: Any) -> Any:
+    """Return a value of a point of type float32 with the fewest digits; what is no float32 unchanged.
+
+    That is what was stored while the point had another type, and what is no number.
+    """
+    if not isinstance(value, float) or not math.isfinite(value):
+        return value
+    try:
+        (held,) = struct.unpack(">f", struct.pack(">f", value))
+    except OverflowError:
+        return value
+    return fewest_digits(value, 4) if held == value else value
+
+
 def shown_value(value: Any) -> str:
     """Return a value as text for people: ``on`` or ``off``, ``0b…`` for 16 bits, texts without control characters."""
     if isinstance(value, bool):

@@ -18,7 +18,7 @@ from ..errors import ConfigError
 from ..values.counts import counted
 from .arguments import CSV, JSON, QUIET
 from .exits import ExitCode
-from .output import json_value, print_aligned, print_csv, print_json, say, shown_value
+from .output import float32_digits, json_value, print_aligned, print_csv, print_json, say, shown_value
 
 if TYPE_CHECKING:
     from ..apps.collector.alarms.events import AlarmEvent
@@ -74,16 +74,17 @@ def query(
         events = asked.alarms(wanted if wanted != ["*"] else "*", since=since, until=until)
         _print(_alarm_rows(events), as_json=as_json, as_csv=as_csv)
         return ExitCode.DONE
+    single = frozenset(point.name for point in asked.points() if point.is_float32)
     if bucket is not None:
         table = asked.read(wanted, since=since, until=until, bucket=bucket)
         if parquet is not None:
             return _write_parquet(parquet, [table])
-        _print(_bucket_rows(table), as_json=as_json, as_csv=as_csv)
+        _print(_bucket_rows(table, single), as_json=as_json, as_csv=as_csv)
         return ExitCode.DONE
     pieces = asked.pieces(wanted if wanted != ["*"] else "*", since=since, until=until)
     if parquet is not None:
         return _write_parquet(parquet, pieces)
-    _print((row for piece in pieces for row in _sample_rows(piece)), as_json=as_json, as_csv=as_csv)
+    _print((row for piece in pieces for row in _sample_rows(piece, single)), as_json=as_json, as_csv=as_csv)
     return ExitCode.DONE
 
 
@@ -92,14 +93,16 @@ def _list_points(store: "Store", *, as_json: bool, as_csv: bool) -> None:
     _print(rows, as_json=as_json, as_csv=as_csv)
 
 
-def _sample_rows(table: "SampleTable") -> Iterator[dict[str, Any]]:
+def _sample_rows(table: "SampleTable", single: frozenset[str]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each sample; numbers of the points ``single``, which are of type float32, with its digits."""
     from ..apps.collector.samples import reason_text
 
     for sample in table:
+        name = f"{sample.device}/{sample.point}"
         yield {
             "time": sample.time,
-            "point": f"{sample.device}/{sample.point}",
-            "value": sample.value,
+            "point": name,
+            "value": float32_digits(sample.value) if name in single else sample.value,
             "quality": sample.quality.name.lower(),
             "reason": reason_text(sample.reason),
             "half_width": sample.half_width / 1e9,
@@ -119,11 +122,14 @@ def _alarm_rows(events: "Iterable[AlarmEvent]") -> Iterator[dict[str, Any]]:
         }
 
 
-def _bucket_rows(table: "BucketTable") -> Iterator[dict[str, Any]]:
+def _bucket_rows(table: "BucketTable", single: frozenset[str]) -> Iterator[dict[str, Any]]:
+    """Yield a row for each bucket; least and greatest value of the points ``single`` with the digits of a float32."""
     columns = table.columns()
     for values in zip(*columns.values(), strict=True):
         row = dict(zip(columns, values, strict=True))
         row["point"] = f"{row.pop('device')}/{row['point']}"
+        if row["point"] in single:
+            row |= {name: float32_digits(row[name]) for name in ("minimum", "maximum")}
         yield row
 
 

@@ -251,3 +251,23 @@ def test_names_that_would_be_one_in_topics_of_a_sink_are_refused(plant: Path) ->
     parse_collector(PLANT + mqtt + sink, str(plant))
     (found,) = problems(plant, PLANT + sink + mqtt + "per_point = true\n")
     assert "sink[2].url: points a#b and a/b of pump would both be a_b there" in found
+
+
+def test_points_of_type_float32_without_a_scale_are_told_to_the_store(tmp_path: Path) -> None:
+    points = """point = [
+    { name = "plain", address = "4x1", type = "float32", unit_of_measure = "V" },
+    { name = "scaled", address = "4x3", type = "float32", scale = 0.1 },
+    { name = "wide", address = "4x5", type = "float64" },
+    { name = "whole", address = "4x9", type = "uint16" },
+    { name = "computed", formula = "plain * 2" },
+    { name = "state", address = "0x1" },
+]
+"""
+    (tmp_path / "profile.toml").write_text(f"[[unit]]\nunit = 1\n{points}")
+    text = (
+        '[poll_class]\nall.period = 1.0\n[[link]]\nname = "a"\nurl = "tcp://127.0.0.1"\n'
+        '[[device]]\nname = "d"\nlink = "a"\nunit = 1\nprofile = "profile.toml"\n'
+    )
+    configuration = parse_collector(text, str(tmp_path / "plant.toml"))
+    (device,) = configuration.devices.values()
+    assert [each.point for each in device.descriptions() if each.is_float32] == ["plain"]

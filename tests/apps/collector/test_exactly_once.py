@@ -14,7 +14,7 @@ SEED = int(os.environ.get("BUSWAY_WALK_SEED", "20261122"))
 
 
 @pytest.mark.real_time
-@pytest.mark.timeout(360)
+@pytest.mark.timeout(120)
 def test_what_was_shown_or_handed_on_is_kept_once_and_sinks_have_it_all(tmp_path: Path) -> None:
     check_a_walk(tmp_path, SEED, None)
 

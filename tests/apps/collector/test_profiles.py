@@ -20,7 +20,7 @@ async def test_every_point_of_every_ready_made_device_is_collected(tmp_path: Pat
     async with busway.serve("tcp://127.0.0.1:0", units=devices) as server:
         file = tmp_path / "plant.toml"
         file.write_text(
-            '[collector]\nstore = "data"\n[poll_class]\nall.period = 0.5\n'
+            '[collector]\nstore = "data"\n[poll_class]\nall.period = 2.0\n'
             f'[[link]]\nname = "plant"\nurl = "{server.endpoints[0]}"\ntimeout = 10.0\n'
             + "".join(
                 f'[[device]]\nname = "{name}"\nlink = "plant"\nunit = {unit}\nprofile = "device:{name}"\n'

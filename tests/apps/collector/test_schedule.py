@@ -233,6 +233,32 @@ def test_silent_devices_use_a_twentieth_of_the_time_of_a_link_at_most() -> None:
     assert link.schedule.probing >= 0.5 * DEAD_SHARE * 3000  # and it is used
 
 
+def test_a_silent_device_is_probed_by_its_cheapest_read_at_once_and_then_ever_more_rarely() -> None:
+    """Of three reads the narrowest; the share of the link is not what holds the probes back here."""
+    own = book({"wide": 40, "narrow": 1, "middle": 9})
+    schedule = LinkSchedule(1.0, share=1.0)
+    schedule.add("a", own, {"wide": 4.0, "narrow": 60.0, "middle": 8.0}, 0.0)
+    link = VirtualLink(schedule)
+
+    def falls_silent() -> None:
+        for _, turn in link.turns:
+            for read in turn.reads:
+                own.succeeded(read, read.seconds)
+        link.dead.add("a")
+
+    link.hooks = [(100.0, falls_silent)]
+    link.run(600)
+    probes = [(began, turn) for began, turn in link.turns if turn.kind is TurnKind.PROBE and began > 100]
+    (narrow,) = {turn.reads for _, turn in probes}
+    assert [(read.start, read.width) for read in narrow] == [(280, 2)]
+    assert narrow[0].seconds == min(read.seconds for _, turn in link.turns for read in turn.reads)
+    first = max(began for began, turn in link.turns if turn.kind is TurnKind.ROUND)
+    waits = [after - before for before, after in pairwise([first, *(began for began, _ in probes)])]
+    assert waits[:2] == pytest.approx([1.0, 5.0]), "after its timeout, then after its shortest period more"
+    assert waits[1:] == pytest.approx([1.0 + min(4.0 * 2**place, LONGEST_BACKOFF) for place in range(len(waits) - 1)])
+    assert waits[-1] == pytest.approx(1.0 + LONGEST_BACKOFF)
+
+
 def test_a_device_that_is_silent_for_a_moment_misses_one_or_two_rounds() -> None:
     link = link_with({"a": book({"c": 5}), "b": book({"c": 5})}, {"c": 5.0})
     link.hooks = [(100.0, lambda: link.dead.add("a")), (103.0, link.dead.clear)]

@@ -116,6 +116,23 @@ FACTS = [
     ("sun2000", "energy_day", "holding:32114", "uint32", "ABCD", 0.01),
     ("vlt_fc", "maximum_reference", "403030", "int32", "ABCD", 0.001),
     ("vlt_fc", "running", "000044", "bit", "", 1),
+    # MODBUS Register Mapping: %IW0 from 0x0000, %QW0 read from 0x0200; bits alike.
+    ("wago750", "analog_input_1", "holding:0x0001", "int16", "AB", 1),
+    ("wago750", "analog_output_0", "holding:0x0200", "int16", "AB", 1),
+    ("wago750", "input_7", "discrete:7", "bit", "", 1),
+    ("wago750", "output_0", "coil:0x0200", "bit", "", 1),
+    ("wago750", "digital_input_bits", "holding:0x1025", "uint16", "AB", 1),
+    ("wago750", "item", "holding:0x2012", "uint16", "AB", 1),
+    # First and last of what a base module has, by the numbers of the table, counted from 1.
+    ("logo8", "i1", "100001", "bit", "", 1),
+    ("logo8", "i8", "100008", "bit", "", 1),
+    ("logo8", "q1", "008193", "bit", "", 1),
+    ("logo8", "m1", "008257", "bit", "", 1),
+    ("logo8", "ai4", "300004", "int16", "AB", 1),
+    ("logo8", "vw0", "400001", "int16", "AB", 1),
+    ("logo8", "vw14", "400008", "int16", "AB", 1),
+    ("logo8", "aq1", "400513", "int16", "AB", 1),
+    ("logo8", "am1", "400529", "int16", "AB", 1),
 ]
 
 
@@ -202,6 +219,49 @@ def test_the_status_word_of_a_drive_is_that_of_its_manual_s_example() -> None:
     with played("vlt_fc") as (_, url), busway.connect(url, timeout=5) as link:
         bits = link.unit(7).read_coils(32, count=16)
     assert sum(on << place for place, on in enumerate(bits)) == 0x0607
+
+
+def test_a_coupler_answers_the_examples_of_its_manual() -> None:
+    """WAGO 750: functions 02 and 03 from 0, eight inputs as 12 hex, and two registers; 06 to the second output."""
+    with played("wago750") as (simulation, url):
+        for place in range(8):
+            simulation.point(f"7/input_{place}").put(bool(0x12 >> place & 1))
+        simulation.point("7/analog_input_0").put(0x1234)
+        simulation.point("7/analog_input_1").put(0x2345)
+        asked = {
+            "02 0000 0008": "02 01 12",
+            "03 0000 0002": "03 04 1234 2345",
+            "06 0201 1234": "06 0201 1234",  # "the second output register"; the manual writes it as 0001, read at 0201
+            "03 0201 0001": "03 02 1234",
+        }
+        host, port = url.removeprefix("tcp://").rsplit(":", 1)
+        with socket.create_connection((host, int(port)), timeout=60) as wire:
+            for request, reply in asked.items():
+                pdu = bytes.fromhex(request)
+                wire.sendall(bytes.fromhex("0000 0000 0006 07") + pdu)  # MBAP: transaction, protocol, length, unit
+                received = b""
+                while len(received) < 7 + len(bytes.fromhex(reply)):
+                    received += wire.recv(256)
+                assert received[7:] == bytes.fromhex(reply), request
+
+
+def test_a_coupler_has_the_constants_by_which_its_manual_tests_the_order_of_bytes() -> None:
+    with played("wago750") as (_, url), busway.connect(url, timeout=60) as link:
+        constants = link.unit(7).read_holding_registers(0x2000, count=9)
+        assert list(constants) == [0x0000, 0xFFFF, 0x1234, 0xAAAA, 0x5555, 0x7FFF, 0x8000, 0x3FFF, 0x4000]
+        assert list(link.unit(7).read_holding_registers(0x2011, count=2)) == [0x02EE, 0x0155], "750, 341"
+        assert list(link.unit(7).read_holding_registers(0x1022, count=4)) == [32, 32, 8, 8]
+        with pytest.raises(busway.ModbusError):
+            link.unit(7).read_holding_registers(0x0100, count=1)  # "Illegal data address"
+
+
+def test_a_logic_module_takes_writes_where_programs_of_owners_write() -> None:
+    with played("logo8") as (simulation, url), busway.connect(url, timeout=60) as link:
+        link.unit(7).write_single_coil(8192, True)  # Q1
+        link.unit(7).write_single_coil(8255 + 3, True)  # M3
+        link.unit(7).write_single_register(527 + 2, 321)  # AM2
+        found = {name: simulation.point(f"7/{name}").value for name in ("q1", "q2", "m2", "m3", "am1", "am2")}
+    assert found == {"q1": True, "q2": False, "m2": False, "m3": True, "am1": 0, "am2": 321}
 
 
 def test_what_a_device_says_of_values_that_it_has_not_is_no_value() -> None:

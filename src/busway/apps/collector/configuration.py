@@ -87,7 +87,14 @@ class CollectedDevice:
     def descriptions(self) -> list[PointDescription]:
         """Return the descriptions of the device's points, such as units of measure, which the store keeps."""
         return [
-            PointDescription(self.name, point.name, point.unit_of_measure, point.type == "bit", point.was or None)
+            PointDescription(
+                self.name,
+                point.name,
+                point.unit_of_measure,
+                point.type == "bit",
+                point.was or None,
+                is_float32=_is_float32(point),
+            )
             for point in self.points
         ]
 
@@ -386,6 +393,13 @@ def _device(
         cost,
         fixed,
     )
+
+
+def _is_float32(point: Point) -> bool:
+    """Whether the values of a point are numbers of type float32 as the device holds them, changed by nothing."""
+    conversion = point.conversion
+    is_changed = conversion.changes or conversion.scale_from or point.formula or point.rollover is not None
+    return point.type == "float32" and not is_changed
 
 
 def _by_class(

@@ -245,6 +245,7 @@ class PointDescription:
         unit_of_measure: such as ``V``; empty for none.
         is_state: whether the values of the point are states: on or off.
         was: name that the point had before; samples stored under that name belong to this point. None for no such name.
+        is_float32: whether values are numbers of type float32 as the device holds them, without a scale.
     """
 
     device: str
@@ -252,3 +253,4 @@ class PointDescription:
     unit_of_measure: str = ""
     is_state: bool = False
     was: str | None = None
+    is_float32: bool = False

@@ -33,6 +33,8 @@ DEVICES: Final = {
     "sma": "SMA Sunny Boy and Sunny Tripower, photovoltaic inverters with SMA Modbus.",
     "sun2000": "Huawei SUN2000, a photovoltaic inverter: whole numbers with gains, texts.",
     "vlt_fc": "Danfoss VLT FC series, variable-speed drives: control and status word in coils, parameters.",
+    "wago750": "WAGO 750 fieldbus couplers: process image, constants, what the coupler says of itself.",
+    "logo8": "Siemens LOGO! 8, a logic module: inputs, outputs, flags, variable memory.",
 }
 """The devices by name, each described in a sentence, in the order of the documentation."""
 

@@ -11,7 +11,7 @@ from waiting import wait_until
 
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.store import commit_thread
-from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, Committer
+from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, SYNC, Committer
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.writer import Commit, StoreWriter
@@ -268,6 +268,35 @@ def test_intervals_are_committed_like_samples(tmp_path: Path) -> None:
     assert Store(tmp_path).read().intervals == [StateInterval("pump-1", at(2), None, Reason.SUSPENDED)]
 
 
+class SyncedStore(StoreWriter):
+    """A store that tells when its log is synced."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__(folder, now=NOON)
+        self.is_synced = threading.Event()
+
+    def sync(self) -> None:
+        super().sync()
+        self.is_synced.set()
+
+
+def test_the_log_is_synced_in_time_where_nothing_more_is_committed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The second commit comes just before the log is due: what waits for the next sample would wait for it twice."""
+    monkeypatch.setattr("busway.apps.collector.store.commit_thread.ALIVE", 600.0)
+    writer, seconds = SyncedStore(tmp_path), [0.0]
+    committer = Committer(writer, now=lambda: at(100), interval=0.0, clock=lambda: seconds[0])
+    for passed in (0.0, SYNC - 0.1):
+        seconds[0] = passed
+        committer.add(read_of(PUMP, passed, 5))
+        assert committer.flush()
+    assert not writer.is_synced.is_set()
+    seconds[0] = SYNC
+    assert writer.is_synced.wait(60), "5 s after the first commit, by itself"
+    committer.close()
+
+
 class UnsyncedStore(StoreWriter):
     """A store on a disk that takes commits and never becomes durable."""
 
@@ -278,8 +307,8 @@ class UnsyncedStore(StoreWriter):
 def test_a_commit_that_cannot_be_made_durable_is_told_once_and_not_made_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("busway.apps.collector.store.commit_thread.SYNC", -1.0)
-    committer = Committer(UnsyncedStore(tmp_path, now=NOON), now=lambda: at(100), interval=0.0, retry=0.01)
+    monkeypatch.setattr("busway.apps.collector.store.commit_thread.SYNC", 0.05)
+    committer = Committer(UnsyncedStore(tmp_path, now=NOON), now=lambda: at(100), interval=0.05, retry=0.01)
     told: list[Commit] = []
     committer.subscribe(told.append)
     for number in range(3):

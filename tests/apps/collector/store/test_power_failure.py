@@ -16,6 +16,7 @@ import store_worker
 from power_failure import PowerFailure, Record, build, environment, lay_out, records_of
 from store_checker import check_after_crash
 
+from busway.apps.collector.store.commit_thread import SYNC
 from busway.apps.collector.store.folder import MANIFEST
 
 pytest.importorskip("pyarrow")
@@ -99,6 +100,22 @@ def test_without_it_a_power_failure_costs_the_end_and_leaves_a_whole_store(tmp_p
         lost += len(handed_on) - len(kept)
         shutil.rmtree(target)
     assert lost > 0, "then this test would show nothing"
+
+
+def test_with_durability_process_a_power_failure_costs_five_seconds_at_most(tmp_path: Path) -> None:
+    """Each commit is a quarter of a second after the one before, on the committer's clock; what is lost is a gap."""
+    every = 0.25
+    store, records = recorded(tmp_path, "process", "--commits", "60", "--every", str(every))
+    most = 0
+    for index, state, handed_on in cuts(records, store, 3, each_time_handed_on=True):
+        target = tmp_path / str(index)
+        target.mkdir()
+        lay_out(state.left(None), store, target)
+        kept = kept_of(target, handed_on)
+        check_after_crash(target, kept, begins=10_000, crashes=1)
+        most = max(most, len(handed_on) - len(kept))
+        shutil.rmtree(target)
+    assert SYNC / every * 0.9 <= most <= SYNC / every, f"{most * every} s were lost at most"
 
 
 def kept_of(folder: Path, handed_on: list[int]) -> list[int]:

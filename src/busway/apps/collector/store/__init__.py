@@ -15,6 +15,8 @@
 `accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
 `clock_correction`    corrects the times of samples stored before the wall clock was set
 `parts`               reads samples and sums from one file of the store, segment or Parquet
+`sealed_files`        reads samples and sums from Parquet files, with DuckDB where it is installed
+`file_rows`           samples and sums as files of the store give them: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
 `reading`             `Store`: reads rows and buckets of all files as one
 `query_results`       what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too

@@ -7,8 +7,9 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
    first commit that succeeds records the time of what was dropped as a gap with its number. Polling never waits.
 3. A second thread seals and drops parts, so that no sample waits for that.
 4. Without samples an empty commit every `ALIVE` seconds says that the collector lived.
-5. With ``durability = process`` the log is synced every `SYNC` seconds: a power failure loses at most that much. If a
-   sync fails, that is logged, and it is tried again; what was committed stays committed, and is never committed twice.
+5. With ``durability = process`` the log is synced `SYNC` seconds after the first commit since, at the latest, whether
+   more is committed or not: a power failure loses at most that much. If a sync fails, that is logged, and it is tried
+   again; what was committed stays committed, and is never committed twice.
 6. Names and descriptions of points change between two commits: samples that were added before are stored under the
    names of that time.
 7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit;
@@ -105,7 +106,7 @@ class Committer:
             most_waiting: values that wait at most while the store cannot be written; beyond it the oldest are dropped.
             retry: seconds between two attempts while the store cannot be written.
             rules: report rules of points of which not every sample is kept; None if every sample is.
-            clock: returns seconds of the monotonic clock, for `is_behind`.
+            clock: returns seconds of the monotonic clock, for `is_behind` and for when the log is synced.
         """
         self.writer = writer
         self._kept = KeptSamples(rules)
@@ -133,7 +134,7 @@ class Committer:
         self._number, self._committed_at = 0, -math.inf
         self._hurry = self._ending = self._committing = False
         self._ended = threading.Event()
-        self._synced = time.monotonic()
+        self._unsynced_since: float | None = None
         self._threads = [
             threading.Thread(target=self._commit_until_closed, name="busway-store-commits", daemon=True),
             threading.Thread(target=self._keep_up_until_closed, name="busway-store-upkeep", daemon=True),
@@ -310,13 +311,15 @@ class Committer:
     def _wait_for_work(self) -> bool:
         """Wait until a commit is due: samples have waited for the interval, or nothing was queued for `ALIVE` seconds.
 
+        One without samples is due too when the log has to be synced.
+
         Returns:
             False when the thread is to end.
         """
         with self._changed:
             idle_until = time.monotonic() + ALIVE
             while not self._ending and not self._is_due():
-                left = idle_until - time.monotonic()
+                left = min(idle_until - time.monotonic(), self._seconds_to_sync())
                 if left <= 0:
                     return True
                 self._changed.wait(left)
@@ -388,13 +391,15 @@ class Committer:
                 gap, self._lost_now = self._lost_now, None
                 self._committing = True
             told = [*intervals, gap] if gap is not None else intervals
-            before = self._number
+            before, began = self._number, self._clock()
             commit, passed_over = self._committed(batches, told, [event for _, event in alarms])
         except Exception as error:  # a defect must not end the thread unseen: it is in the status, and tried again
             if not isinstance(error, sqlite3.Error | OSError) and self._error is None:
                 _log.exception("the store failed in an unexpected way")
             self._put_back(batches, intervals, alarms, gap, str(error) or type(error).__name__)
             return False
+        if commit.number > before and self._unsynced_since is None and self.writer.options.durability == "process":
+            self._unsynced_since = began
         self._sync_when_due()
         with self._changed:
             self._commits += commit.number > before
@@ -429,18 +434,22 @@ class Committer:
         self._number, self._committed_at = commit.number, now
         return replace(commit, shown=choice.shown) if choice.passed_over else commit, choice.passed_over
 
+    def _seconds_to_sync(self) -> float:
+        """Return the seconds until the log has to be synced (rule 5); infinite if nothing was committed since."""
+        return math.inf if self._unsynced_since is None else self._unsynced_since + SYNC - self._clock()
+
     def _sync_when_due(self) -> None:
-        if self.writer.options.durability != "process" or time.monotonic() - self._synced <= SYNC:
+        if self._seconds_to_sync() > self._interval:  # else the next commit is too late
             return
-        self._synced = time.monotonic()
         try:
             self.writer.sync()
         except OSError as error:
             if self._sync_error is None:
                 _log.error("commits of the store %s cannot be made durable: %s", self.writer.folder, error)
             self._sync_error = str(error)
+            self._unsynced_since = self._clock()
         else:
-            self._sync_error = None
+            self._sync_error = self._unsynced_since = None
 
     def _tell(self, commit: Commit) -> None:
         for subscriber in self._subscribers:

@@ -18,9 +18,11 @@ from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
 from ..samples import Quality, Value, quality_of
 from .alarm_events import alarm_events, alarm_rows
+from .file_rows import Row
 from .folder import SEGMENTS
 from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
-from .parts import Row, open_part_facts, part_intervals, rows_of_table
+from .parts import open_part_facts, part_intervals
+from .sealed_files import rows_of_table
 from .sealing import arrow
 from .segment import open_for_reading, sample_value
 

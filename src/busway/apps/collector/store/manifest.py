@@ -72,6 +72,8 @@ CREATE TABLE IF NOT EXISTS maintenance (
     device TEXT PRIMARY KEY, begin INTEGER NOT NULL, by TEXT NOT NULL, why TEXT NOT NULL
 ) WITHOUT ROWID;
 """
+_FLOAT32: Final = "SELECT value FROM json_each((SELECT value FROM facts WHERE name = 'float32'))"
+"""The ids of points of type float32."""
 INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
@@ -202,6 +204,7 @@ class StoredPoint:
         device, point: its present names.
         unit_of_measure: its unit of measure, such as ``kW``; empty without one.
         is_state: whether its values are states, true or false.
+        is_float32: whether its values are numbers of type float32, without a scale: fewer digits tell them apart.
     """
 
     id: int
@@ -209,6 +212,7 @@ class StoredPoint:
     point: str
     unit_of_measure: str
     is_state: bool
+    is_float32: bool = False
 
     @property
     def name(self) -> str:
@@ -481,8 +485,13 @@ class Manifest:
 
     def points(self) -> list[StoredPoint]:
         """Return all points of the store, also those that are no longer read, in the order of their ids."""
-        rows = self._all("SELECT id, device, point, unit_of_measure, is_state FROM points ORDER BY id")
-        return [StoredPoint(number, device, point, unit, bool(state)) for number, device, point, unit, state in rows]
+        rows = self._all(
+            f"SELECT id, device, point, unit_of_measure, is_state, id IN ({_FLOAT32}) FROM points ORDER BY id"
+        )
+        return [
+            StoredPoint(number, device, point, unit, bool(state), bool(single))
+            for number, device, point, unit, state, single in rows
+        ]
 
     def point_names(self) -> PointNames:
         """Return the present names of all points, with the renames that were made before (`PointNames`)."""
@@ -535,6 +544,7 @@ class Manifest:
                 "INSERT OR IGNORE INTO carried_names SELECT id, ? FROM points WHERE device = ? AND point = ?",
                 [(one.was, one.device, one.point) for one in described if one.was is not None],
             )
+            _note_float32(database, described)
         self.descriptions += 1
 
     def point_ids(self, device: str, points: Sequence[str], states: frozenset[str] = frozenset()) -> list[int]:
@@ -584,6 +594,21 @@ class Manifest:
             ReportedSample(device, point, time, json.loads(value), reason)
             for device, point, time, value, reason in rows
         ]
+
+
+def _note_float32(database: sqlite3.Connection, described: Sequence[PointDescription]) -> None:
+    """Record which of the described points are of type float32; what is recorded of others stays.
+
+    It is a fact beside the table of points, so that stores written by earlier versions are read too.
+    """
+    ids = {
+        (device, point): number for device, point, number in database.execute("SELECT device, point, id FROM points")
+    }
+    before = {number for (number,) in database.execute(_FLOAT32)}
+    found = before - {ids[one.device, one.point] for one in described}
+    found |= {ids[one.device, one.point] for one in described if one.is_float32}
+    if found != before:
+        database.execute("INSERT OR REPLACE INTO facts VALUES ('float32', ?)", (json.dumps(sorted(found)),))
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:

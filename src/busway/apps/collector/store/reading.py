@@ -5,7 +5,9 @@ Knows how parts overlap; knows no format.
 1. The axis of time is cut where parts begin and end. Where one part covers a piece, it is asked for rows or sums;
    where several do, their rows are merged by key, and the later commit holds.
 2. Pieces are small enough for memory: `_PIECE` wanted rows, roughly, or ten times as many where only sums are kept.
-3. A part that is sealed or dropped while it is read is looked up again, from the time on that was reached.
+3. Where sealed parts follow one another, one question is about as many of them as a piece may have samples, if that is
+   cheaper than one question for each (`sealed_files`).
+4. A part that is sealed or dropped while it is read is looked up again, from the time on that was reached.
 """
 
 import time
@@ -22,19 +24,12 @@ from ....errors import InvalidRequest
 from ..alarms.events import AlarmEvent
 from ..samples import Gap, StateInterval
 from .alarm_events import alarm_events, alarm_rows
-from .folder import check_store
+from .file_rows import Row, Sums, SumsByBucket, add_sums, sums_of_rows
+from .folder import SEGMENTS, check_store
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
-from .parts import (
-    Row,
-    Sums,
-    SumsByBucket,
-    open_part_facts,
-    part_intervals,
-    part_rows,
-    part_sums,
-    sums_of_rows,
-)
+from .parts import open_part_facts, part_intervals, part_rows, part_sums
 from .query_results import BucketTable, SampleTable
+from .sealed_files import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
 from .segment import sample_value
 from .selection import Moment, chosen_points, period, span
 
@@ -53,12 +48,14 @@ class TimePiece:
 
     Attributes:
         low, high: the piece in nanoseconds since 1970 UTC, ``high`` excluded.
-        parts: the parts; each covers the whole piece.
+        parts: the parts; each covers the whole piece, unless it is a run.
+        is_run: whether the parts are sealed and follow one another, so that no two have samples of the same time.
     """
 
     low: int
     high: int
     parts: tuple[StorePart, ...]
+    is_run: bool = False
 
 
 class Store:
@@ -191,7 +188,7 @@ class Store:
         sums: SumsByBucket = {}
         most = 10 * self._rows_in_piece(chosen)
         for _, found in self._walk((low, high, most), lambda piece: self._sums(piece, ids, bucket)):
-            _add_up(sums, found)
+            add_sums(sums, found)
             if len(sums) > MOST_BUCKETS:
                 raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
         if until is None:
@@ -264,7 +261,7 @@ class Store:
         tries = 0
         while True:
             try:
-                for piece in pieces_of(self._parts(), reached, high, most):
+                for piece in self._pieces(reached, high, most):
                     yield piece, ask(piece)
                     reached, tries = piece.high, 0
                 return
@@ -273,7 +270,16 @@ class Store:
                 if tries > _TRIES:
                     raise
 
+    def _pieces(self, low: int, high: int, most: int) -> Iterator[TimePiece]:
+        pieces = pieces_of(self._parts(), low, high, most)
+        return runs_of(pieces, most) if reads_many() else pieces
+
+    def _files(self, piece: TimePiece) -> list[Path]:
+        return [self.folder / SEGMENTS / part.file for part in piece.parts]
+
     def _merged(self, piece: TimePiece, ids: list[int] | None) -> list[Row]:
+        if piece.is_run:
+            return sealed_rows(self._files(piece), ids, piece.low, piece.high)
         found = [part_rows(self.folder, part, ids, piece.low, piece.high) for part in piece.parts]
         if len(found) == 1:
             return found[0]
@@ -286,6 +292,8 @@ class Store:
         return list(merged.values())
 
     def _sums(self, piece: TimePiece, ids: list[int] | None, bucket: int) -> SumsByBucket:
+        if piece.is_run:
+            return sealed_sums(self._files(piece), ids, piece.low, piece.high, bucket)
         if len(piece.parts) == 1:
             return part_sums(self.folder, piece.parts[0], ids, piece.low, piece.high, bucket)
         return sums_of_rows(self._merged(piece, ids), bucket)
@@ -324,17 +332,52 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
         most: samples of a piece.
     """
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
-    spans = [each for each in spans if each[0] < each[1]]
+    spans = sorted((each for each in spans if each[0] < each[1]), key=lambda span: span[0])
     cuts = sorted({cut for begin, end, _ in spans for cut in (begin, end)})
+    covering: list[tuple[int, int, StorePart]] = []
+    place = 0
     for begin, end in pairwise(cuts):
-        covering = tuple(part for first, last, part in spans if first <= begin and last >= end)
+        covering = [span for span in covering if span[1] > begin]
+        while place < len(spans) and spans[place][0] <= begin:
+            covering.append(spans[place])
+            place += 1
         if not covering:
             continue
-        rows = sum(_share(part, begin, end) for part in covering)
+        there = tuple(part for _, _, part in covering)
+        rows = sum(_share(part, begin, end) for part in there)
         count = max(1, min(-(-int(rows) // most), end - begin))
         edges = [begin + (end - begin) * number // count for number in range(count + 1)]
         for first, last in pairwise(edges):
-            yield TimePiece(first, last, covering)
+            yield TimePiece(first, last, there)
+
+
+def runs_of(pieces: Iterator[TimePiece], most: int) -> Iterator[TimePiece]:
+    """Yield pieces, with those put together to runs that follow one another and have one sealed part each.
+
+    Args:
+        pieces: pieces of a period, in order.
+        most: samples of a run, roughly.
+    """
+    run: list[TimePiece] = []
+    rows = 0.0
+    for piece in pieces:
+        is_single = len(piece.parts) == 1 and piece.parts[0].kind == "sealed"
+        more = _share(piece.parts[0], piece.low, piece.high) if is_single else 0.0
+        if run and (not is_single or rows + more > most or len(run) == FILES_AT_ONCE):
+            yield _run(run)
+            run, rows = [], 0.0
+        if is_single:
+            run.append(piece)
+            rows += more
+        else:
+            yield piece
+    if run:
+        yield _run(run)
+
+
+def _run(pieces: Sequence[TimePiece]) -> TimePiece:
+    parts = tuple(dict.fromkeys(part for piece in pieces for part in piece.parts))
+    return TimePiece(pieces[0].low, pieces[-1].high, parts, is_run=True)
 
 
 def _share(part: StorePart, begin: int, end: int) -> float:
@@ -385,14 +428,6 @@ def _extend(whole: SampleTable, other: SampleTable) -> None:
     for name in SampleTable.__dataclass_fields__:
         column: list[Any] = getattr(whole, name)
         column.extend(getattr(other, name))
-
-
-def _add_up(sums: SumsByBucket, found: SumsByBucket) -> None:
-    for key, one in found.items():
-        if key in sums:
-            sums[key].add(one)
-        else:
-            sums[key] = one
 
 
 def _add_gaps(
