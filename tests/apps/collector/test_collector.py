@@ -184,7 +184,7 @@ async def test_a_point_that_is_not_asked_for_is_bad_for_its_reason_after_a_start
             value, reason, time = collector.values.last("pump", "gone") or (0, 0, 0)
             assert (value, reason) == (None, exception_reason(2))
     table = busway.Store(tmp_path / "data").read("pump/gone")
-    assert (table.time[-1], table.reason[-1]) == (time, exception_reason(2))
+    assert (time, exception_reason(2)) in zip(table.time, table.reason, strict=True)  # later reads may have followed
 
 
 @pytest.mark.parametrize("firmware", ["2.1", "2.2"])
