@@ -17,7 +17,7 @@ from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import SampleMessage, decode_message
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.streams import CURSORS, CursorBook, SinkCursors, SinkProgress
 
@@ -100,6 +100,8 @@ class LossyStream:
 class Sender:
     """A collector with a store and an outbox, which sees the cursors of sinks some time later."""
 
+    longest = MOST_BYTES
+
     def __init__(self, world: "World", folder: Path, name: str) -> None:
         self.world, self.folder, self.name, self.word = world, folder, name, "s" + name
         self.book = CursorBook()
@@ -139,7 +141,11 @@ class Sender:
         found = [epoch for first, epoch in self.epochs.get(link, []) if first <= commit]
         return Epoch(1, found[-1]) if found else None
 
+    def most_bytes(self) -> int:
+        return self.longest
+
     async def publish(self, message: SampleMessage) -> None:
+        assert len(message.encode()) <= self.longest
         self.samples_of[message.chain.start] = self.samples
         self.world.stream.publish(message)
 
@@ -445,7 +451,7 @@ async def run_world(
 ) -> None:
     chance = Random(f"options {seed}")
     patch.setattr(outbox_module, "MOST", chance.choice((2, 5, 20000)))
-    patch.setattr(outbox_module, "MOST_ROWS", chance.choice((1, 2, 2000)))
+    patch.setattr(Sender, "longest", chance.choice((400, 500, MOST_BYTES)))
     rounds = iter(range(10**9))
     patch.setattr(secrets, "randbits", lambda bits: 1000 + next(rounds))
     world = World(folder, seed, steps, features)

@@ -4,7 +4,15 @@ from hypothesis import strategies as st
 
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import Chain, SampleMessage, UnreadableMessage, by_link, decode_message
+from busway.apps.fleet.messages import (
+    Chain,
+    SampleMessage,
+    UnreadableMessage,
+    by_link,
+    decode_message,
+    longest_head,
+    longest_row,
+)
 
 msgpack = pytest.importorskip("msgpack")
 
@@ -47,6 +55,29 @@ def test_a_message_comes_back_as_it_was_with_the_type_of_every_value(
     found = decode_message(sent.encode())
     assert found == sent
     assert [type(each.value) for each in found.samples] == [type(each.value) for each in samples]
+
+
+@given(st.lists(SAMPLES, max_size=300), st.text(max_size=300))
+def test_a_message_is_never_longer_than_computed_before(samples: list[CommittedSample], name: str) -> None:
+    known = set[tuple[str, str, str]]()
+    bound = longest_head(name, name, name) + sum(longest_row(each, known) for each in samples)
+    largest = 2**63 - 1
+    chain = Chain(2**48 - 1, largest, largest)
+    numbers = {"epoch": Epoch(largest, largest), "revision": largest, "complete": largest, "kept": largest}
+    sent = message(samples, collector=name, store=name, link=name, chain=chain, **numbers)
+    assert len(sent.encode()) <= bound
+
+
+def test_numbers_take_most_of_the_room_that_is_computed_for_them() -> None:
+    known = set[tuple[str, str, str]]()
+    rows = [CommittedSample(2**33, "meter", "power", 2**60 + n, 2**20, 230.5, 0) for n in range(1000)]
+    bound = longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in rows)
+    assert bound < 2 * len(message(rows).encode())
+
+
+def test_text_with_half_a_pair_of_surrogates_comes_back() -> None:
+    sent = message([CommittedSample(1, "d", "p", 1, 0, "a\ud800", 0)])
+    assert decode_message(sent.encode()) == sent
 
 
 @given(st.binary(max_size=60))

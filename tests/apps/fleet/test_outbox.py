@@ -8,7 +8,7 @@ import pytest
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import SampleMessage
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.streams import SinkProgress
 
@@ -23,10 +23,15 @@ class MemoryStream:
         self.sinks: dict[str, SinkPlace] = {}
         self.is_up = True
         self.start = 0
+        self.longest = MOST_BYTES
+
+    def most_bytes(self) -> int:
+        return self.longest
 
     async def publish(self, message: SampleMessage) -> None:
         if not self.is_up:
             raise StreamDown("it is full")
+        assert len(message.encode()) <= self.longest
         self.messages.append(message)
         self.start = message.chain.start
 
@@ -316,3 +321,69 @@ async def test_what_a_stream_loses_after_it_has_acknowledged_it_is_never_believe
     of_link = [each for each in stream.messages if each.samples[0].device == link]
     stream.messages.remove(of_link[1])  # as when the server ends before it has written; the number is used again
     assert stream.believed()[0] < of_link[1].samples[0].commit
+
+
+def commit_texts(sending: Sending, *texts: str | float) -> int:
+    """One commit with a sample of `name` for each value."""
+    batches = []
+    for text in texts:
+        sending.rows += 1
+        batches.append(SampleBatch(PointGroup("meter", ("name",)), NOW + sending.rows * 10**9, 5, (text,)))
+    return sending.writer.commit(batches, [], NOW + sending.rows * 10**9).number
+
+
+async def test_long_texts_are_sent_in_messages_that_are_not_too_long(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        texts = [chr(0x20AC) * length for length in (1000, 20_000, 21_000, 21_700, 5, 21_000, 21_000)]
+        commit_texts(sending, *texts)
+        assert not await sending.outbox.step()
+        found = [sample.value for message in sending.stream.messages for sample in message.samples]
+        assert found == texts
+        assert len(sending.stream.messages) == 5
+        assert all(len(each.encode()) <= MOST_BYTES for each in sending.stream.messages)
+        assert sending.outbox.status().set_aside == 0
+
+
+async def test_messages_are_as_long_as_a_server_with_a_low_limit_takes(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    sending.stream.longest = 1000
+    with sending.writer:
+        commit_texts(sending, *("x" * 20 for _ in range(30)))
+        assert not await sending.outbox.step()
+        assert len(sending.stream.commits()) == 30
+        assert max(len(each.encode()) for each in sending.stream.messages) > 300
+
+
+async def test_a_sample_that_is_too_long_for_a_message_is_told_and_set_aside_and_others_are_sent(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        commit_texts(sending, "one", "x" * MOST_BYTES, "two", "y" * MOST_BYTES)
+        last = commit_texts(sending, "z" * MOST_BYTES)
+        assert not await sending.outbox.step()
+        await sending.outbox.step()
+        found = [sample.value for message in sending.stream.messages for sample in message.samples]
+        assert found == ["one", "two"]
+        assert sending.stream.messages[-1].complete == last
+        assert sending.outbox.status().set_aside == 3
+        told = [each.message for each in caplog.records if "no sink gets it" in each.message]
+        assert len(told) == 1
+        assert "meter/name" in told[0]
+        sending.outbox = sending.opened()
+        assert not await sending.outbox.step()
+        assert sending.outbox.status().set_aside == 3, "it is not sent after a start either"
+
+
+async def test_a_commit_with_nothing_but_a_sample_that_is_too_long_holds_nothing_up(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        commit_texts(sending, "x" * MOST_BYTES)
+        last = sending.commit("meter")
+        await sending.outbox.step()
+        await sending.outbox.step()
+        assert sending.stream.commits() == [last]
+        sending.stream.sinks = {"broker": SinkPlace(last, 9)}
+        await sending.outbox.step()
+        assert sending.outbox.status().kept == last

@@ -13,20 +13,26 @@ from foreign_servers import ForeignServer, nats_server
 from waiting import until
 
 import busway
+from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
+from busway.apps.fleet.messages import decode_message
+from busway.apps.fleet.outbox import Outbox
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
 pytestmark = pytest.mark.real_time
+
+NOW = 1_800_000_000 * 10**9
 
 
 class KeepingSink:
@@ -157,6 +163,35 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 assert kept <= has, "what all sinks are said to keep, the sink has"
         assert has <= stored(tmp_path, "one", "two"), "nothing comes that no store has"
         assert handed.error is None
+
+
+async def test_texts_longer_than_a_server_takes_are_set_aside_and_all_else_is_sent(tmp_path: Path) -> None:
+    texts = ["x" * length for length in (10, 6000, 4000, 2000, 2000, 2000, 2000, 5)]
+    with nats_server(tmp_path, "max_payload: 6000") as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator:
+            await make_stream(coordinator.client, "hall")
+            batches = [
+                SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (text,))
+                for number, text in enumerate(texts)
+            ]
+            writer.commit(batches, [], NOW)
+            outbox = Outbox(
+                tmp_path / "store",
+                writer.manifest,
+                NatsStream(coordinator.client, "hall", lambda link: "0000"),
+                collector="one",
+                store="s",
+                link_of=lambda: {"meter": "hall"},
+                epoch_of=lambda link, commit: None,
+                now=lambda: 0.0,
+            )
+            assert not await outbox.step()
+            jetstream = coordinator.client.jetstream()
+            newest = (await jetstream.stream_info("busway-samples-hall")).state.last_seq
+            sent = [await jetstream.get_msg("busway-samples-hall", number) for number in range(1, newest + 1)]
+            found = [sample.value for each in sent for sample in decode_message(each.data or b"").samples]
+            assert found == [text for text in texts if len(text) != 6000]
+            assert outbox.status().set_aside == 1
 
 
 async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_ones_of_it(tmp_path: Path) -> None:

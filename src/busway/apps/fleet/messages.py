@@ -7,6 +7,8 @@
 3. A stream can lose messages that it has acknowledged: the last ones, when its server ends, and the oldest, when it is
    full. By its `Chain` a reader sees that it lacks a message of the sender.
 4. A message of a newer format is refused as a whole; nothing in it is guessed.
+5. A message has at most `MOST_BYTES` bytes. How long it becomes is not measured but computed before (`longest_head`,
+   `longest_row`), and never too low.
 """
 
 from collections.abc import Iterator, Sequence
@@ -21,8 +23,8 @@ from ..collector.store.committed_samples import CommittedSample
 from .lease_times import Epoch
 
 FORMAT: Final = 2
-MOST_ROWS: Final = 2000
-"""Most samples in one message: about 64 kB."""
+MOST_BYTES: Final = 64 * 1024
+"""Most bytes of one message."""
 
 
 class UnreadableMessage(ModbusError):
@@ -103,7 +105,7 @@ class SampleMessage:
             [_packed(value) if type(value) is int else value for value in values],
             reasons,
         ]
-        packed: bytes = import_module("msgpack").packb(content)
+        packed: bytes = import_module("msgpack").packb(content, unicode_errors="surrogatepass")
         return packed
 
 
@@ -117,7 +119,7 @@ def decode_message(data: bytes) -> SampleMessage:
     require("msgpack", "samples of a fleet")
     msgpack = import_module("msgpack")
     try:
-        content = msgpack.unpackb(data, strict_map_key=False)
+        content = msgpack.unpackb(data, strict_map_key=False, unicode_errors="surrogatepass")
         if content[0] != FORMAT:
             raise UnreadableMessage(f"format {content[0]!r} is not known here: this program is older than its sender")
         _, collector, store, link, epoch, revision, complete, kept, *rest = content
@@ -158,6 +160,43 @@ def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iter
 
     for name, found in groupby(sorted(samples, key=link), key=link):
         yield name, list(found)
+
+
+def longest_head(*names: str) -> int:
+    """Return how many bytes a message may have beside its samples.
+
+    Args:
+        names: the names in it: collector, store and link.
+    """
+    return _MOST_NUMBERS + sum(map(_longest_text, names))
+
+
+def longest_row(sample: CommittedSample, known: set[tuple[str, str, str]]) -> int:
+    """Return how many bytes a sample may add to a message; computed from the longest forms in MessagePack.
+
+    Args:
+        sample: the sample.
+        known: device, point and unit of measure of the samples before it in the same message; its own are added.
+    """
+    point = sample.device, sample.point, sample.unit_of_measure
+    names = 0
+    if point not in known:
+        known.add(point)
+        names = 1 + sum(map(_longest_text, point))
+    value = sample.value
+    if isinstance(value, str):
+        return _MOST_ROW + names + _longest_text(value)
+    return _MOST_ROW + names + (len(str(value)) if type(value) is int else 0)
+
+
+_MOST_NUMBERS: Final = 256
+"""Bytes of all numbers and heads of lists of a message together: 12 numbers of 9 bytes, 10 heads of 5."""
+_MOST_ROW: Final = 48
+"""Bytes of a sample's numbers: place, commit, time and half width, 5 or 9 each, value 9, reason 3, head of a list 6."""
+
+
+def _longest_text(text: str) -> int:
+    return 5 + len(text.encode("utf-8", "surrogatepass"))
 
 
 def _packed(value: Any) -> Any:

@@ -13,13 +13,16 @@ Knows commits and cursors; `streams` knows the engine.
 5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
 6. What a sink says that it has counts only if messages of this start have proved it. If an older copy of the store was
    put back, its numbers are used twice, and a sink may have commits of the newer one.
+7. A message is no longer than `SampleStream.most_bytes`. A sample that alone is longer is set aside: it stays in the
+   store, no sink gets it, and the status counts it.
 """
 
 import asyncio
 import logging
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -27,7 +30,7 @@ from ...errors import ModbusError
 from ..collector.store.committed_samples import CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
 from .lease_times import Epoch
-from .messages import MOST_ROWS, Chain, SampleMessage, by_link
+from .messages import Chain, SampleMessage, by_link, longest_head, longest_row
 
 OUTBOX: Final = "fleet"
 """The name of the outbox's cursor in the manifest."""
@@ -83,6 +86,9 @@ class SampleStream(Protocol):
             StreamDown: the stream has not acknowledged the message, but may have it.
         """
 
+    def most_bytes(self) -> int:
+        """Return the most bytes that a message may have."""
+
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
         """Return by sink how far it is with the samples of a store; empty if no sink is known."""
 
@@ -95,12 +101,14 @@ class OutboxStatus:
         sent: the commit up to which the stream has all samples.
         kept: the commit up to which all sinks have all samples.
         messages: number of messages acknowledged since the start.
+        set_aside: number of samples since the start that no sink gets, because they are too long for a message.
         error: why the stream does not take more; None while it does.
     """
 
     sent: int
     kept: int
     messages: int
+    set_aside: int
     error: str | None
 
 
@@ -144,10 +152,12 @@ class Outbox:
         self._messages = 0
         self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
+        self._aside: set[tuple[str, str, int, int]] = set()
+        self._too_long: set[tuple[str, str]] = set()
 
     def status(self) -> OutboxStatus:
         """Return how far the sending of stored samples to the message stream has come."""
-        return OutboxStatus(self._sent, self._kept, self._messages, self._error)
+        return OutboxStatus(self._sent, self._kept, self._messages, len(self._aside), self._error)
 
     async def run(self) -> None:
         """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
@@ -239,23 +249,57 @@ class Outbox:
             self._told = self._sent
 
     def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:
-        found: list[SampleMessage] = []
-        for link, group in by_link(samples, dict(self._link_of())):
-            for begin in range(0, len(group), MOST_ROWS):
-                found += self._of_one_epoch(link, group[begin : begin + MOST_ROWS])
-        return found
+        return [
+            self._message(link, rows, epoch)
+            for link, group in by_link(samples, dict(self._link_of()))
+            for epoch, rows in self._cut(link, group)
+        ]
 
-    def _of_one_epoch(self, link: str, rows: list[CommittedSample]) -> list[SampleMessage]:
-        """Return samples of one link as messages, one for each epoch and revision of the configuration.
+    def _cut(self, link: str, group: list[CommittedSample]) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
+        """Yield samples of one link for one message each: of one epoch and revision, and not too long (rule 7).
 
         Args:
             link: name of the link.
-            rows: the samples, `MOST_ROWS` at most.
+            group: the samples, in the order of their commits.
         """
-        groups: dict[tuple[Epoch | None, int], list[CommittedSample]] = {}
-        for row in rows:
-            groups.setdefault((self._epoch_of(link, row.commit), self._revision_of(row.commit)), []).append(row)
-        return [self._message(link, each, epoch) for (epoch, _), each in groups.items()]
+        head, most = longest_head(self._collector, self._store, link), self._stream.most_bytes()
+        for epoch, rows in self._of_one_epoch(link, group):
+            begin, length, known = 0, head, set[tuple[str, str, str]]()
+            for place, row in enumerate(rows):
+                added = longest_row(row, known)
+                if length + added > most and place > begin:
+                    yield epoch, rows[begin:place]
+                    begin, length, known = place, head, set()
+                    added = longest_row(row, known)
+                if length + added > most:
+                    self._set_aside(row, head + added, most)
+                    begin, known = place + 1, set()
+                    continue
+                length += added
+            if begin < len(rows):
+                yield epoch, rows[begin:]
+
+    def _of_one_epoch(
+        self, link: str, group: list[CommittedSample]
+    ) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
+        """Yield the samples of one link apart by epoch and revision of the configuration; both follow from commits."""
+        for (epoch, _), rows in groupby(
+            group, key=lambda row: (self._epoch_of(link, row.commit), self._revision_of(row.commit))
+        ):
+            yield epoch, list(rows)
+
+    def _set_aside(self, sample: CommittedSample, length: int, most: int) -> None:
+        """Note that a sample is too long for a message: no sink gets it. Told once for each point."""
+        point = sample.device, sample.point
+        self._aside.add((*point, sample.commit, sample.time))
+        if point not in self._too_long:
+            self._too_long.add(point)
+            _log.error(
+                "a sample of %s/%s has %d bytes, and a message at most %d: it stays in the store, and no sink gets it",
+                *point,
+                length,
+                most,
+            )
 
     def _message(self, link: str, samples: list[CommittedSample], epoch: Epoch | None = None) -> SampleMessage:
         return SampleMessage(

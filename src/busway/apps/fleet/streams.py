@@ -35,10 +35,12 @@ from .coordinator import (
 from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks, keep_following
-from .messages import SampleMessage, UnreadableMessage, decode_message
+from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
 
 CURSORS: Final = "cursor."
+MOST_HEADERS: Final = 1024
+"""Bytes that a server counts to a message beside its data: the header with its name."""
 FETCH: Final = 64
 """Most messages that a sink takes at once."""
 AUDIT_AGE: Final = 366 * 86_400.0
@@ -219,6 +221,10 @@ class NatsStream:
             )
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+
+    def most_bytes(self) -> int:
+        """Return the most bytes that a message may have: `MOST_BYTES`, or what the server takes, if that is less."""
+        return min(MOST_BYTES, int(self._client.max_payload) - MOST_HEADERS)
 
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
         """Return by sink up to which commit it has the samples of a collector's store; empty if no sink is known.
