@@ -10,6 +10,7 @@ from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import MOST_BYTES, SampleMessage
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
+from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import SinkProgress
 
 NOW = 1_800_000_000 * 10**9
@@ -50,6 +51,7 @@ class Sending:
         self.writer = StoreWriter(folder, now=NOW)
         self.stream = MemoryStream()
         self.time = 0.0
+        self.gaps: list[OwnershipGap] = []
         self.outbox = self.opened()
         self.rows = 0
 
@@ -62,6 +64,7 @@ class Sending:
             store="s",
             link_of=lambda: {"meter": "hall", "pump": "roof"},
             epoch_of=lambda link, commit: Epoch(1, 10 if commit <= 4 else 20),
+            gaps_of=lambda after, last: [each for each in self.gaps if after < each.commit <= last],
             now=lambda: self.time,
         )
 
@@ -387,3 +390,40 @@ async def test_a_commit_with_nothing_but_a_sample_that_is_too_long_holds_nothing
         sending.stream.sinks = {"broker": SinkPlace(last, 9)}
         await sending.outbox.step()
         assert sending.outbox.status().kept == last
+
+
+async def test_a_gap_is_sent_between_the_samples_of_the_epochs_that_it_parts_and_again_with_them(
+    tmp_path: Path,
+) -> None:
+    sending = Sending(tmp_path)
+    sending.stream.longest = 800
+    devices = tuple(f"meter {number} of the hall" for number in range(60))
+    sending.gaps = [
+        OwnershipGap("hall", Epoch(1, 20), 5, devices, 1, 2),
+        OwnershipGap("shed", Epoch(1, 9), 3, ("fan",), 1, 2),
+        OwnershipGap("shed", Epoch(1, 30), 9, ("fan",), 3, 4),
+    ]
+    with sending.writer:
+        for _ in range(5):
+            sending.commit("meter", "pump")
+        for _ in range(2):
+            await sending.outbox.step()
+            found = [
+                (each.link, each.epoch, [sample.commit for sample in each.samples])
+                for each in sending.stream.messages
+                if each.gap is None or each.gap.devices[0] in ("fan", devices[0])
+            ]
+            assert found == [
+                ("hall", Epoch(1, 10), [2, 3, 4]),
+                ("hall", Epoch(1, 20), []),
+                ("hall", Epoch(1, 20), [5, 6]),
+                ("roof", Epoch(1, 10), [2, 3, 4]),
+                ("roof", Epoch(1, 20), [5, 6]),
+                ("shed", Epoch(1, 9), []),
+            ]
+            parts = [each.gap for each in sending.stream.messages if each.gap is not None]
+            assert sum((each.devices for each in parts if each.link == "hall"), ()) == devices
+            assert len(parts) > 3
+            assert {(each.commit, each.begin, each.end) for each in parts} == {(5, 1, 2), (3, 1, 2)}
+            sending.stream.messages.clear()
+            sending.outbox = sending.opened()

@@ -23,8 +23,10 @@ from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
+from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import decode_message
 from busway.apps.fleet.outbox import Outbox
+from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
 
@@ -192,6 +194,49 @@ async def test_texts_longer_than_a_server_takes_are_set_aside_and_all_else_is_se
             found = [sample.value for each in sent for sample in decode_message(each.data or b"").samples]
             assert found == [text for text in texts if len(text) != 6000]
             assert outbox.status().set_aside == 1
+
+
+class GapKeepingSink(KeepingSink):
+    """Takes gaps too, and remembers how many samples it had then."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gaps: list[tuple[OwnershipGap, int]] = []
+
+    async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
+        if not self.is_up:
+            raise SinkDown("it is away")
+        self.gaps.append((gap, len(self.kept)))
+        return [CommittedSample(gap.commit, device, "name", gap.begin, 0, None, 22) for device in gap.devices]
+
+
+async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_samples_around_it(tmp_path: Path) -> None:
+    sink = GapKeepingSink()
+    sink.is_up = False
+    gap = OwnershipGap("hall", Epoch(1, 7), 4, ("meter",), NOW, NOW + 5)
+    with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator, handing_on(server, sink) as handed:
+            await make_stream(coordinator.client, "hall")
+            outbox = Outbox(
+                tmp_path / "store",
+                writer.manifest,
+                NatsStream(coordinator.client, "hall", lambda link: "0000"),
+                collector="one",
+                store="s",
+                link_of=lambda: {"meter": "hall"},
+                epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
+                gaps_of=lambda after, last: [gap] if after < gap.commit <= last else [],
+                now=lambda: 0.0,
+            )
+            for number in range(4):
+                batch = SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (number,))
+                writer.commit([batch], [], NOW + number)
+            assert not await outbox.step()
+            await until(lambda: handed.error is not None, 60)
+            sink.is_up = True
+            await until(lambda: handed.taken >= 5, 60)
+            assert sink.gaps == [(gap, 2)]
+            assert sum(sink.kept.values()) == 5, "four, and what was returned for the gap"
 
 
 async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_ones_of_it(tmp_path: Path) -> None:

@@ -21,8 +21,9 @@ from ...errors import ModbusError
 from ...extras import require
 from ..collector.store.committed_samples import CommittedSample
 from .lease_times import Epoch
+from .ownership_gaps import OwnershipGap
 
-FORMAT: Final = 2
+FORMAT: Final = 3
 MOST_BYTES: Final = 64 * 1024
 """Most bytes of one message."""
 
@@ -61,8 +62,9 @@ class SampleMessage:
         complete: the commit up to which the stream had acknowledged all samples of this store before this message.
         kept: the commit up to which, as the sender knows, all sinks have the samples of this store. The sender begins
             after that commit when it sends again.
-        samples: the samples in the order of their commits; empty in a message that only tells ``complete``.
+        samples: the samples in the order of their commits; empty in a message that tells ``complete`` or a gap.
         chain: its place in all that the sender has sent.
+        gap: a time before this epoch in which the link had no owner; then there are no samples. None otherwise.
     """
 
     collector: str
@@ -74,6 +76,7 @@ class SampleMessage:
     kept: int
     samples: Sequence[CommittedSample]
     chain: Chain = Chain()
+    gap: OwnershipGap | None = None
 
     @property
     def name(self) -> str:
@@ -97,6 +100,7 @@ class SampleMessage:
             self.complete,
             self.kept,
             [self.chain.start, self.chain.number, self.chain.after, self.chain.is_first],
+            None if self.gap is None else [self.gap.commit, self.gap.devices, self.gap.begin, self.gap.end],
             list(places),
             [places[point] for point in point_of],
             commits,
@@ -123,23 +127,29 @@ def decode_message(data: bytes) -> SampleMessage:
         if content[0] != FORMAT:
             raise UnreadableMessage(f"format {content[0]!r} is not known here: this program is older than its sender")
         _, collector, store, link, epoch, revision, complete, kept, *rest = content
-        (start, number, after, is_first), points, *columns = rest
+        (start, number, after, is_first), found, points, *columns = rest
         samples = [
             CommittedSample(
                 commit, points[place][0], points[place][1], time, half, _unpacked(value), reason, points[place][2]
             )
             for place, commit, time, half, value, reason in zip(*columns, strict=True)
         ]
+        owned = None if epoch is None else Epoch(epoch[0], epoch[1])
+        gap = None
+        if found is not None and owned is not None:
+            commit, devices, begin, end = found
+            gap = OwnershipGap(link, owned, commit, tuple(devices), begin, end)
         return SampleMessage(
             collector,
             store,
             link,
-            None if epoch is None else Epoch(epoch[0], epoch[1]),
+            owned,
             revision,
             complete,
             kept,
             samples,
             Chain(start, number, after, is_first),
+            gap,
         )
     except UnreadableMessage:
         raise
@@ -166,7 +176,7 @@ def longest_head(*names: str) -> int:
     """Return how many bytes a message may have beside its samples.
 
     Args:
-        names: the names in it: collector, store and link.
+        names: the names in it: collector, store and link, and the devices of a gap.
     """
     return _MOST_NUMBERS + sum(map(_longest_text, names))
 
@@ -190,7 +200,7 @@ def longest_row(sample: CommittedSample, known: set[tuple[str, str, str]]) -> in
 
 
 _MOST_NUMBERS: Final = 256
-"""Bytes of all numbers and heads of lists of a message together: 12 numbers of 9 bytes, 10 heads of 5."""
+"""Bytes of all numbers and heads of lists of a message together: 15 numbers of 9 bytes, 12 heads of 5."""
 _MOST_ROW: Final = 48
 """Bytes of a sample's numbers: place, commit, time and half width, 5 or 9 each, value 9, reason 3, head of a list 6."""
 

@@ -13,14 +13,16 @@ Knows commits and cursors; `streams` knows the engine.
 5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
 6. What a sink says that it has counts only if messages of this start have proved it. If an older copy of the store was
    put back, its numbers are used twice, and a sink may have commits of the newer one.
-7. A message is no longer than `SampleStream.most_bytes`. A sample that alone is longer is set aside: it stays in the
+7. A gap of ownership is sent before the samples of the epoch that ended it, in a message of its own, and again with
+   them. So a sink that has all samples up to a commit has all gaps up to there.
+8. A message is no longer than `SampleStream.most_bytes`. A sample that alone is longer is set aside: it stays in the
    store, no sink gets it, and the status counts it.
 """
 
 import asyncio
 import logging
 import secrets
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
 from pathlib import Path
@@ -31,6 +33,7 @@ from ..collector.store.committed_samples import CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
 from .lease_times import Epoch
 from .messages import Chain, SampleMessage, by_link, longest_head, longest_row
+from .ownership_gaps import OwnershipGap
 
 OUTBOX: Final = "fleet"
 """The name of the outbox's cursor in the manifest."""
@@ -123,6 +126,8 @@ class Outbox:
         link_of: returns by device the name of its link; called before each batch.
         epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
         revision_of: returns the revision of the configuration with which a commit's samples were taken.
+        gaps_of: returns the gaps of ownership that belong to the commits after one number up to another; called in
+            another thread.
         now: returns the time in seconds, by a clock that is never set.
     """
 
@@ -137,11 +142,13 @@ class Outbox:
         link_of: Callable[[], Mapping[str, str]],
         epoch_of: Callable[[str, int], Epoch | None],
         revision_of: Callable[[int], int] = lambda commit: 0,
+        gaps_of: Callable[[int, int], Sequence[OwnershipGap]] = lambda after, last: (),
         now: Callable[[], float],
     ) -> None:
         self._manifest, self._stream = manifest, stream
         self._collector, self._store = collector, store
         self._link_of, self._epoch_of, self._revision_of, self._now = link_of, epoch_of, revision_of, now
+        self._gaps_of = gaps_of
         self._reader = CommitReader(folder, manifest)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
         manifest.set_cursor(OUTBOX, self._kept, self._lost)
@@ -190,8 +197,9 @@ class Outbox:
             await self._tell_complete()
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
+        gaps = await asyncio.to_thread(self._gaps_of, self._sent, found.last)
         is_first = True
-        for message in self._messages_of(found.samples) or [self._message("", [])]:
+        for message in self._messages_of(found.samples, gaps) or [self._message("", [])]:
             await self._publish(message, is_first=is_first)
             is_first = False
         self._sent = found.last
@@ -248,15 +256,32 @@ class Outbox:
             await self._publish(self._message("", []), is_first=True)
             self._told = self._sent
 
-    def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:
-        return [
-            self._message(link, rows, epoch)
-            for link, group in by_link(samples, dict(self._link_of()))
-            for epoch, rows in self._cut(link, group)
-        ]
+    def _messages_of(self, samples: list[CommittedSample], gaps: Sequence[OwnershipGap]) -> list[SampleMessage]:
+        samples_of = dict(by_link(samples, dict(self._link_of())))
+        found: list[SampleMessage] = []
+        for link in sorted({*samples_of, *(gap.link for gap in gaps)}):
+            waiting = [gap for gap in gaps if gap.link == link]
+            for epoch, rows in self._cut(link, samples_of.get(link, [])):
+                while waiting and waiting[0].commit <= rows[0].commit:
+                    found += self._of_gap(waiting.pop(0))
+                found.append(self._message(link, rows, epoch))
+            for gap in waiting:
+                found += self._of_gap(gap)
+        return found
+
+    def _of_gap(self, gap: OwnershipGap) -> Iterator[SampleMessage]:
+        """Yield a gap of ownership as messages that are not too long: each for some of its devices (rules 7 and 8)."""
+        most = self._stream.most_bytes()
+        devices: list[str] = []
+        for device in gap.devices:
+            if devices and longest_head(self._collector, self._store, gap.link, *devices, device) > most:
+                yield replace(self._message(gap.link, [], gap.epoch), gap=replace(gap, devices=tuple(devices)))
+                devices = []
+            devices.append(device)
+        yield replace(self._message(gap.link, [], gap.epoch), gap=replace(gap, devices=tuple(devices)))
 
     def _cut(self, link: str, group: list[CommittedSample]) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
-        """Yield samples of one link for one message each: of one epoch and revision, and not too long (rule 7).
+        """Yield samples of one link for one message each: of one epoch and revision, and not too long (rule 8).
 
         Args:
             link: name of the link.

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 from ...errors import ConfigError
 from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
@@ -37,6 +37,7 @@ from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks, keep_following
 from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
+from .ownership_gaps import OwnershipGap
 
 CURSORS: Final = "cursor."
 MOST_HEADERS: Final = 1024
@@ -470,6 +471,19 @@ class SinkProgress:
             self._commits[place] = max(known, message.complete)
 
 
+@runtime_checkable
+class OwnershipGapSink(Protocol):
+    """Interface of a sink that takes gaps of ownership too."""
+
+    async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
+        """Send a gap of ownership, or return samples that are to be sent instead of it.
+
+        Raises:
+            SinkDown: it may have arrived; it may be given again.
+            SinkRefused: the receiver would refuse it again.
+        """
+
+
 class StreamSink:
     """Passes the samples in a zone's message stream on to one sink, each at least once.
 
@@ -581,7 +595,7 @@ class StreamSink:
         ready = await self._following(jetstream, stream, messages)
         try:
             read = [(each, self._read(each)) for each in ready]
-            await self._send([sample for _, each in read if each is not None for sample in each.samples])
+            await self._send_all([each for _, each in read if each is not None])
             for message, each in read:
                 self._progress.take(message.metadata.sequence.stream, each)
             await self._write_cursors()
@@ -658,12 +672,32 @@ class StreamSink:
             self.unreadable += 1
             return None
 
-    async def _send(self, samples: list[CommittedSample]) -> None:
-        if not samples:
-            return
+    async def _send_all(self, messages: list[SampleMessage]) -> None:
+        waiting: list[CommittedSample] = []
+        for each in messages:
+            if each.gap is not None and isinstance(self._sink, OwnershipGapSink):
+                await self._send(waiting)  # a gap begins after what was there before it
+                waiting = []
+                await self._send_gap(self._sink, each.gap)
+            waiting.extend(each.samples)
+        await self._send(waiting)
+
+    async def _send_gap(self, sink: OwnershipGapSink, gap: OwnershipGap) -> None:
+        await self._open()
+        try:
+            await self._send(await sink.send_gap(gap))
+        except SinkRefused as error:
+            _log.error("sink %s: the gap of link %s before epoch %s: %s", self._name, gap.link, gap.epoch, error)
+
+    async def _open(self) -> None:
         if not self._is_open:
             await self._sink.open()
             self._is_open = True
+
+    async def _send(self, samples: list[CommittedSample]) -> None:
+        if not samples:
+            return
+        await self._open()
         try:
             await self._sink.send(samples)
             self.taken += len(samples)

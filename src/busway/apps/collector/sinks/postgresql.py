@@ -7,7 +7,10 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 3. The table is made where it is not there; with ``timescale`` it becomes a hypertable.
 4. Events of alarms go to a table of their own, made with the first of them, by an upsert with the number of the event:
    its commit and its place in that.
-5. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
+5. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
+   of the device within the gap, in the transaction that brings the gap or that brings the sample: the order in which
+   they come does not matter.
+6. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
    is waited out.
 """
 
@@ -22,10 +25,10 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import PostgresqlOptions
-from ..samples import Value
+from ..samples import Reason, Value
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .hidden_secrets import HiddenSecrets
-from .interface import SinkDown, SinkRefused
+from .interface import DeviceGap, SinkDown, SinkRefused
 
 _USUAL: Final = PostgresqlOptions()
 _COLUMNS: Final = ("time", "device", "point", "value", "text", "reason", "half_width", "nanoseconds")
@@ -51,6 +54,30 @@ CREATE TABLE IF NOT EXISTS {table} (
     value double precision, value_text text, text text NOT NULL, by text NOT NULL, nanoseconds smallint NOT NULL,
     commit_number bigint NOT NULL, place integer NOT NULL, PRIMARY KEY (device, point, time, commit_number, place)
 )"""
+_GAP_TABLE: Final = """
+CREATE TABLE IF NOT EXISTS {table} (
+    device text NOT NULL, epoch text NOT NULL, begins timestamptz NOT NULL, ends timestamptz NOT NULL,
+    PRIMARY KEY (device, epoch)
+)"""
+_ADD_GAP: Final = """
+INSERT INTO {table} AS known (device, epoch, begins, ends)
+SELECT $1, $2, greatest($3::timestamptz, (
+    SELECT max(newest) FROM unnest($5::text[]) AS wanted (name), LATERAL (
+        SELECT max(time) AS newest FROM {samples}
+        WHERE device = $1 AND point = wanted.name AND time >= $3 AND time < $4 AND reason <> {reason}
+    ) AS found
+)), $4
+ON CONFLICT (device, epoch) DO UPDATE SET begins = greatest(known.begins, excluded.begins)"""
+_SHRINK_GAPS: Final = """
+UPDATE {table} AS known SET begins = found.newest
+FROM (
+    SELECT gap.device, gap.epoch, max(sample.time) AS newest
+    FROM {table} AS gap JOIN arriving AS sample
+    ON sample.device = gap.device AND sample.time > gap.begins AND sample.time < gap.ends
+    WHERE sample.reason <> {reason} AND gap.ends > (SELECT min(time) FROM arriving)
+    GROUP BY gap.device, gap.epoch
+) AS found
+WHERE known.device = found.device AND known.epoch = found.epoch"""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _NAME: Final = re.compile(r"[a-z_][a-z0-9_]{0,62}(\.[a-z_][a-z0-9_]{0,62})?")
 
@@ -64,6 +91,7 @@ class PostgresqlSink:
         *,
         table: str = _USUAL.table,
         alarm_table: str = _USUAL.alarm_table,
+        gap_table: str = _USUAL.gap_table,
         password: str | None = None,
         tls: ssl.SSLContext | None = None,
         timescale: bool = _USUAL.timescale,
@@ -76,6 +104,7 @@ class PostgresqlSink:
             table: name of the table of samples, ``schema.table`` if it is not in the search path; small letters,
                 digits, ``_``.
             alarm_table: name of the table of alarm events, likewise.
+            gap_table: name of the table of gaps of ownership, likewise.
             password: the user's password.
             tls: how to encrypt; None to leave that to the server and the URL.
             timescale: whether the tables become hypertables of TimescaleDB; the extension must be in the database.
@@ -86,16 +115,17 @@ class PostgresqlSink:
             MissingExtra: asyncpg is not installed.
         """
         require("asyncpg", "a sink to PostgreSQL")
-        for key, name in (("table", table), ("alarm_table", alarm_table)):
+        for key, name in (("table", table), ("alarm_table", alarm_table), ("gap_table", gap_table)):
             if _NAME.fullmatch(name) is None:
                 raise ConfigError(f"a table is called by small letters, digits and _, not {name!r}", key=key)
         self._url, self._table, self._alarm_table, self._timescale = url, table, alarm_table, timescale
+        self._gap_table = gap_table
         self._options: dict[str, Any] = {"password": password, "timeout": timeout, "command_timeout": timeout}
         self._secrets = HiddenSecrets(password)
         if tls is not None:
             self._options["ssl"] = tls
         self._connection: Any = None  # asyncpg is loaded when it is used
-        self._has_alarm_table = False
+        self._has_alarm_table = self._has_gap_table = False
 
     async def open(self) -> None:
         """Connect to the database, and create the table if it is missing. Raises `SinkDown`."""
@@ -105,6 +135,8 @@ class PostgresqlSink:
             self._has_alarm_table = False
             await self._make_table(_TABLE, self._table)
             await self._connection.execute(_ARRIVING)
+            asked = "SELECT to_regclass($1) IS NOT NULL"
+            self._has_gap_table = await self._connection.fetchval(asked, self._gap_table)
         except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
             raise SinkDown(f"the database cannot be used: {self._words(error)}") from error
 
@@ -143,6 +175,19 @@ class PostgresqlSink:
                 f" ORDER BY device, point, time, nanoseconds DESC"
                 f" ON CONFLICT (device, point, time) DO UPDATE SET {changed}"
             )
+            if self._has_gap_table:
+                await self._connection.execute(_SHRINK_GAPS.format(table=self._gap_table, reason=int(Reason.OWNERSHIP)))
+
+    async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
+        """Write gaps of ownership to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        async with self._writing():
+            if not self._has_gap_table:
+                await self._connection.execute(_GAP_TABLE.format(table=self._gap_table))
+            await self._connection.executemany(
+                _ADD_GAP.format(table=self._gap_table, samples=self._table, reason=int(Reason.OWNERSHIP)),
+                [(gap.device, gap.epoch, _moment(gap.begin)[0], _moment(gap.end)[0], list(gap.points)) for gap in gaps],
+            )
+        self._has_gap_table = True
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
         """Write alarm events to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
