@@ -144,6 +144,9 @@ class Sender:
         found = [epoch for first, epoch in self.epochs.get(link, []) if first <= commit]
         return Epoch(1, found[-1]) if found else None
 
+    async def connected_again(self) -> None:
+        pass
+
     def most_bytes(self) -> int:
         return self.longest
 

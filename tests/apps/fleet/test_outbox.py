@@ -1,12 +1,16 @@
 """The outbox against a stream in memory: at least once, in order, and again after whatever the stream loses."""
 
+import asyncio
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.writer import StoreWriter
+from busway.apps.fleet import outbox as outbox_module
+from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import MOST_BYTES, SampleMessage
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
@@ -25,6 +29,10 @@ class MemoryStream:
         self.is_up = True
         self.start = 0
         self.longest = MOST_BYTES
+        self.is_back = asyncio.Event()
+
+    async def connected_again(self) -> None:
+        await self.is_back.wait()
 
     def most_bytes(self) -> int:
         return self.longest
@@ -427,3 +435,35 @@ async def test_a_gap_is_sent_between_the_samples_of_the_epochs_that_it_parts_and
             assert {(each.commit, each.begin, each.end) for each in parts} == {(5, 1, 2), (3, 1, 2)}
             sending.stream.messages.clear()
             sending.outbox = sending.opened()
+
+
+async def test_a_stream_that_is_connected_again_is_tried_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_module, "PAUSE", 1000.0)
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        sending.stream.is_up = False
+        task = asyncio.create_task(sending.outbox.run())
+        await until(lambda: sending.outbox.status().error is not None)
+        assert sending.stream.messages == []
+        sending.stream.is_up = True
+        sending.stream.is_back.set()
+        await until(lambda: sending.stream.commits() == [2])
+        await end_tasks([task])
+
+
+async def test_a_stream_that_refuses_over_the_same_connection_is_tried_after_pauses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_module, "PAUSE", 0.01)
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        sending.stream.is_up = False
+        task = asyncio.create_task(sending.outbox.run())
+        await until(lambda: sending.outbox.status().error is not None)
+        sending.stream.is_up = True
+        await until(lambda: sending.stream.commits() == [2])
+        await end_tasks([task])

@@ -17,6 +17,7 @@ from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
+from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
@@ -177,16 +178,7 @@ async def test_texts_longer_than_a_server_takes_are_set_aside_and_all_else_is_se
                 for number, text in enumerate(texts)
             ]
             writer.commit(batches, [], NOW)
-            outbox = Outbox(
-                tmp_path / "store",
-                writer.manifest,
-                NatsStream(coordinator.client, "hall", lambda link: "0000"),
-                collector="one",
-                store="s",
-                link_of=lambda: {"meter": "hall"},
-                epoch_of=lambda link, commit: None,
-                now=lambda: 0.0,
-            )
+            outbox = opened(tmp_path / "store", writer, NatsStream(coordinator.client, "hall", lambda link: "0000"))
             assert not await outbox.step()
             jetstream = coordinator.client.jetstream()
             newest = (await jetstream.stream_info("busway-samples-hall")).state.last_seq
@@ -217,17 +209,8 @@ async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_sampl
     with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
         async with connected(server) as coordinator, handing_on(server, sink) as handed:
             await make_stream(coordinator.client, "hall")
-            outbox = Outbox(
-                tmp_path / "store",
-                writer.manifest,
-                NatsStream(coordinator.client, "hall", lambda link: "0000"),
-                collector="one",
-                store="s",
-                link_of=lambda: {"meter": "hall"},
-                epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
-                gaps_of=lambda after, last: [gap] if after < gap.commit <= last else [],
-                now=lambda: 0.0,
-            )
+            stream = NatsStream(coordinator.client, "hall", lambda link: "0000")
+            outbox = opened(tmp_path / "store", writer, stream, [gap])
             for number in range(4):
                 batch = SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (number,))
                 writer.commit([batch], [], NOW + number)
@@ -237,6 +220,48 @@ async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_sampl
             await until(lambda: handed.taken >= 5, 60)
             assert sink.gaps == [(gap, 2)]
             assert sum(sink.kept.values()) == 5, "four, and what was returned for the gap"
+
+
+async def test_samples_follow_at_once_when_a_server_that_was_away_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_module, "PAUSE", 1000.0)
+    monkeypatch.setattr(outbox_module, "PAUSE_LIMIT", 1000.0)
+    with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator:
+            await make_stream(coordinator.client, "hall")
+            stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+            outbox = opened(tmp_path / "store", writer, stream)
+            task = asyncio.create_task(outbox.run())
+            try:
+                await until(lambda: outbox.status().sent == writer.newest_commit, 60)
+                for number in range(2):
+                    server.stop()
+                    batch = SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (number,))
+                    newest = writer.commit([batch], [], NOW + number).number
+                    await until(lambda: outbox.status().error is not None, 60)
+                    server.start()
+                    await until(partial(has_sent, outbox, newest), 60)
+            finally:
+                await end_tasks([task])
+
+
+def has_sent(outbox: Outbox, commit: int) -> bool:
+    return outbox.status().sent >= commit
+
+
+def opened(folder: Path, writer: StoreWriter, stream: NatsStream, gaps: Sequence[OwnershipGap] = ()) -> Outbox:
+    return Outbox(
+        folder,
+        writer.manifest,
+        stream,
+        collector="one",
+        store="s",
+        link_of=lambda: {"meter": "hall"},
+        epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
+        gaps_of=lambda after, last: [each for each in gaps if after < each.commit <= last],
+        now=lambda: 0.0,
+    )
 
 
 async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_ones_of_it(tmp_path: Path) -> None:

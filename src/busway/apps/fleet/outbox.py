@@ -10,7 +10,8 @@ Knows commits and cursors; `streams` knows the engine.
    long. A sink that takes no messages is away: what is sent to it again would only fill the stream.
 4. Each attempt to send a message has a name that the stream does not know. A stream that recognised the name would
    drop the new message, and might lose the older copy before a sink has it.
-5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
+5. A stream that is full or away stops nothing: samples wait in the store, and the status says so. It is tried again
+   after ever longer pauses, and at once when the connection to its server is there again.
 6. What a sink says that it has counts only if messages of this start have proved it. If an older copy of the store was
    put back, its numbers are used twice, and a sink may have commits of the newer one.
 7. A gap of ownership is sent before the samples of the epoch that ended it, in a message of its own, and again with
@@ -88,6 +89,9 @@ class SampleStream(Protocol):
         Raises:
             StreamDown: the stream has not acknowledged the message, but may have it.
         """
+
+    async def connected_again(self) -> None:
+        """Wait until the connection to the server is a newer one than when the last message was sent."""
 
     def most_bytes(self) -> int:
         """Return the most bytes that a message may have."""
@@ -176,14 +180,22 @@ class Outbox:
                 if self._error is None:
                     _log.warning("samples wait in the store: %s", error)
                 self._error = str(error)
-                await asyncio.sleep(wait)
-                wait = min(2 * wait, PAUSE_LIMIT)
+                wait = PAUSE if await self._is_connected_again(wait) else min(2 * wait, PAUSE_LIMIT)
                 continue
             if self._error is not None:
                 _log.info("the stream takes samples again")
             self._error, wait = None, PAUSE
             if not more:
                 await asyncio.sleep(IDLE)
+
+    async def _is_connected_again(self, seconds: float) -> bool:
+        """Wait for some seconds, or until the stream has a new connection to its server; returns whether it has."""
+        try:
+            async with asyncio.timeout(seconds):
+                await self._stream.connected_again()
+        except TimeoutError:
+            return False
+        return True
 
     async def step(self) -> bool:
         """Send the next batch of stored samples to the stream; returns whether more samples are probably waiting.

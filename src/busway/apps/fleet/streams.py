@@ -205,6 +205,7 @@ class NatsStream:
         self._client, self._zone, self._shard_of = client, zone, shard_of
         self._jetstream = client.jetstream(timeout=timeout)
         self._cursors = CursorBook()
+        self._again: asyncio.Event = client.again
 
     async def publish(self, message: SampleMessage) -> None:
         """Send a message with samples to the stream; when this returns, the stream has the message.
@@ -213,6 +214,7 @@ class NatsStream:
             StreamDown: the connection is lost, or no acknowledgement came; the message may be in the stream.
         """
         nats = import_module("nats")
+        self._again = self._client.again
         if not self._client.is_connected:
             raise StreamDown("the connection to the server is lost")
         shard = self._shard_of(message.link) if message.link else "none"
@@ -222,6 +224,10 @@ class NatsStream:
             )
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+
+    async def connected_again(self) -> None:
+        """Wait until the connection to the server is a newer one than when the last message was sent."""
+        await self._again.wait()
 
     def most_bytes(self) -> int:
         """Return the most bytes that a message may have: `MOST_BYTES`, or what the server takes, if that is less."""
