@@ -30,6 +30,7 @@ SAMPLES = st.builds(
     value=VALUES,
     reason=st.integers(0, 255),
     unit_of_measure=st.sampled_from(["", "V"]),
+    revision=st.just(0),
 )
 
 

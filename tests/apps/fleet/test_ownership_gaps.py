@@ -198,3 +198,42 @@ async def test_in_whatever_order_gaps_and_backlogs_come_the_same_gaps_remain_wit
         )
         assert await kept.rows(inside) == [(0,)], seed
         await kept.chosen.close()
+
+
+async def test_a_table_gets_a_column_for_revisions_with_the_first_sample_that_has_one(
+    database: PostgresqlServer,
+) -> None:
+    kept = Gaps(database, 100)
+    await kept.chosen.open()
+    await give(kept.chosen, [sample(1.0)])
+    columns = "SELECT attname FROM pg_attribute WHERE attrelid = 'samples_100'::regclass AND attname = 'revision'"
+    assert await kept.rows(columns) == []
+    for _ in range(2):
+        await give(kept.chosen, [sample(2.0)._replace(revision=3), sample(3.0)])
+        await kept.chosen.close()
+        kept.begin_anew()
+        await kept.chosen.open()
+    assert await kept.rows("SELECT value, revision FROM samples_100 ORDER BY time") == [(1, None), (2, 3), (3, None)]
+    await kept.chosen.close()
+
+
+async def test_a_table_of_another_user_gets_samples_without_their_revision(
+    database: PostgresqlServer, caplog: pytest.LogCaptureFixture
+) -> None:
+    kept = Gaps(database, 101)
+    await kept.chosen.open()
+    await give(kept.chosen, [sample(1.0)])
+    for statement in (
+        "CREATE ROLE guest_101 LOGIN PASSWORD 'x9-guest'",
+        "GRANT ALL ON SCHEMA public TO guest_101",
+        "GRANT ALL ON samples_101 TO guest_101",
+    ):
+        await kept.sink._connection.execute(statement)
+    sink = PostgresqlSink(database.url.replace("collector@", "guest_101@"), password="x9-guest", table="samples_101")
+    await sink.open()
+    for second in (2.0, 3.0):
+        await sink.send([sample(second)._replace(revision=3)])
+    await sink.close()
+    assert await kept.rows("SELECT value FROM samples_101 ORDER BY time") == [(1,), (2,), (3,)]
+    assert len([each for each in caplog.records if "no column for the revision" in each.message]) == 1
+    await kept.chosen.close()

@@ -43,6 +43,7 @@ class KeepingSink:
 
     def __init__(self) -> None:
         self.kept: dict[tuple[str, str, int], int] = {}
+        self.revisions: set[int] = set()
         self.is_up = True
 
     async def open(self) -> None:
@@ -51,6 +52,7 @@ class KeepingSink:
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         if not self.is_up:
             raise SinkDown("it is away")
+        self.revisions |= {each.revision for each in samples}
         for each in samples:
             key = (each.device, each.point, each.time)
             self.kept[key] = self.kept.get(key, 0) + 1
@@ -219,6 +221,7 @@ async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_sampl
             sink.is_up = True
             await until(lambda: handed.taken >= 5, 60)
             assert sink.gaps == [(gap, 2)]
+            assert sink.revisions == {33, 44}
             assert sum(sink.kept.values()) == 5, "four, and what was returned for the gap"
 
 
@@ -259,6 +262,7 @@ def opened(folder: Path, writer: StoreWriter, stream: NatsStream, gaps: Sequence
         store="s",
         link_of=lambda: {"meter": "hall"},
         epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
+        revision_of=lambda commit: 33 if commit < 4 else 44,
         gaps_of=lambda after, last: [each for each in gaps if after < each.commit <= last],
         now=lambda: 0.0,
     )

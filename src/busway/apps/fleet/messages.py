@@ -62,7 +62,8 @@ class SampleMessage:
         complete: the commit up to which the stream had acknowledged all samples of this store before this message.
         kept: the commit up to which, as the sender knows, all sinks have the samples of this store. The sender begins
             after that commit when it sends again.
-        samples: the samples in the order of their commits; empty in a message that tells ``complete`` or a gap.
+        samples: the samples in the order of their commits, each without its revision; empty in a message that tells
+            ``complete`` or a gap.
         chain: its place in all that the sender has sent.
         gap: a time before this epoch in which the link had no owner; then there are no samples. None otherwise.
     """
@@ -86,8 +87,8 @@ class SampleMessage:
     def encode(self) -> bytes:
         """Return the message as bytes in MessagePack. Raises `MissingExtra` without the package msgpack."""
         require("msgpack", "samples of a fleet")
-        columns = tuple(zip(*self.samples, strict=True)) or ((),) * 8
-        commits, devices, points, times, half_widths, values, reasons, units = columns
+        columns = tuple(zip(*self.samples, strict=True)) or ((),) * 9
+        commits, devices, points, times, half_widths, values, reasons, units, _ = columns
         point_of = list(zip(devices, points, units, strict=True))
         places = {point: place for place, point in enumerate(dict.fromkeys(point_of))}
         content = [

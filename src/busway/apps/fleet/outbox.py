@@ -284,13 +284,14 @@ class Outbox:
     def _of_gap(self, gap: OwnershipGap) -> Iterator[SampleMessage]:
         """Yield a gap of ownership as messages that are not too long: each for some of its devices (rules 7 and 8)."""
         most = self._stream.most_bytes()
+        message = replace(self._message(gap.link, [], gap.epoch), revision=self._revision_of(gap.commit))
         devices: list[str] = []
         for device in gap.devices:
             if devices and longest_head(self._collector, self._store, gap.link, *devices, device) > most:
-                yield replace(self._message(gap.link, [], gap.epoch), gap=replace(gap, devices=tuple(devices)))
+                yield replace(message, gap=replace(gap, devices=tuple(devices)))
                 devices = []
             devices.append(device)
-        yield replace(self._message(gap.link, [], gap.epoch), gap=replace(gap, devices=tuple(devices)))
+        yield replace(message, gap=replace(gap, devices=tuple(devices)))
 
     def _cut(self, link: str, group: list[CommittedSample]) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
         """Yield samples of one link for one message each: of one epoch and revision, and not too long (rule 8).

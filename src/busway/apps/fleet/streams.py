@@ -684,14 +684,14 @@ class StreamSink:
             if each.gap is not None and isinstance(self._sink, OwnershipGapSink):
                 await self._send(waiting)  # a gap begins after what was there before it
                 waiting = []
-                await self._send_gap(self._sink, each.gap)
-            waiting.extend(each.samples)
+                await self._send_gap(self._sink, each.gap, each.revision)
+            waiting.extend(sample._replace(revision=each.revision) for sample in each.samples)
         await self._send(waiting)
 
-    async def _send_gap(self, sink: OwnershipGapSink, gap: OwnershipGap) -> None:
+    async def _send_gap(self, sink: OwnershipGapSink, gap: OwnershipGap, revision: int) -> None:
         await self._open()
         try:
-            await self._send(await sink.send_gap(gap))
+            await self._send([sample._replace(revision=revision) for sample in await sink.send_gap(gap)])
         except SinkRefused as error:
             _log.error("sink %s: the gap of link %s before epoch %s: %s", self._name, gap.link, gap.epoch, error)
 

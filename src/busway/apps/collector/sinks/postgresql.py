@@ -7,13 +7,16 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 3. The table is made where it is not there; with ``timescale`` it becomes a hypertable.
 4. Events of alarms go to a table of their own, made with the first of them, by an upsert with the number of the event:
    its commit and its place in that.
-5. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
+5. Samples of a fleet have the revision of its configuration. The column for it is added with the first of them; where
+   the table is not the user's own, they are written without.
+6. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
    of the device within the gap, in the transaction that brings the gap or that brings the sample: the order in which
    they come does not matter.
-6. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
+7. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
    is waited out.
 """
 
+import logging
 import re
 import ssl
 from collections.abc import AsyncIterator, Sequence
@@ -30,8 +33,10 @@ from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .hidden_secrets import HiddenSecrets
 from .interface import DeviceGap, SinkDown, SinkRefused
 
+_log = logging.getLogger("busway.sinks")
 _USUAL: Final = PostgresqlOptions()
 _COLUMNS: Final = ("time", "device", "point", "value", "text", "reason", "half_width", "nanoseconds")
+_REVISION: Final = "revision"
 _TABLE: Final = """
 CREATE TABLE IF NOT EXISTS {table} (
     time timestamptz NOT NULL, device text NOT NULL, point text NOT NULL, value double precision, text text,
@@ -41,7 +46,7 @@ CREATE TABLE IF NOT EXISTS {table} (
 _ARRIVING: Final = """
 CREATE TEMPORARY TABLE arriving (
     time timestamptz, device text, point text, value double precision, text text, reason smallint, half_width bigint,
-    nanoseconds smallint
+    nanoseconds smallint, revision bigint
 )"""
 """Has types of its own: the server judges what fits the table, in one way for all of its columns."""
 _ALARM_COLUMNS: Final = (
@@ -126,13 +131,14 @@ class PostgresqlSink:
             self._options["ssl"] = tls
         self._connection: Any = None  # asyncpg is loaded when it is used
         self._has_alarm_table = self._has_gap_table = False
+        self._has_revision = self._lacks_revision = False
 
     async def open(self) -> None:
         """Connect to the database, and create the table if it is missing. Raises `SinkDown`."""
         pg = import_module("asyncpg")
         try:
             self._connection = await pg.connect(self._url, **self._options)
-            self._has_alarm_table = False
+            self._has_alarm_table = self._has_revision = self._lacks_revision = False
             await self._make_table(_TABLE, self._table)
             await self._connection.execute(_ARRIVING)
             asked = "SELECT to_regclass($1) IS NOT NULL"
@@ -162,12 +168,15 @@ class PostgresqlSink:
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Write samples to the table in one transaction. Raises `SinkDown`, `SinkRefused`."""
-        columns = ", ".join(_COLUMNS)
-        changed = ", ".join(f"{name} = excluded.{name}" for name in _COLUMNS[3:])
+        if not self._has_revision and not self._lacks_revision and any(sample.revision for sample in samples):
+            await self._add_revision()
+        names = (*_COLUMNS, _REVISION) if self._has_revision else _COLUMNS
+        columns = ", ".join(names)
+        changed = ", ".join(f"{name} = excluded.{name}" for name in names[3:])
         async with self._writing():
             await self._connection.execute("TRUNCATE arriving")
             await self._connection.copy_records_to_table(
-                "arriving", records=[_record(sample) for sample in samples], columns=_COLUMNS
+                "arriving", records=[_record(sample) for sample in samples], columns=(*_COLUMNS, _REVISION)
             )
             await self._connection.execute(
                 f"INSERT INTO {self._table} ({columns})"
@@ -177,6 +186,24 @@ class PostgresqlSink:
             )
             if self._has_gap_table:
                 await self._connection.execute(_SHRINK_GAPS.format(table=self._gap_table, reason=int(Reason.OWNERSHIP)))
+
+    async def _add_revision(self) -> None:
+        """Add the column for revisions to the table of samples, unless it is there or the user may not."""
+        pg = import_module("asyncpg")
+        asked = (
+            "SELECT count(*) FROM pg_attribute"
+            " WHERE attrelid = $1::text::regclass AND attname = $2 AND NOT attisdropped"
+        )
+        try:
+            async with self._writing():
+                if not await self._connection.fetchval(asked, self._table, _REVISION):
+                    await self._connection.execute(f"ALTER TABLE {self._table} ADD COLUMN {_REVISION} bigint")
+            self._has_revision = True
+        except SinkDown as error:
+            if not isinstance(error.__cause__, pg.InsufficientPrivilegeError):
+                raise
+            self._lacks_revision = True
+            _log.warning("the table %s has no column for the revision of samples: %s", self._table, error)
 
     async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
         """Write gaps of ownership to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
@@ -238,7 +265,17 @@ def _moment(time: int) -> tuple[datetime, int]:
 def _record(sample: CommittedSample) -> tuple[Any, ...]:  # as asyncpg wants it
     moment, rest = _moment(sample.time)
     number, text = number_and_text(sample.value)
-    return moment, sample.device, sample.point, number, text, sample.reason, sample.half_width, rest
+    return (
+        moment,
+        sample.device,
+        sample.point,
+        number,
+        text,
+        sample.reason,
+        sample.half_width,
+        rest,
+        sample.revision or None,
+    )
 
 
 def _alarm_record(alarm: CommittedAlarm) -> tuple[Any, ...]:  # as asyncpg wants it
