@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import shutil
+import time
 from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -28,6 +29,7 @@ from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import decode_message
 from busway.apps.fleet.outbox import Outbox
 from busway.apps.fleet.ownership_gaps import OwnershipGap
+from busway.apps.fleet.records import LeaseRecord
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
 
@@ -223,6 +225,28 @@ async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_sampl
             assert sink.gaps == [(gap, 2)]
             assert sink.revisions == {33, 44}
             assert sum(sink.kept.values()) == 5, "four, and what was returned for the gap"
+
+
+async def test_a_sink_of_the_stream_gets_the_gap_before_the_samples_of_a_collector_that_took_over(
+    tmp_path: Path,
+) -> None:
+    sink = GapKeepingSink()
+    renewed = time.time() - 100.0
+    with nats_server(tmp_path) as server:
+        async with connected(server) as coordinator:
+            for shard in range(8):
+                lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=renewed)
+                await coordinator.create(f"lease.{shard:04d}", lease.encode())
+        async with devices_of(3) as devices, handing_on(server, sink), sending(tmp_path, server, "one", devices) as one:
+            await until(lambda: len(sink.gaps) >= 3 and len(sink.kept) > 20, 90)
+            gaps = {gap.link: gap for gap, _ in sink.gaps}
+            assert {link: gap.epoch for link, gap in gaps.items()} == one._active
+            for gap in gaps.values():
+                assert gap.begin == pytest.approx(renewed * 1e9, abs=2e6)
+                (device,) = gap.devices
+                times = [at for name, _, at in sink.kept if name == device and at != gap.begin]
+                assert times
+                assert min(times) > gap.end
 
 
 async def test_samples_follow_at_once_when_a_server_that_was_away_is_back(

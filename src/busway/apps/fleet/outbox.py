@@ -270,9 +270,12 @@ class Outbox:
 
     def _messages_of(self, samples: list[CommittedSample], gaps: Sequence[OwnershipGap]) -> list[SampleMessage]:
         samples_of = dict(by_link(samples, dict(self._link_of())))
+        gaps_of: dict[str, list[OwnershipGap]] = {}
+        for gap in gaps:
+            gaps_of.setdefault(gap.link, []).append(gap)
         found: list[SampleMessage] = []
-        for link in sorted({*samples_of, *(gap.link for gap in gaps)}):
-            waiting = [gap for gap in gaps if gap.link == link]
+        for link in sorted({*samples_of, *gaps_of}):
+            waiting = gaps_of.get(link, [])
             for epoch, rows in self._cut(link, samples_of.get(link, [])):
                 while waiting and waiting[0].commit <= rows[0].commit:
                     found += self._of_gap(waiting.pop(0))
@@ -285,12 +288,16 @@ class Outbox:
         """Yield a gap of ownership as messages that are not too long: each for some of its devices (rules 7 and 8)."""
         most = self._stream.most_bytes()
         message = replace(self._message(gap.link, [], gap.epoch), revision=self._revision_of(gap.commit))
+        head, none = longest_head(self._collector, self._store, gap.link), longest_head()
         devices: list[str] = []
+        length = head
         for device in gap.devices:
-            if devices and longest_head(self._collector, self._store, gap.link, *devices, device) > most:
+            added = longest_head(device) - none
+            if devices and length + added > most:
                 yield replace(message, gap=replace(gap, devices=tuple(devices)))
-                devices = []
+                devices, length = [], head
             devices.append(device)
+            length += added
         yield replace(message, gap=replace(gap, devices=tuple(devices)))
 
     def _cut(self, link: str, group: list[CommittedSample]) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
