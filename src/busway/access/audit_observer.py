@@ -16,8 +16,9 @@ from .audit_log import AuditLog
 
 
 class AuditObserver:
-    """Observer of a server's requests that appends an audit line for each write and each denied request.
+    """Observer of a server's requests that appends an audit line for each denied request, and for each write.
 
+    Only writes of the generic path come here; the fast path records its own (`busway.access.fast_path_rights`).
     Repeated denials of a client are recorded as one line with their number.
     """
 
@@ -30,7 +31,7 @@ class AuditObserver:
         """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Do nothing for forwarded reads whose client has gone: reads are not recorded."""
+        """Do nothing for reads whose client disconnected before the reply: reads are not recorded."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float

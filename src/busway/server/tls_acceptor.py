@@ -35,7 +35,9 @@ _FIRST_SUBJECT: Final = 0
 
 
 def handshake_acceptor(management: ConnectionManagement, parameters: TlsParameters) -> "TlsHandshakeAcceptor":
-    """Create the TLS handshake acceptor of a listener, which creates the protocol of each new connection.
+    """Create the TLS handshake acceptor of a listener and put it into ``management``, for reload, status and close.
+
+    Called for each accepted connection, the acceptor returns the connection's protocol.
 
     Raises:
         ConfigError: a file cannot be used, or ``cryptography`` is missing.
@@ -121,10 +123,10 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """Return what the listener's certificate says; its file is read only after the TLS context was loaded anew.
+        """Return what the listener's own certificate says; its file is read only after the TLS context was reloaded.
 
-        Checks the dates after each reading and once a day. Logs a warning if the certificate is not valid yet, has
-        expired or expires within 30 days.
+        Logs a warning if the certificate is not valid yet, has expired or expires within 30 days; that is checked after
+        each reading and once a day.
         """
         context = self._context
         if self._own is None or self._own_of != context.generation:
@@ -180,9 +182,9 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """Check the client's certificate after a complete handshake, and admit the client.
+        """Check the client's certificate once its handshake is complete, and give the client a connection slot.
 
-        Returns the protocol of the admitted connection; None if the client is refused.
+        Returns the asyncio protocol of its connection; None if the client is refused.
         """
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)
@@ -240,7 +242,7 @@ class TlsHandshakeAcceptor:
         self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
-        """Forget a refused TLS client, because its connection has ended."""
+        """Remove the entry of a refused TLS client whose connection has ended."""
         self._leaving.pop(layer, None)
 
 

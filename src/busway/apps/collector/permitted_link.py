@@ -21,9 +21,10 @@ class PermittedLink:
         self._name, self._link, self._permit = name, link, permit
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """Send requests to a unit if permitted, and return a reply or an error for each, in order.
+        """Send requests to a unit if ``permit`` allows it now, and return a reply or an error for each, in order.
 
-        Without permission nothing is sent, and the `LinkDown` error stands for each request.
+        In a fleet it does while this collector owns the link. Otherwise nothing is sent, and its `LinkDown` stands for
+        each request.
         """
         try:
             self._permit(self._name)

@@ -154,7 +154,7 @@ class OwnershipLog:
             self._write([(_END, rows)])
 
     def _write(self, steps: Iterable[tuple[str, Sequence[tuple[str | int, ...]]]]) -> None:
-        """Execute statements for all their rows together: one wait for the disk, however many shards move at once."""
+        """Execute SQL statements for all their rows in one transaction, to wait for the disk only once."""
         self._database.execute("BEGIN IMMEDIATE")
         try:
             for statement, rows in steps:

@@ -1,11 +1,11 @@
 """The part of a plant's configuration that one collector of a fleet works on, and what its links need.
 
-1. What has one owner is an endpoint, whatever links name it: a line has one master. Links to one endpoint are in one
-   shard, that of the first of their names.
+1. What has one owner is the endpoint, however many links name it: a line has one master. Links to one endpoint are in
+   one shard, that of the first of their names.
 2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
    name their hosts, unless all collectors are on one machine.
-3. A newer configuration reaches collectors one after the other, and one may refuse it. So an endpoint never goes from
-   one shard to another by it, while a collector may live.
+3. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
+   move an endpoint from one shard to another while a collector may live.
 """
 
 from collections.abc import Container, Mapping, Sequence
@@ -56,12 +56,12 @@ def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
 
 
 def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
-    """Return the seconds from the permission of a transaction until none of its bytes can reach the device any more.
+    """Return how long a transaction may take from its permission until none of its bytes can reach the device any more.
 
-    The time to connect is included, and the time for which TCP repeats bytes that are not acknowledged; infinity if TCP
-    repeats them without limit. A poller repeats nothing. The wait of a frame for a serial line is not included:
-    permission is asked again when it leaves, with `longest_after_sending`. A gateway on the way that queues requests
-    adds to this time: its longest wait belongs to `LeaseTimes.guard`.
+    The result is in seconds. It includes the time to connect, and the time for which TCP repeats bytes that are not
+    acknowledged; it is infinite if TCP repeats them without limit. A poller repeats nothing. It does not include the
+    wait of a frame for a serial line: permission is asked again when the frame leaves, with `longest_after_sending`. A
+    gateway on the way that queues requests adds to this time: its longest wait belongs to `LeaseTimes.guard`.
 
     Args:
         configuration: the configuration of the plant.
@@ -88,7 +88,7 @@ def longest_after_sending(configuration: CollectorConfiguration, link: str) -> f
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may last longer than a collector's right to poll it."""
+    """Raise `ConfigError` for a link whose transactions may take longer than a lease (right to poll) holds."""
     longest = times.ttl - times.guard - 2 * times.renew
     for name in configuration.links:
         seconds = longest_transaction(configuration, name)
@@ -102,7 +102,7 @@ def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) 
 
 
 def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, float]) -> dict[str, float]:
-    """Return by name of each link how busy polling keeps it, in seconds of line time per second; at least 0.001.
+    """Return how busy polling keeps each link, in seconds of line time per second, at least 0.001; by name of the link.
 
     Args:
         configuration: the configuration whose links are returned.
@@ -117,9 +117,9 @@ def links_of_shards(
     """Return the links of a configuration grouped by shard; shards without links are left out.
 
     Args:
-        configuration: of the whole plant.
+        configuration: the configuration of the whole plant.
         shards: how many shards the zone has, 1…1024.
-        hosts: by link, the hosts that can reach it; those that are missing are as the configuration says.
+        hosts: the hosts that can reach a link, by link; for missing links, the configuration says it.
     """
     shown = {**configuration.hosts, **(hosts or {})}
     firsts = _first_links(configuration, shown)
@@ -132,7 +132,7 @@ def links_of_shards(
 
 
 def refuse_two_owners(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for links to one endpoint that different hosts could own (rule 1)."""
+    """Raise `ConfigError` for two links to one endpoint that different hosts could own (rule 1)."""
     hosts = configuration.hosts
     for link, first in _first_links(configuration, hosts).items():
         if list(hosts.get(link, ())) != list(hosts.get(first, ())):
@@ -146,7 +146,7 @@ def refuse_two_owners(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for a serial port whose host is not named (rule 2)."""
+    """Raise `ConfigError` for a link to a serial port that does not name the host of the port (rule 2)."""
     for name, link in configuration.links.items():
         if link.settings.endpoint.carrier == "serial" and name not in configuration.hosts:
             raise ConfigError(
@@ -158,7 +158,7 @@ def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if an endpoint would go from one shard to another (rule 3)."""
+    """Raise `ConfigError` if a new configuration would move an endpoint from one shard to another (rule 3)."""
     owners = [
         {
             place: (first, tuple(each.hosts.get(first, ())))
@@ -184,7 +184,7 @@ def _shown(link: str, hosts: Sequence[str]) -> str:
 
 
 def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return by link the first of the links to its endpoint, in the order of names."""
+    """Return for each link the name that comes first among all links to its endpoint."""
     first_at: dict[str, str] = {}
     found: dict[str, str] = {}
     for link in sorted(configuration.links):
@@ -197,7 +197,7 @@ def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequ
 
 
 def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return where a link leads to: an address in the network, or a port of each of its hosts."""
+    """Return what a link leads to: one address in the network, or a serial port on each of its hosts."""
     endpoint = configuration.links[link].settings.endpoint
     if endpoint.carrier == "serial":
         return [f"{endpoint.path} of {host}" for host in hosts.get(link, ())] or [endpoint.path]

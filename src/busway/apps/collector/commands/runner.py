@@ -144,7 +144,8 @@ class _Running:
     Attributes:
         command: the command.
         task: executes it, and returns its result.
-        has_taken: whether its key is recorded for this command; until then the key may be that of an earlier command.
+        has_taken: whether the journal has recorded the key for this command. Until then the journal may show that an
+            earlier command used it, so another command with this key waits and is not refused.
     """
 
     command: PointCommand

@@ -4,16 +4,16 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
 1. A batch is one transaction. The key is (device, point, time): a batch that comes again changes nothing.
 2. PostgreSQL has microseconds: ``time`` is rounded down, and ``nanoseconds`` has the rest.
-3. The table is made where it is not there; with ``timescale`` it becomes a hypertable.
-4. Events of alarms go to a table of their own, made with the first of them, by an upsert with the number of the event:
-   its commit and its place in that.
-5. Samples of a fleet have the revision of its configuration. The column for it is added with the first of them; where
-   the table is not the user's own, they are written without.
+3. The table is created if it does not exist; with ``timescale`` it becomes a hypertable.
+4. Alarm events go to a table of their own, which is created at the first of them. They are upserted by the number of
+   the event: its commit, and its place in that commit.
+5. Samples of a fleet have the revision of its configuration. The column for it is added at the first of them; if the
+   table belongs to another user, they are written without it.
 6. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
-   of the device within the gap, in the transaction that brings the gap or that brings the sample: the order in which
-   they come does not matter.
-7. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
-   is waited out.
+   of the device within the gap, in the transaction that writes the gap or the sample: the order in which they come does
+   not matter.
+7. Errors about values (a type, a range, a constraint, an error of a trigger) mean that the database refuses these
+   samples. After any other error the batch is sent again later.
 """
 
 import logging
@@ -232,7 +232,7 @@ class PostgresqlSink:
 
     @asynccontextmanager
     async def _writing(self) -> AsyncIterator[None]:
-        """Return a context manager that makes a transaction of the database, and turns its errors into those of sinks.
+        """Context manager for a transaction of the database; its errors are raised as errors of sinks.
 
         Raises:
             SinkRefused: the database rejects the values.
