@@ -82,6 +82,8 @@ def print_stream_status(member: "FleetCollector") -> None:
     error = f": {status.error}" if status.error else ""
     newest = member.collector.newest_commit
     print(f"  stream: {newest - status.sent} of {counted(newest, 'commit')} wait to be sent{error}", flush=True)
+    if status.set_aside:
+        print(f"  {counted(status.set_aside, 'sample')} too long for a message: no sink gets them", flush=True)
     print(f"  sinks of the stream: {counted(newest - status.kept, 'commit')} behind", flush=True)
 
 

@@ -101,6 +101,9 @@ class PostgresqlOptions:
         str, "name of the table, `schema.table` where it is not in the search path: small letters, digits, `_`."
     ] = "samples"
     alarm_table: Annotated[str, "name of the table of events of alarms, made with the first of them."] = "alarms"
+    gap_table: Annotated[
+        str, "name of the table of gaps of ownership, made with the first of them; a fleet with a stream has them."
+    ] = "ownership_gaps"
     timescale: Annotated[bool, "whether the tables are made hypertables; the database must have the extension."] = False
 
 

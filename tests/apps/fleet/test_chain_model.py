@@ -17,8 +17,9 @@ from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import SampleMessage, decode_message
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, Outbox, SinkPlace, StreamDown
+from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import CURSORS, CursorBook, SinkCursors, SinkProgress
 
 NOW = 1_800_000_000 * 10**9
@@ -100,6 +101,8 @@ class LossyStream:
 class Sender:
     """A collector with a store and an outbox, which sees the cursors of sinks some time later."""
 
+    longest = MOST_BYTES
+
     def __init__(self, world: "World", folder: Path, name: str) -> None:
         self.world, self.folder, self.name, self.word = world, folder, name, "s" + name
         self.book = CursorBook()
@@ -107,7 +110,8 @@ class Sender:
         self.links = {"meter": "hall", "pump": "roof", "fan": "roof"}
         self.epochs: dict[str, list[tuple[int, int]]] = {}
         self.revisions: list[int] = []
-        self.backup: tuple[Path, dict[tuple[str, int], int], set[int]] | None = None
+        self.gaps: list[OwnershipGap] = []
+        self.backup: tuple[Path, dict[tuple[str, int], int], list[OwnershipGap]] | None = None
         self.rows = 0
         self.samples_of: dict[int, dict[tuple[str, int], int]] = {}
         """By start, the samples of that life of the store: after a restore commits are not the same."""
@@ -132,6 +136,7 @@ class Sender:
             link_of=lambda: self.links,
             epoch_of=self.epoch_of,
             revision_of=lambda commit: sum(each <= commit for each in self.revisions),
+            gaps_of=lambda after, last: [each for each in self.gaps if after < each.commit <= last],
             now=lambda: self.world.time,
         )
 
@@ -139,7 +144,14 @@ class Sender:
         found = [epoch for first, epoch in self.epochs.get(link, []) if first <= commit]
         return Epoch(1, found[-1]) if found else None
 
+    async def connected_again(self) -> None:
+        pass
+
+    def most_bytes(self) -> int:
+        return self.longest
+
     async def publish(self, message: SampleMessage) -> None:
+        assert len(message.encode()) <= self.longest
         self.samples_of[message.chain.start] = self.samples
         self.world.stream.publish(message)
 
@@ -155,8 +167,13 @@ class Sender:
         self.samples |= {(each, number): now for each in devices}
 
     def change_epoch(self, chance: Random) -> None:
-        epochs = self.epochs.setdefault(chance.choice(("hall", "roof", "")), [])
-        epochs.append((self.newest + 1, self.world.next_epoch()))
+        link = chance.choice(("hall", "roof", ""))
+        epoch = self.world.next_epoch()
+        first = self.writer.newest_commit + 1
+        self.epochs.setdefault(link, []).append((first, epoch))
+        if link and chance.randrange(2):
+            devices = DEVICES[: chance.randrange(1, 4)]
+            self.gaps.append(OwnershipGap(link, Epoch(1, epoch), first, devices, NOW, NOW + epoch))
 
     async def step(self) -> bool:
         try:
@@ -175,7 +192,7 @@ class Sender:
         self.writer.close(NOW + self.rows * 10**9)
         copy = self.folder.with_name(f"{self.folder.name}-{self.rows}")
         shutil.copytree(self.folder, copy)
-        self.backup = copy, dict(self.samples), set()
+        self.backup = copy, dict(self.samples), list(self.gaps)
         self.writer = StoreWriter(self.folder, now=NOW + self.rows * 10**9)
         self.outbox = self.opened()
 
@@ -185,7 +202,7 @@ class Sender:
             self.writer.close(NOW + self.rows * 10**9)
             shutil.rmtree(self.folder)
             shutil.copytree(self.backup[0], self.folder)
-            self.samples = dict(self.backup[1])
+            self.samples, self.gaps = dict(self.backup[1]), list(self.backup[2])
             self.writer = StoreWriter(self.folder, now=NOW + self.rows * 10**9)
             self.outbox = self.opened()
             self.world.show(self)  # the table is read before the first commit
@@ -197,7 +214,8 @@ class ModelSink:
     def __init__(self, world: "World", name: str) -> None:
         self.world, self.name = world, name
         self.has: set[tuple[str, str, int, int]] = set()
-        self.committed = set(self.has)
+        self.gaps: set[tuple[str, Epoch, str]] = set()
+        self.committed = set(self.has), set(self.gaps)
         self.progress = SinkProgress(None)
         self.floor = 0
         self.since: dict[str, int] = {}
@@ -218,6 +236,8 @@ class ModelSink:
             self.floor = max(self.floor, sequence)
 
     def take_one(self, sequence: int, message: SampleMessage | None) -> None:
+        if message is not None and message.gap is not None:
+            self.gaps |= {(message.collector, message.gap.epoch, each) for each in message.gap.devices}
         if message is not None:
             self.has |= {(message.collector, each.device, each.commit, each.time) for each in message.samples}
         self.progress.take(sequence, message)
@@ -229,8 +249,10 @@ class ModelSink:
                 if place.startswith(sender.name + "/"):
                     start, _ = self.progress.cursors.proved[place]
                     lacks = self.lacks(sender, sender.samples_of[start], commit)
+                    lacks += self.lacks_gaps(sender, commit)
                     assert not lacks, f"{self.name} says {commit} of {place} and lacks {lacks}"
             lacks = self.lacks(sender, sender.samples, sender.outbox.status().kept)
+            lacks += self.lacks_gaps(sender, sender.outbox.status().kept)
             assert not lacks, f"{sender.name} believes that {self.name} has {lacks}"
 
     def lacks(self, sender: Sender, samples: dict[tuple[str, int], int], kept: int) -> list[tuple[str, int]]:
@@ -241,8 +263,18 @@ class ModelSink:
             if since < commit <= kept and (sender.name, device, commit, time) not in self.has
         ]
 
+    def lacks_gaps(self, sender: Sender, kept: int) -> list[tuple[str, int]]:
+        since = self.since.get(sender.name, sender.outbox.status().kept)
+        return [
+            (device, gap.commit)
+            for gap in sender.gaps
+            if since < gap.commit <= kept
+            for device in gap.devices
+            if (sender.name, gap.epoch, device) not in self.gaps
+        ]
+
     def write_cursors(self) -> None:
-        self.committed = set(self.has)
+        self.committed = set(self.has), set(self.gaps)
         self.world.write(CURSORS + self.name, self.progress.cursors)
 
     def restart(self) -> None:
@@ -252,7 +284,7 @@ class ModelSink:
             book.take(entry)
         cursors, _ = book.of(self.name)
         assert cursors is not None
-        self.has = set(self.committed)
+        self.has, self.gaps = set(self.committed[0]), set(self.committed[1])
         self.progress = SinkProgress(cursors)
         self.floor = min(self.floor, cursors.sequence)
 
@@ -445,7 +477,7 @@ async def run_world(
 ) -> None:
     chance = Random(f"options {seed}")
     patch.setattr(outbox_module, "MOST", chance.choice((2, 5, 20000)))
-    patch.setattr(outbox_module, "MOST_ROWS", chance.choice((1, 2, 2000)))
+    patch.setattr(Sender, "longest", chance.choice((400, 500, MOST_BYTES)))
     rounds = iter(range(10**9))
     patch.setattr(secrets, "randbits", lambda bits: 1000 + next(rounds))
     world = World(folder, seed, steps, features)

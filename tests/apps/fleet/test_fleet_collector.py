@@ -6,6 +6,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import AsyncGenerator, AsyncIterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +17,14 @@ from waiting import until
 import busway
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import Reason
+from busway.apps.collector.store.committed_samples import CommitReader
+from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.ownership_log import OwnershipLog
+from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
 from busway.errors import ConfigError, LinkDown, NoReply
 from busway.pdu.read_items import ReadHoldingRegisters
@@ -242,6 +245,18 @@ async def test_who_takes_links_from_a_silent_owner_records_the_gap_since_its_las
             assert gap.begin == pytest.approx(renewed * 1e9, abs=2e6)
             assert gap.end is not None
             assert first[device] == gap.begin, "a query shows the gap as a sample without a value"
+        recorded = one.ownership.gaps(0, one.collector.newest_commit)
+        assert {(each.link, each.epoch) for each in recorded} == set(one._active.items())
+        assert {device for each in recorded for device in each.devices} == set(gaps)
+        for each in recorded:
+            (device,) = each.devices
+            assert each.begin == gaps[device].begin
+            assert each.end <= (gaps[device].end or 0)
+            assert each.end < min(
+                at
+                for at, name, value in zip(found.time, found.device, found.value, strict=True)
+                if name == device and value is not None
+            )
 
 
 async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devices(
@@ -267,6 +282,41 @@ async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devi
         assert not [at for at in good if gap.begin < at < gap.end]
         assert any(at < gap.begin for at in good)
         assert any(at > gap.end for at in good)
+        (recorded,) = one.ownership.gaps(0, one.collector.newest_commit)
+        assert recorded.begin == gap.begin, "no other has polled it, and all its samples are older"
+        assert one.unowned_seconds == pytest.approx((gap.end - gap.begin) / 1e9, abs=0.2)
+
+
+async def test_a_collector_that_was_killed_tells_at_its_next_start_alone_when_its_ownership_ended(
+    tmp_path: Path,
+) -> None:
+    ends = []
+    async with devices_of(1) as devices:
+        for _ in range(3):
+            async with fleet(tmp_path, "one", devices) as one:
+                ends.append(one.collector.manifest.fact("alive"))
+                reads = devices[0].reads
+                await until(partial(has_reads, devices[0], reads + 3), 30)
+            if len(ends) == 1:  # as a process that is killed leaves it
+                with contextlib.closing(sqlite3.connect(tmp_path / "one" / OWNERSHIP)) as log:
+                    log.execute('UPDATE ownership SET last_commit = NULL, "end" = NULL')
+                    log.commit()
+    with contextlib.closing(OwnershipLog(tmp_path / "one")) as record:
+        assert next(row.end for row in record.all()) == ends[1]
+        assert not record.unended()
+    with StoreWriter(tmp_path / "one", now=time.time_ns()) as writer:
+        found = CommitReader(tmp_path / "one", writer.manifest)
+        marks: list[int] = []
+        after = 0
+        while (some := found.read(after, 10_000)) is not None:
+            after = some.last
+            marks += [each.time for each in some.samples if each.reason == Reason.OWNERSHIP and each.point == "count"]
+    assert len(marks) == 4, "one for each end in order, and one for that of the killed process"
+    assert ends[1] in marks
+
+
+def has_reads(device: FleetDevice, count: int) -> bool:
+    return device.reads >= count
 
 
 async def test_a_process_that_stood_still_for_longer_than_its_leases_records_the_gap_from_its_last_transaction(

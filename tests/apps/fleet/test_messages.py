@@ -4,7 +4,16 @@ from hypothesis import strategies as st
 
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import Chain, SampleMessage, UnreadableMessage, by_link, decode_message
+from busway.apps.fleet.messages import (
+    Chain,
+    SampleMessage,
+    UnreadableMessage,
+    by_link,
+    decode_message,
+    longest_head,
+    longest_row,
+)
+from busway.apps.fleet.ownership_gaps import OwnershipGap
 
 msgpack = pytest.importorskip("msgpack")
 
@@ -21,6 +30,7 @@ SAMPLES = st.builds(
     value=VALUES,
     reason=st.integers(0, 255),
     unit_of_measure=st.sampled_from(["", "V"]),
+    revision=st.just(0),
 )
 
 
@@ -49,6 +59,39 @@ def test_a_message_comes_back_as_it_was_with_the_type_of_every_value(
     assert [type(each.value) for each in found.samples] == [type(each.value) for each in samples]
 
 
+@given(st.lists(SAMPLES, max_size=30), st.text(max_size=100))
+def test_a_message_is_never_longer_than_computed_before(samples: list[CommittedSample], name: str) -> None:
+    known = set[tuple[str, str, str]]()
+    bound = longest_head(name, name, name) + sum(longest_row(each, known) for each in samples)
+    largest = 2**63 - 1
+    chain = Chain(2**48 - 1, largest, largest)
+    numbers = {"epoch": Epoch(largest, largest), "revision": largest, "complete": largest, "kept": largest}
+    sent = message(samples, collector=name, store=name, link=name, chain=chain, **numbers)
+    assert len(sent.encode()) <= bound
+
+
+@given(st.lists(st.text(max_size=40), max_size=20), st.integers(0, 2**62), st.integers(0, 2**62))
+def test_a_gap_comes_back_as_it_was_and_is_not_longer_than_computed_before(
+    devices: list[str], begin: int, end: int
+) -> None:
+    gap = OwnershipGap("hall", Epoch(1, 7), 9, tuple(devices), begin, end)
+    sent = message([], gap=gap)
+    assert decode_message(sent.encode()) == sent
+    assert len(sent.encode()) <= longest_head("one", "a1", "hall", *devices)
+
+
+def test_numbers_take_most_of_the_room_that_is_computed_for_them() -> None:
+    known = set[tuple[str, str, str]]()
+    rows = [CommittedSample(2**33, "meter", "power", 2**60 + n, 2**20, 230.5, 0) for n in range(1000)]
+    bound = longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in rows)
+    assert bound < 2 * len(message(rows).encode())
+
+
+def test_text_with_half_a_pair_of_surrogates_comes_back() -> None:
+    sent = message([CommittedSample(1, "d", "p", 1, 0, "a\ud800", 0)])
+    assert decode_message(sent.encode()) == sent
+
+
 @given(st.binary(max_size=60))
 def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
     with pytest.raises(UnreadableMessage):
@@ -56,8 +99,8 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
 
 
 def test_a_newer_format_is_refused_by_name() -> None:
-    with pytest.raises(UnreadableMessage, match="format 3 is not known here"):
-        decode_message(msgpack.packb([3, "anything"]))
+    with pytest.raises(UnreadableMessage, match="format 4 is not known here"):
+        decode_message(msgpack.packb([4, "anything"]))
 
 
 def test_each_attempt_to_send_a_message_has_a_name_of_its_own() -> None:

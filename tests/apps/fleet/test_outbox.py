@@ -1,15 +1,20 @@
 """The outbox against a stream in memory: at least once, in order, and again after whatever the stream loses."""
 
+import asyncio
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from waiting import until
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.writer import StoreWriter
+from busway.apps.fleet import outbox as outbox_module
+from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import SampleMessage
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
+from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import SinkProgress
 
 NOW = 1_800_000_000 * 10**9
@@ -23,10 +28,19 @@ class MemoryStream:
         self.sinks: dict[str, SinkPlace] = {}
         self.is_up = True
         self.start = 0
+        self.longest = MOST_BYTES
+        self.is_back = asyncio.Event()
+
+    async def connected_again(self) -> None:
+        await self.is_back.wait()
+
+    def most_bytes(self) -> int:
+        return self.longest
 
     async def publish(self, message: SampleMessage) -> None:
         if not self.is_up:
             raise StreamDown("it is full")
+        assert len(message.encode()) <= self.longest
         self.messages.append(message)
         self.start = message.chain.start
 
@@ -45,6 +59,7 @@ class Sending:
         self.writer = StoreWriter(folder, now=NOW)
         self.stream = MemoryStream()
         self.time = 0.0
+        self.gaps: list[OwnershipGap] = []
         self.outbox = self.opened()
         self.rows = 0
 
@@ -57,6 +72,7 @@ class Sending:
             store="s",
             link_of=lambda: {"meter": "hall", "pump": "roof"},
             epoch_of=lambda link, commit: Epoch(1, 10 if commit <= 4 else 20),
+            gaps_of=lambda after, last: [each for each in self.gaps if after < each.commit <= last],
             now=lambda: self.time,
         )
 
@@ -316,3 +332,138 @@ async def test_what_a_stream_loses_after_it_has_acknowledged_it_is_never_believe
     of_link = [each for each in stream.messages if each.samples[0].device == link]
     stream.messages.remove(of_link[1])  # as when the server ends before it has written; the number is used again
     assert stream.believed()[0] < of_link[1].samples[0].commit
+
+
+def commit_texts(sending: Sending, *texts: str | float) -> int:
+    """One commit with a sample of `name` for each value."""
+    batches = []
+    for text in texts:
+        sending.rows += 1
+        batches.append(SampleBatch(PointGroup("meter", ("name",)), NOW + sending.rows * 10**9, 5, (text,)))
+    return sending.writer.commit(batches, [], NOW + sending.rows * 10**9).number
+
+
+async def test_long_texts_are_sent_in_messages_that_are_not_too_long(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        texts = [chr(0x20AC) * length for length in (1000, 20_000, 21_000, 21_700, 5, 21_000, 21_000)]
+        commit_texts(sending, *texts)
+        assert not await sending.outbox.step()
+        found = [sample.value for message in sending.stream.messages for sample in message.samples]
+        assert found == texts
+        assert len(sending.stream.messages) == 5
+        assert all(len(each.encode()) <= MOST_BYTES for each in sending.stream.messages)
+        assert sending.outbox.status().set_aside == 0
+
+
+async def test_messages_are_as_long_as_a_server_with_a_low_limit_takes(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    sending.stream.longest = 1000
+    with sending.writer:
+        commit_texts(sending, *("x" * 20 for _ in range(30)))
+        assert not await sending.outbox.step()
+        assert len(sending.stream.commits()) == 30
+        assert max(len(each.encode()) for each in sending.stream.messages) > 300
+
+
+async def test_a_sample_that_is_too_long_for_a_message_is_told_and_set_aside_and_others_are_sent(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        commit_texts(sending, "one", "x" * MOST_BYTES, "two", "y" * MOST_BYTES)
+        last = commit_texts(sending, "z" * MOST_BYTES)
+        assert not await sending.outbox.step()
+        await sending.outbox.step()
+        found = [sample.value for message in sending.stream.messages for sample in message.samples]
+        assert found == ["one", "two"]
+        assert sending.stream.messages[-1].complete == last
+        assert sending.outbox.status().set_aside == 3
+        told = [each.message for each in caplog.records if "no sink gets it" in each.message]
+        assert len(told) == 1
+        assert "meter/name" in told[0]
+        sending.outbox = sending.opened()
+        assert not await sending.outbox.step()
+        assert sending.outbox.status().set_aside == 3, "it is not sent after a start either"
+
+
+async def test_a_commit_with_nothing_but_a_sample_that_is_too_long_holds_nothing_up(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        commit_texts(sending, "x" * MOST_BYTES)
+        last = sending.commit("meter")
+        await sending.outbox.step()
+        await sending.outbox.step()
+        assert sending.stream.commits() == [last]
+        sending.stream.sinks = {"broker": SinkPlace(last, 9)}
+        await sending.outbox.step()
+        assert sending.outbox.status().kept == last
+
+
+async def test_a_gap_is_sent_between_the_samples_of_the_epochs_that_it_parts_and_again_with_them(
+    tmp_path: Path,
+) -> None:
+    sending = Sending(tmp_path)
+    sending.stream.longest = 800
+    devices = tuple(f"meter {number} of the hall" for number in range(60))
+    sending.gaps = [
+        OwnershipGap("hall", Epoch(1, 20), 5, devices, 1, 2),
+        OwnershipGap("shed", Epoch(1, 9), 3, ("fan",), 1, 2),
+        OwnershipGap("shed", Epoch(1, 30), 9, ("fan",), 3, 4),
+    ]
+    with sending.writer:
+        for _ in range(5):
+            sending.commit("meter", "pump")
+        for _ in range(2):
+            await sending.outbox.step()
+            found = [
+                (each.link, each.epoch, [sample.commit for sample in each.samples])
+                for each in sending.stream.messages
+                if each.gap is None or each.gap.devices[0] in ("fan", devices[0])
+            ]
+            assert found == [
+                ("hall", Epoch(1, 10), [2, 3, 4]),
+                ("hall", Epoch(1, 20), []),
+                ("hall", Epoch(1, 20), [5, 6]),
+                ("roof", Epoch(1, 10), [2, 3, 4]),
+                ("roof", Epoch(1, 20), [5, 6]),
+                ("shed", Epoch(1, 9), []),
+            ]
+            parts = [each.gap for each in sending.stream.messages if each.gap is not None]
+            assert sum((each.devices for each in parts if each.link == "hall"), ()) == devices
+            assert len(parts) > 3
+            assert {(each.commit, each.begin, each.end) for each in parts} == {(5, 1, 2), (3, 1, 2)}
+            sending.stream.messages.clear()
+            sending.outbox = sending.opened()
+
+
+async def test_a_stream_that_is_connected_again_is_tried_at_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_module, "PAUSE", 1000.0)
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        sending.stream.is_up = False
+        task = asyncio.create_task(sending.outbox.run())
+        await until(lambda: sending.outbox.status().error is not None)
+        assert sending.stream.messages == []
+        sending.stream.is_up = True
+        sending.stream.is_back.set()
+        await until(lambda: sending.stream.commits() == [2])
+        await end_tasks([task])
+
+
+async def test_a_stream_that_refuses_over_the_same_connection_is_tried_after_pauses(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_module, "PAUSE", 0.01)
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        sending.stream.is_up = False
+        task = asyncio.create_task(sending.outbox.run())
+        await until(lambda: sending.outbox.status().error is not None)
+        sending.stream.is_up = True
+        await until(lambda: sending.stream.commits() == [2])
+        await end_tasks([task])

@@ -3,6 +3,7 @@
 import asyncio
 import contextlib
 import shutil
+import time
 from collections.abc import AsyncGenerator, AsyncIterator, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,14 +14,22 @@ from foreign_servers import ForeignServer, nats_server
 from waiting import until
 
 import busway
+from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.collector.store.writer import StoreWriter
+from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
+from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.messages import decode_message
+from busway.apps.fleet.outbox import Outbox
+from busway.apps.fleet.ownership_gaps import OwnershipGap
+from busway.apps.fleet.records import LeaseRecord
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
 
@@ -28,12 +37,15 @@ pytest.importorskip("nats")
 pytest.importorskip("msgpack")
 pytestmark = pytest.mark.real_time
 
+NOW = 1_800_000_000 * 10**9
+
 
 class KeepingSink:
     """Keeps samples by device, point and time, and counts how often each came."""
 
     def __init__(self) -> None:
         self.kept: dict[tuple[str, str, int], int] = {}
+        self.revisions: set[int] = set()
         self.is_up = True
 
     async def open(self) -> None:
@@ -42,6 +54,7 @@ class KeepingSink:
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         if not self.is_up:
             raise SinkDown("it is away")
+        self.revisions |= {each.revision for each in samples}
         for each in samples:
             key = (each.device, each.point, each.time)
             self.kept[key] = self.kept.get(key, 0) + 1
@@ -157,6 +170,126 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
                 assert kept <= has, "what all sinks are said to keep, the sink has"
         assert has <= stored(tmp_path, "one", "two"), "nothing comes that no store has"
         assert handed.error is None
+
+
+async def test_texts_longer_than_a_server_takes_are_set_aside_and_all_else_is_sent(tmp_path: Path) -> None:
+    texts = ["x" * length for length in (10, 6000, 4000, 2000, 2000, 2000, 2000, 5)]
+    with nats_server(tmp_path, "max_payload: 6000") as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator:
+            await make_stream(coordinator.client, "hall")
+            batches = [
+                SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (text,))
+                for number, text in enumerate(texts)
+            ]
+            writer.commit(batches, [], NOW)
+            outbox = opened(tmp_path / "store", writer, NatsStream(coordinator.client, "hall", lambda link: "0000"))
+            assert not await outbox.step()
+            jetstream = coordinator.client.jetstream()
+            newest = (await jetstream.stream_info("busway-samples-hall")).state.last_seq
+            sent = [await jetstream.get_msg("busway-samples-hall", number) for number in range(1, newest + 1)]
+            found = [sample.value for each in sent for sample in decode_message(each.data or b"").samples]
+            assert found == [text for text in texts if len(text) != 6000]
+            assert outbox.status().set_aside == 1
+
+
+class GapKeepingSink(KeepingSink):
+    """Takes gaps too, and remembers how many samples it had then."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.gaps: list[tuple[OwnershipGap, int]] = []
+
+    async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
+        if not self.is_up:
+            raise SinkDown("it is away")
+        self.gaps.append((gap, len(self.kept)))
+        return [CommittedSample(gap.commit, device, "name", gap.begin, 0, None, 22) for device in gap.devices]
+
+
+async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_samples_around_it(tmp_path: Path) -> None:
+    sink = GapKeepingSink()
+    sink.is_up = False
+    gap = OwnershipGap("hall", Epoch(1, 7), 4, ("meter",), NOW, NOW + 5)
+    with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator, handing_on(server, sink) as handed:
+            await make_stream(coordinator.client, "hall")
+            stream = NatsStream(coordinator.client, "hall", lambda link: "0000")
+            outbox = opened(tmp_path / "store", writer, stream, [gap])
+            for number in range(4):
+                batch = SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (number,))
+                writer.commit([batch], [], NOW + number)
+            assert not await outbox.step()
+            await until(lambda: handed.error is not None, 60)
+            sink.is_up = True
+            await until(lambda: handed.taken >= 5, 60)
+            assert sink.gaps == [(gap, 2)]
+            assert sink.revisions == {33, 44}
+            assert sum(sink.kept.values()) == 5, "four, and what was returned for the gap"
+
+
+async def test_a_sink_of_the_stream_gets_the_gap_before_the_samples_of_a_collector_that_took_over(
+    tmp_path: Path,
+) -> None:
+    sink = GapKeepingSink()
+    renewed = time.time() - 100.0
+    with nats_server(tmp_path) as server:
+        async with connected(server) as coordinator:
+            for shard in range(8):
+                lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=renewed)
+                await coordinator.create(f"lease.{shard:04d}", lease.encode())
+        async with devices_of(3) as devices, handing_on(server, sink), sending(tmp_path, server, "one", devices) as one:
+            await until(lambda: len(sink.gaps) >= 3 and len(sink.kept) > 20, 90)
+            gaps = {gap.link: gap for gap, _ in sink.gaps}
+            assert {link: gap.epoch for link, gap in gaps.items()} == one._active
+            for gap in gaps.values():
+                assert gap.begin == pytest.approx(renewed * 1e9, abs=2e6)
+                (device,) = gap.devices
+                times = [at for name, _, at in sink.kept if name == device and at != gap.begin]
+                assert times
+                assert min(times) > gap.end
+
+
+async def test_samples_follow_at_once_when_a_server_that_was_away_is_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(outbox_module, "PAUSE", 1000.0)
+    monkeypatch.setattr(outbox_module, "PAUSE_LIMIT", 1000.0)
+    with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator:
+            await make_stream(coordinator.client, "hall")
+            stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+            outbox = opened(tmp_path / "store", writer, stream)
+            task = asyncio.create_task(outbox.run())
+            try:
+                await until(lambda: outbox.status().sent == writer.newest_commit, 60)
+                for number in range(2):
+                    server.stop()
+                    batch = SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (number,))
+                    newest = writer.commit([batch], [], NOW + number).number
+                    await until(lambda: outbox.status().error is not None, 60)
+                    server.start()
+                    await until(partial(has_sent, outbox, newest), 60)
+            finally:
+                await end_tasks([task])
+
+
+def has_sent(outbox: Outbox, commit: int) -> bool:
+    return outbox.status().sent >= commit
+
+
+def opened(folder: Path, writer: StoreWriter, stream: NatsStream, gaps: Sequence[OwnershipGap] = ()) -> Outbox:
+    return Outbox(
+        folder,
+        writer.manifest,
+        stream,
+        collector="one",
+        store="s",
+        link_of=lambda: {"meter": "hall"},
+        epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
+        revision_of=lambda commit: 33 if commit < 4 else 44,
+        gaps_of=lambda after, last: [each for each in gaps if after < each.commit <= last],
+        now=lambda: 0.0,
+    )
 
 
 async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_ones_of_it(tmp_path: Path) -> None:

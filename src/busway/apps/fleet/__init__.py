@@ -16,6 +16,7 @@
 `stream_head`      the number of the newest message of a zone's stream, for the lag of sinks on the page
 `fleet_metrics`    the metrics of one collector in its fleet, for Prometheus
 `ownership_log`    the record of what this collector owned when, and of the epoch of its samples; it decides nothing
+`ownership_gaps`   times in which a link had no owner, and how samples that arrive late shrink them
 `messages`         samples of one link as a message
 `outbox`           what a collector has stored, sent until the sinks of the fleet have it
 `streams`          the stream of a zone: samples go in from collectors, and out to sinks
@@ -35,6 +36,7 @@ now, and whether one more transaction may begin before its lease ends (fencing):
 (`FleetMember.may_begin`); for how long a lease holds: `lease_times`. Whether a request of an old owner may still reach
 the device: `plant`. Which collector takes a free shard, and which shards move: `balance`. Which change wins when two
 are made at once: `coordinator` (compare-and-set). To which epoch a sample belongs: `ownership_log`. What becomes of
-samples that an old owner still sends: they are kept, under the epoch in which they were taken (`messages`). Which
-samples are sent again: `outbox`. Whether a command was sent before: `key_table`; how long that is known: `key_memory`.
+samples that an old owner still sends: they are kept, under the epoch in which they were taken (`messages`). How long a
+gap of ownership really was: `ownership_gaps`. Which samples are sent again: `outbox`. Whether a command was sent
+before: `key_table`; how long that is known: `key_memory`.
 """

@@ -7,9 +7,12 @@ store is refused by name.
    start the first sample of each point is passed on.
 2. A sample that is older than the last one is passed on whatever the rule says, such as one of a collector that was
    away: it comes between others, and no rule can tell whether the sink needs it.
+3. A gap of ownership becomes what a sink gets of any time without reads: one sample without a value for each point, at
+   its begin, with the reason `Reason.OWNERSHIP`; rules do not hold it back. It begins after the newest sample of the
+   device that has passed here. A sink that keeps gaps itself (`GapSink`) gets the gap instead.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Final
 
@@ -18,13 +21,17 @@ from ...options.sinks import DeliveryOptions
 from ...points.point import Point
 from ...points.point_rules import ReportRule
 from ..collector.configuration import CollectorConfiguration
-from ..collector.samples import NANOSECONDS
+from ..collector.samples import NANOSECONDS, Reason
 from ..collector.sinks.files import FileSink
-from ..collector.sinks.interface import AlarmSink, DescribedSink, Sink
+from ..collector.sinks.interface import AlarmSink, DescribedSink, DeviceGap, GapSink, Sink
 from ..collector.sinks.sparkplug import SparkplugSink
 from ..collector.store.committed_samples import CommittedSample
+from .ownership_gaps import OwnershipGap, true_begin
 
 _EVERY: Final = ReportRule()
+_AFTER: Final = 1000
+"""Nanoseconds from the newest sample to the begin of a gap: the finest step that all sinks can tell apart."""
+_MOST_PLACED: Final = 100_000
 _Point = tuple[str, str]
 
 
@@ -37,7 +44,8 @@ class ChosenSamples:
             have no effect, as batches come from the stream.
         rules: by device and point, the report rules of points, used if the sink has none of its own; points that are
             missing are passed on with every sample.
-        points: by device and point, the points that a sink describes to its receiver; None for none.
+        points: by device and point, the points that a sink describes to its receiver, and that have gaps; None for
+            none.
     """
 
     def __init__(
@@ -52,6 +60,11 @@ class ChosenSamples:
         self._sink, self._options, self._rules = sink, options, rules
         self._named: dict[_Point, bool] = {}
         self._reported: dict[_Point, CommittedSample] = {}
+        self._newest: dict[str, int] = {}
+        self._placed: dict[tuple[str, str], int] = {}
+        self._units: dict[str, dict[str, str]] = {}
+        for (device, point), each in (points or {}).items():
+            self._units.setdefault(device, {})[point] = each.unit_of_measure
 
     async def open(self) -> None:
         """Connect to the sink's receiver. Raises `SinkDown`."""
@@ -69,6 +82,43 @@ class ChosenSamples:
         if chosen:
             await self._sink.send(chosen)
         self._reported.update(fresh)
+        for sample in samples:
+            if sample.reason != Reason.OWNERSHIP and sample.time > self._newest.get(sample.device, 0):
+                self._newest[sample.device] = sample.time
+
+    async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
+        """Send a gap of ownership to a sink that keeps gaps. For others, return the samples to send instead (rule 3).
+
+        Raises:
+            SinkDown: it may have arrived; it may be given again.
+            SinkRefused: the receiver would refuse it again.
+        """
+        gaps = [
+            DeviceGap(device, points, str(gap.epoch), self._begin_of(gap, device), gap.end)
+            for device in gap.devices
+            if (points := [point for point in self._units.get(device, ()) if self._is_named((device, point))])
+        ]
+        if not isinstance(self._sink, GapSink):
+            return [mark for each in gaps for mark in self._marks(each, gap)]
+        if gaps:
+            await self._sink.send_gaps(gaps)
+        return []
+
+    def _marks(self, each: DeviceGap, gap: OwnershipGap) -> Iterator[CommittedSample]:
+        time = each.begin if each.begin == gap.begin else each.begin + _AFTER
+        for point in each.points:
+            unit = self._units[each.device][point]
+            yield CommittedSample(gap.commit, each.device, point, time, 0, None, Reason.OWNERSHIP, unit)
+
+    def _begin_of(self, gap: OwnershipGap, device: str) -> int:
+        """Return when a gap of a device begins, as far as the samples tell that have passed here; always the same."""
+        key = device, str(gap.epoch)
+        found = self._placed.get(key)
+        if found is None:
+            if len(self._placed) >= _MOST_PLACED:
+                self._placed.clear()
+            found = self._placed[key] = true_begin(gap.begin, gap.end, [self._newest.get(device, 0)])
+        return found
 
     async def close(self) -> None:
         """Disconnect from the sink's receiver; raises nothing."""
@@ -78,6 +128,10 @@ class ChosenSamples:
         point = (sample.device, sample.point)
         if not self._is_named(point):
             return False
+        if sample.reason == Reason.OWNERSHIP:
+            if self._is_newest(sample, fresh):
+                fresh[point] = sample
+            return True
         rule = self._options.report or self._rules.get(point, _EVERY)
         if rule.when == "every":
             return True
@@ -90,6 +144,11 @@ class ChosenSamples:
                 return False
         fresh[point] = sample
         return True
+
+    def _is_newest(self, sample: CommittedSample, fresh: Mapping[_Point, CommittedSample]) -> bool:
+        point = sample.device, sample.point
+        last = fresh.get(point) or self._reported.get(point)
+        return last is None or sample.time >= last.time
 
     def _is_named(self, point: _Point) -> bool:
         found = self._named.get(point)

@@ -10,7 +10,8 @@ Knows the collector, the member and the log of ownership; what is owned is decid
 3. Changes of ownership are applied one after the other; several that have come together are applied as one.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
-   renewal: samples that the old owner still sends shrink this gap.
+   renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
+   (`ownership_gaps`). One that was killed records at its next start that its ownership ended with its last commit.
 5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
    the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
    with `zone` a server gives it to one collector, which passes it on.
@@ -39,6 +40,7 @@ from ..collector.collector import Collector
 from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
 from ..collector.reloading import refuse_what_cannot_change
+from ..collector.sample_clock import EARLIEST
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
@@ -49,6 +51,7 @@ from .lease_driver import MemberDriver, boot_time, end_tasks
 from .lease_holder import FleetMember, ShardEvent, Step
 from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
+from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog
 from .plant import (
     costs_by_link,
@@ -194,6 +197,7 @@ class FleetCollector:
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
             self.ownership.set_configuration(self.revision, collector.newest_commit)
+            self._end_what_was_owned()
             self.outbox = self._opened_outbox()
             self._tasks = [
                 asyncio.create_task(self._driver.run(), name="busway fleet member"),
@@ -267,6 +271,7 @@ class FleetCollector:
             link_of=lambda: self._link_of,
             epoch_of=self.ownership.epoch_of,
             revision_of=self.ownership.revision_of,
+            gaps_of=self.ownership.gaps,
             now=self._now,
         )
 
@@ -469,9 +474,10 @@ class FleetCollector:
 
         An error of the record is logged; it is tried again while the shards are owned.
         """
-        rows, commit = self._owned_by(events), self.collector.newest_commit
+        rows, commit, now = self._owned_by(events), self.collector.newest_commit, time.time_ns()
+        gaps = self._gaps_before(events, commit, now)
         try:
-            await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
+            await asyncio.to_thread(self.ownership.begin, rows, commit, now, gaps)
         except sqlite3.Error as error:
             shards = ", ".join(event.shard for event in events)
             _log.error("shards %s are not polled yet: their epochs cannot be recorded: %s", shards, error)
@@ -483,6 +489,44 @@ class FleetCollector:
             if self._is_owned(event):  # it may have been lost meanwhile
                 self._activate(links, event.epoch)
                 self._note_silence(links, event.silent_since)
+
+    def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
+        """Return the times without an owner before shards were gained, for each of their links that has devices."""
+        found = []
+        for event in events:
+            for link in self._links_of.get(event.shard, ()):
+                begin = self._silent_from(link, event.silent_since)
+                devices = tuple(device.name for device in self._configuration.devices_of(link))
+                if begin is not None and begin < now and devices:
+                    found.append(OwnershipGap(link, event.epoch, commit + 1, devices, begin, now))
+        return found
+
+    def _silent_from(self, link: str, silent_since: float | None) -> int | None:
+        """Return since when a link had no owner, in nanoseconds since 1970 UTC; None if that is not known.
+
+        Args:
+            link: name of the link.
+            silent_since: last renewal by an owner that fell silent, seconds since 1970 UTC; None if none did. If that
+                was this collector, it may have polled for a while after it.
+        """
+        if silent_since is None:
+            return None
+        return max(int(silent_since * NANOSECONDS), self._unowned_since.get(link, 0))
+
+    def _end_what_was_owned(self) -> None:
+        """Record that links which this collector owned when it was killed have no owner since its last commit.
+
+        The record of ownership comes first: the interval in the store must not begin at a later start.
+        """
+        owned, alive = self.ownership.unended(), self.collector.manifest.fact("alive")
+        if not owned or alive is None:
+            return
+        self.ownership.end(list(owned.items()), self.collector.newest_commit, alive)
+        if alive < EARLIEST:  # by a clock that was not set yet
+            return
+        for link in owned:
+            self._unowned_since[link] = alive
+            self._note_unowned(link, alive, None)
 
     def _activate(self, links: Sequence[str], epoch: Epoch) -> None:
         now = time.monotonic()
@@ -527,12 +571,12 @@ class FleetCollector:
         """
         now = time.time_ns()
         for link in links:
-            begin = self._unowned_since.pop(link, None)
-            if begin is None and silent_since is not None:
-                begin = int(silent_since * NANOSECONDS)
+            silent = self._silent_from(link, silent_since)
+            begin = self._unowned_since.pop(link, silent)
             if begin is not None:
                 self._note_unowned(link, min(begin, now), now)
-                self.unowned_seconds += max(0, now - begin) / NANOSECONDS
+            if silent is not None:
+                self.unowned_seconds += max(0, now - silent) / NANOSECONDS
 
     def _note_unowned(self, link: str, begin: int, end: int | None) -> None:
         for device in self._configuration.devices_of(link):

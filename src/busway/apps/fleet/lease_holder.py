@@ -682,7 +682,7 @@ class FleetMember:
 
     def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
         self._silent_since.pop(shard, None)
-        if seen is not None and seen.record is not None and seen.record.held and seen.record.run != self._me.run:
+        if seen is not None and seen.record is not None and seen.record.held:
             self._silent_since[shard] = seen.record.at
 
     def _free(self, now: float) -> dict[str, float]:

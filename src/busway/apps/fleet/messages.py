@@ -7,6 +7,8 @@
 3. A stream can lose messages that it has acknowledged: the last ones, when its server ends, and the oldest, when it is
    full. By its `Chain` a reader sees that it lacks a message of the sender.
 4. A message of a newer format is refused as a whole; nothing in it is guessed.
+5. A message has at most `MOST_BYTES` bytes. How long it becomes is not measured but computed before (`longest_head`,
+   `longest_row`), and never too low.
 """
 
 from collections.abc import Iterator, Sequence
@@ -19,10 +21,11 @@ from ...errors import ModbusError
 from ...extras import require
 from ..collector.store.committed_samples import CommittedSample
 from .lease_times import Epoch
+from .ownership_gaps import OwnershipGap
 
-FORMAT: Final = 2
-MOST_ROWS: Final = 2000
-"""Most samples in one message: about 64 kB."""
+FORMAT: Final = 3
+MOST_BYTES: Final = 64 * 1024
+"""Most bytes of one message."""
 
 
 class UnreadableMessage(ModbusError):
@@ -59,8 +62,10 @@ class SampleMessage:
         complete: the commit up to which the stream had acknowledged all samples of this store before this message.
         kept: the commit up to which, as the sender knows, all sinks have the samples of this store. The sender begins
             after that commit when it sends again.
-        samples: the samples in the order of their commits; empty in a message that only tells ``complete``.
+        samples: the samples in the order of their commits, each without its revision; empty in a message that tells
+            ``complete`` or a gap.
         chain: its place in all that the sender has sent.
+        gap: a time before this epoch in which the link had no owner; then there are no samples. None otherwise.
     """
 
     collector: str
@@ -72,6 +77,7 @@ class SampleMessage:
     kept: int
     samples: Sequence[CommittedSample]
     chain: Chain = Chain()
+    gap: OwnershipGap | None = None
 
     @property
     def name(self) -> str:
@@ -81,8 +87,8 @@ class SampleMessage:
     def encode(self) -> bytes:
         """Return the message as bytes in MessagePack. Raises `MissingExtra` without the package msgpack."""
         require("msgpack", "samples of a fleet")
-        columns = tuple(zip(*self.samples, strict=True)) or ((),) * 8
-        commits, devices, points, times, half_widths, values, reasons, units = columns
+        columns = tuple(zip(*self.samples, strict=True)) or ((),) * 9
+        commits, devices, points, times, half_widths, values, reasons, units, _ = columns
         point_of = list(zip(devices, points, units, strict=True))
         places = {point: place for place, point in enumerate(dict.fromkeys(point_of))}
         content = [
@@ -95,6 +101,7 @@ class SampleMessage:
             self.complete,
             self.kept,
             [self.chain.start, self.chain.number, self.chain.after, self.chain.is_first],
+            None if self.gap is None else [self.gap.commit, self.gap.devices, self.gap.begin, self.gap.end],
             list(places),
             [places[point] for point in point_of],
             commits,
@@ -103,7 +110,7 @@ class SampleMessage:
             [_packed(value) if type(value) is int else value for value in values],
             reasons,
         ]
-        packed: bytes = import_module("msgpack").packb(content)
+        packed: bytes = import_module("msgpack").packb(content, unicode_errors="surrogatepass")
         return packed
 
 
@@ -117,27 +124,33 @@ def decode_message(data: bytes) -> SampleMessage:
     require("msgpack", "samples of a fleet")
     msgpack = import_module("msgpack")
     try:
-        content = msgpack.unpackb(data, strict_map_key=False)
+        content = msgpack.unpackb(data, strict_map_key=False, unicode_errors="surrogatepass")
         if content[0] != FORMAT:
             raise UnreadableMessage(f"format {content[0]!r} is not known here: this program is older than its sender")
         _, collector, store, link, epoch, revision, complete, kept, *rest = content
-        (start, number, after, is_first), points, *columns = rest
+        (start, number, after, is_first), found, points, *columns = rest
         samples = [
             CommittedSample(
                 commit, points[place][0], points[place][1], time, half, _unpacked(value), reason, points[place][2]
             )
             for place, commit, time, half, value, reason in zip(*columns, strict=True)
         ]
+        owned = None if epoch is None else Epoch(epoch[0], epoch[1])
+        gap = None
+        if found is not None and owned is not None:
+            commit, devices, begin, end = found
+            gap = OwnershipGap(link, owned, commit, tuple(devices), begin, end)
         return SampleMessage(
             collector,
             store,
             link,
-            None if epoch is None else Epoch(epoch[0], epoch[1]),
+            owned,
             revision,
             complete,
             kept,
             samples,
             Chain(start, number, after, is_first),
+            gap,
         )
     except UnreadableMessage:
         raise
@@ -158,6 +171,43 @@ def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iter
 
     for name, found in groupby(sorted(samples, key=link), key=link):
         yield name, list(found)
+
+
+def longest_head(*names: str) -> int:
+    """Return how many bytes a message may have beside its samples.
+
+    Args:
+        names: the names in it: collector, store and link, and the devices of a gap.
+    """
+    return _MOST_NUMBERS + sum(map(_longest_text, names))
+
+
+def longest_row(sample: CommittedSample, known: set[tuple[str, str, str]]) -> int:
+    """Return how many bytes a sample may add to a message; computed from the longest forms in MessagePack.
+
+    Args:
+        sample: the sample.
+        known: device, point and unit of measure of the samples before it in the same message; its own are added.
+    """
+    point = sample.device, sample.point, sample.unit_of_measure
+    names = 0
+    if point not in known:
+        known.add(point)
+        names = 1 + sum(map(_longest_text, point))
+    value = sample.value
+    if isinstance(value, str):
+        return _MOST_ROW + names + _longest_text(value)
+    return _MOST_ROW + names + (len(str(value)) if type(value) is int else 0)
+
+
+_MOST_NUMBERS: Final = 256
+"""Bytes of all numbers and heads of lists of a message together: 15 numbers of 9 bytes, 12 heads of 5."""
+_MOST_ROW: Final = 48
+"""Bytes of a sample's numbers: place, commit, time and half width, 5 or 9 each, value 9, reason 3, head of a list 6."""
+
+
+def _longest_text(text: str) -> int:
+    return 5 + len(text.encode("utf-8", "surrogatepass"))
 
 
 def _packed(value: Any) -> Any:

@@ -10,16 +10,22 @@ Knows commits and cursors; `streams` knows the engine.
    long. A sink that takes no messages is away: what is sent to it again would only fill the stream.
 4. Each attempt to send a message has a name that the stream does not know. A stream that recognised the name would
    drop the new message, and might lose the older copy before a sink has it.
-5. A stream that is full or away stops nothing: samples wait in the store, and the status says so.
+5. A stream that is full or away stops nothing: samples wait in the store, and the status says so. It is tried again
+   after ever longer pauses, and at once when the connection to its server is there again.
 6. What a sink says that it has counts only if messages of this start have proved it. If an older copy of the store was
    put back, its numbers are used twice, and a sink may have commits of the newer one.
+7. A gap of ownership is sent before the samples of the epoch that ended it, in a message of its own, and again with
+   them. So a sink that has all samples up to a commit has all gaps up to there.
+8. A message is no longer than `SampleStream.most_bytes`. A sample that alone is longer is set aside: it stays in the
+   store, no sink gets it, and the status counts it.
 """
 
 import asyncio
 import logging
 import secrets
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 from typing import Final, Protocol
 
@@ -27,7 +33,8 @@ from ...errors import ModbusError
 from ..collector.store.committed_samples import CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
 from .lease_times import Epoch
-from .messages import MOST_ROWS, Chain, SampleMessage, by_link
+from .messages import Chain, SampleMessage, by_link, longest_head, longest_row
+from .ownership_gaps import OwnershipGap
 
 OUTBOX: Final = "fleet"
 """The name of the outbox's cursor in the manifest."""
@@ -83,6 +90,12 @@ class SampleStream(Protocol):
             StreamDown: the stream has not acknowledged the message, but may have it.
         """
 
+    async def connected_again(self) -> None:
+        """Wait until the connection to the server is a newer one than when the last message was sent."""
+
+    def most_bytes(self) -> int:
+        """Return the most bytes that a message may have."""
+
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
         """Return by sink how far it is with the samples of a store; empty if no sink is known."""
 
@@ -95,12 +108,14 @@ class OutboxStatus:
         sent: the commit up to which the stream has all samples.
         kept: the commit up to which all sinks have all samples.
         messages: number of messages acknowledged since the start.
+        set_aside: number of samples since the start that no sink gets, because they are too long for a message.
         error: why the stream does not take more; None while it does.
     """
 
     sent: int
     kept: int
     messages: int
+    set_aside: int
     error: str | None
 
 
@@ -115,6 +130,8 @@ class Outbox:
         link_of: returns by device the name of its link; called before each batch.
         epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
         revision_of: returns the revision of the configuration with which a commit's samples were taken.
+        gaps_of: returns the gaps of ownership that belong to the commits after one number up to another; called in
+            another thread.
         now: returns the time in seconds, by a clock that is never set.
     """
 
@@ -129,11 +146,13 @@ class Outbox:
         link_of: Callable[[], Mapping[str, str]],
         epoch_of: Callable[[str, int], Epoch | None],
         revision_of: Callable[[int], int] = lambda commit: 0,
+        gaps_of: Callable[[int, int], Sequence[OwnershipGap]] = lambda after, last: (),
         now: Callable[[], float],
     ) -> None:
         self._manifest, self._stream = manifest, stream
         self._collector, self._store = collector, store
         self._link_of, self._epoch_of, self._revision_of, self._now = link_of, epoch_of, revision_of, now
+        self._gaps_of = gaps_of
         self._reader = CommitReader(folder, manifest)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
         manifest.set_cursor(OUTBOX, self._kept, self._lost)
@@ -144,10 +163,12 @@ class Outbox:
         self._messages = 0
         self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
+        self._aside: set[tuple[str, str, int, int]] = set()
+        self._too_long: set[tuple[str, str]] = set()
 
     def status(self) -> OutboxStatus:
         """Return how far the sending of stored samples to the message stream has come."""
-        return OutboxStatus(self._sent, self._kept, self._messages, self._error)
+        return OutboxStatus(self._sent, self._kept, self._messages, len(self._aside), self._error)
 
     async def run(self) -> None:
         """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
@@ -159,14 +180,22 @@ class Outbox:
                 if self._error is None:
                     _log.warning("samples wait in the store: %s", error)
                 self._error = str(error)
-                await asyncio.sleep(wait)
-                wait = min(2 * wait, PAUSE_LIMIT)
+                wait = PAUSE if await self._is_connected_again(wait) else min(2 * wait, PAUSE_LIMIT)
                 continue
             if self._error is not None:
                 _log.info("the stream takes samples again")
             self._error, wait = None, PAUSE
             if not more:
                 await asyncio.sleep(IDLE)
+
+    async def _is_connected_again(self, seconds: float) -> bool:
+        """Wait for some seconds, or until the stream has a new connection to its server; returns whether it has."""
+        try:
+            async with asyncio.timeout(seconds):
+                await self._stream.connected_again()
+        except TimeoutError:
+            return False
+        return True
 
     async def step(self) -> bool:
         """Send the next batch of stored samples to the stream; returns whether more samples are probably waiting.
@@ -180,8 +209,9 @@ class Outbox:
             await self._tell_complete()
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
+        gaps = await asyncio.to_thread(self._gaps_of, self._sent, found.last)
         is_first = True
-        for message in self._messages_of(found.samples) or [self._message("", [])]:
+        for message in self._messages_of(found.samples, gaps) or [self._message("", [])]:
             await self._publish(message, is_first=is_first)
             is_first = False
         self._sent = found.last
@@ -238,24 +268,83 @@ class Outbox:
             await self._publish(self._message("", []), is_first=True)
             self._told = self._sent
 
-    def _messages_of(self, samples: list[CommittedSample]) -> list[SampleMessage]:
+    def _messages_of(self, samples: list[CommittedSample], gaps: Sequence[OwnershipGap]) -> list[SampleMessage]:
+        samples_of = dict(by_link(samples, dict(self._link_of())))
+        gaps_of: dict[str, list[OwnershipGap]] = {}
+        for gap in gaps:
+            gaps_of.setdefault(gap.link, []).append(gap)
         found: list[SampleMessage] = []
-        for link, group in by_link(samples, dict(self._link_of())):
-            for begin in range(0, len(group), MOST_ROWS):
-                found += self._of_one_epoch(link, group[begin : begin + MOST_ROWS])
+        for link in sorted({*samples_of, *gaps_of}):
+            waiting = gaps_of.get(link, [])
+            for epoch, rows in self._cut(link, samples_of.get(link, [])):
+                while waiting and waiting[0].commit <= rows[0].commit:
+                    found += self._of_gap(waiting.pop(0))
+                found.append(self._message(link, rows, epoch))
+            for gap in waiting:
+                found += self._of_gap(gap)
         return found
 
-    def _of_one_epoch(self, link: str, rows: list[CommittedSample]) -> list[SampleMessage]:
-        """Return samples of one link as messages, one for each epoch and revision of the configuration.
+    def _of_gap(self, gap: OwnershipGap) -> Iterator[SampleMessage]:
+        """Yield a gap of ownership as messages that are not too long: each for some of its devices (rules 7 and 8)."""
+        most = self._stream.most_bytes()
+        message = replace(self._message(gap.link, [], gap.epoch), revision=self._revision_of(gap.commit))
+        head, none = longest_head(self._collector, self._store, gap.link), longest_head()
+        devices: list[str] = []
+        length = head
+        for device in gap.devices:
+            added = longest_head(device) - none
+            if devices and length + added > most:
+                yield replace(message, gap=replace(gap, devices=tuple(devices)))
+                devices, length = [], head
+            devices.append(device)
+            length += added
+        yield replace(message, gap=replace(gap, devices=tuple(devices)))
+
+    def _cut(self, link: str, group: list[CommittedSample]) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
+        """Yield samples of one link for one message each: of one epoch and revision, and not too long (rule 8).
 
         Args:
             link: name of the link.
-            rows: the samples, `MOST_ROWS` at most.
+            group: the samples, in the order of their commits.
         """
-        groups: dict[tuple[Epoch | None, int], list[CommittedSample]] = {}
-        for row in rows:
-            groups.setdefault((self._epoch_of(link, row.commit), self._revision_of(row.commit)), []).append(row)
-        return [self._message(link, each, epoch) for (epoch, _), each in groups.items()]
+        head, most = longest_head(self._collector, self._store, link), self._stream.most_bytes()
+        for epoch, rows in self._of_one_epoch(link, group):
+            begin, length, known = 0, head, set[tuple[str, str, str]]()
+            for place, row in enumerate(rows):
+                added = longest_row(row, known)
+                if length + added > most and place > begin:
+                    yield epoch, rows[begin:place]
+                    begin, length, known = place, head, set()
+                    added = longest_row(row, known)
+                if length + added > most:
+                    self._set_aside(row, head + added, most)
+                    begin, known = place + 1, set()
+                    continue
+                length += added
+            if begin < len(rows):
+                yield epoch, rows[begin:]
+
+    def _of_one_epoch(
+        self, link: str, group: list[CommittedSample]
+    ) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
+        """Yield the samples of one link apart by epoch and revision of the configuration; both follow from commits."""
+        for (epoch, _), rows in groupby(
+            group, key=lambda row: (self._epoch_of(link, row.commit), self._revision_of(row.commit))
+        ):
+            yield epoch, list(rows)
+
+    def _set_aside(self, sample: CommittedSample, length: int, most: int) -> None:
+        """Note that a sample is too long for a message: no sink gets it. Told once for each point."""
+        point = sample.device, sample.point
+        self._aside.add((*point, sample.commit, sample.time))
+        if point not in self._too_long:
+            self._too_long.add(point)
+            _log.error(
+                "a sample of %s/%s has %d bytes, and a message at most %d: it stays in the store, and no sink gets it",
+                *point,
+                length,
+                most,
+            )
 
     def _message(self, link: str, samples: list[CommittedSample], epoch: Epoch | None = None) -> SampleMessage:
         return SampleMessage(

@@ -6,9 +6,11 @@ not here.
 1. A link's ownership begins after everything that was taken before is committed, so the epoch of a sample follows from
    the number of its commit.
 2. A row is on disk before the first transaction of its epoch.
-3. An ownership whose end is missing ended with the process.
+3. An ownership whose end is missing ended with the process; the next start records that end.
+4. A gap before an ownership (`ownership_gaps`) is on disk together with it.
 """
 
+import json
 import secrets
 import sqlite3
 import threading
@@ -21,6 +23,7 @@ from typing import Final
 
 from ...errors import ConfigError
 from .lease_times import Epoch
+from .ownership_gaps import OwnershipGap
 
 OWNERSHIP: Final = "fleet.sqlite"
 _SCHEMA: Final = """
@@ -29,13 +32,19 @@ CREATE TABLE IF NOT EXISTS ownership (
     link TEXT NOT NULL, generation INTEGER NOT NULL, revision INTEGER NOT NULL, after_commit INTEGER NOT NULL,
     begin INTEGER NOT NULL, last_commit INTEGER, "end" INTEGER, PRIMARY KEY (link, generation, revision)
 );
-CREATE TABLE IF NOT EXISTS configuration (after_commit INTEGER NOT NULL, revision INTEGER NOT NULL)
+CREATE TABLE IF NOT EXISTS configuration (after_commit INTEGER NOT NULL, revision INTEGER NOT NULL);
+CREATE TABLE IF NOT EXISTS gap (
+    link TEXT NOT NULL, generation INTEGER NOT NULL, revision INTEGER NOT NULL, after_commit INTEGER NOT NULL,
+    devices TEXT NOT NULL, begin INTEGER NOT NULL, "end" INTEGER NOT NULL, PRIMARY KEY (link, generation, revision)
+);
+CREATE INDEX IF NOT EXISTS gap_commits ON gap (after_commit)
 """
 _BEGIN: Final = """
 INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)
 ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
 """
 """A link that the configuration lacked for a while goes on in the epoch of its shard."""
+_GAP: Final = "INSERT OR IGNORE INTO gap VALUES (?, ?, ?, ?, ?, ?, ?)"
 _END: Final = """
 UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?
 """
@@ -106,20 +115,35 @@ class OwnershipLog:
         with self._lock:
             self._database.close()
 
-    def begin(self, owned: Iterable[tuple[str, Epoch]], after_commit: int, now: int) -> None:
+    def begin(
+        self, owned: Iterable[tuple[str, Epoch]], after_commit: int, now: int, gaps: Iterable[OwnershipGap] = ()
+    ) -> None:
         """Record on disk that links are owned from now on, all of them or none; only then may they be polled.
 
         Args:
             owned: names of the links, each with the epoch of its ownership.
             after_commit: the last commit before the ownership.
             now: nanoseconds since 1970 UTC.
+            gaps: the times before in which some of them had no owner.
 
         Raises:
             sqlite3.Error: nothing was recorded; the links must not be polled.
         """
         rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link, epoch in owned]
+        before = [
+            (
+                gap.link,
+                gap.epoch.generation,
+                gap.epoch.revision,
+                after_commit,
+                json.dumps(gap.devices),
+                gap.begin,
+                gap.end,
+            )
+            for gap in gaps
+        ]
         with self._lock:
-            self._write(_BEGIN, rows)
+            self._write([(_BEGIN, rows), (_GAP, before)])
             for link, generation, revision, *_ in rows:
                 self._epochs.setdefault(link, []).append((after_commit, Epoch(generation, revision)))
 
@@ -127,13 +151,14 @@ class OwnershipLog:
         """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
         rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link, epoch in owned]
         with self._lock:
-            self._write(_END, rows)
+            self._write([(_END, rows)])
 
-    def _write(self, statement: str, rows: Sequence[tuple[str | int, ...]]) -> None:
-        """Execute an SQL statement for all rows in one transaction, to wait for the disk only once."""
+    def _write(self, steps: Iterable[tuple[str, Sequence[tuple[str | int, ...]]]]) -> None:
+        """Execute SQL statements for all their rows in one transaction, to wait for the disk only once."""
         self._database.execute("BEGIN IMMEDIATE")
         try:
-            self._database.executemany(statement, rows)
+            for statement, rows in steps:
+                self._database.executemany(statement, rows)
         except sqlite3.Error:
             self._database.execute("ROLLBACK")
             raise
@@ -157,6 +182,23 @@ class OwnershipLog:
         """Return the revision of the configuration with which a commit's samples were taken; 0 if none is known."""
         place = bisect_left(self._revisions, commit, key=lambda each: each[0])
         return self._revisions[place - 1][1] if place else 0
+
+    def gaps(self, after: int, last: int) -> list[OwnershipGap]:
+        """Return the gaps that belong to the commits after number ``after``, up to ``last`` and with it, in order."""
+        with self._lock, closing(self._database.cursor()) as cursor:
+            rows = cursor.execute(
+                "SELECT * FROM gap WHERE after_commit >= ? AND after_commit < ? ORDER BY after_commit, link",
+                (after, last),
+            ).fetchall()
+        return [
+            OwnershipGap(link, Epoch(generation, revision), commit + 1, tuple(json.loads(devices)), begin, end)
+            for link, generation, revision, commit, devices, begin, end in rows
+        ]
+
+    def unended(self) -> dict[str, Epoch]:
+        """Return by link the epoch of its last ownership, if the end of that is missing (rule 3)."""
+        newest = {each.link: each for each in self.all()}
+        return {link: each.epoch for link, each in newest.items() if each.end is None}
 
     def all(self) -> list[Ownership]:
         """Return all recorded periods in which this collector owned a link, the oldest first."""

@@ -18,7 +18,7 @@ import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, Protocol, runtime_checkable
 
 from ...errors import ConfigError
 from ..collector.sinks.interface import Sink, SinkDown, SinkRefused
@@ -35,10 +35,13 @@ from .coordinator import (
 from .coordinators.nats import NOT_YET, asked, refused_subject
 from .coordinators.opening import until_up
 from .lease_driver import end_if_cancelled, end_tasks, keep_following
-from .messages import SampleMessage, UnreadableMessage, decode_message
+from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
+from .ownership_gaps import OwnershipGap
 
 CURSORS: Final = "cursor."
+MOST_HEADERS: Final = 1024
+"""Bytes that a server counts to a message beside its data: the header with its name."""
 FETCH: Final = 64
 """Most messages that a sink takes at once."""
 AUDIT_AGE: Final = 366 * 86_400.0
@@ -202,6 +205,7 @@ class NatsStream:
         self._client, self._zone, self._shard_of = client, zone, shard_of
         self._jetstream = client.jetstream(timeout=timeout)
         self._cursors = CursorBook()
+        self._again: asyncio.Event = client.again
 
     async def publish(self, message: SampleMessage) -> None:
         """Send a message with samples to the stream; when this returns, the stream has the message.
@@ -210,6 +214,7 @@ class NatsStream:
             StreamDown: the connection is lost, or no acknowledgement came; the message may be in the stream.
         """
         nats = import_module("nats")
+        self._again = self._client.again
         if not self._client.is_connected:
             raise StreamDown("the connection to the server is lost")
         shard = self._shard_of(message.link) if message.link else "none"
@@ -219,6 +224,14 @@ class NatsStream:
             )
         except (nats.errors.Error, OSError, TimeoutError) as error:
             raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+
+    async def connected_again(self) -> None:
+        """Wait until the connection to the server is a newer one than when the last message was sent."""
+        await self._again.wait()
+
+    def most_bytes(self) -> int:
+        """Return the most bytes that a message may have: `MOST_BYTES`, or what the server takes, if that is less."""
+        return min(MOST_BYTES, int(self._client.max_payload) - MOST_HEADERS)
 
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
         """Return by sink up to which commit it has the samples of a collector's store; empty if no sink is known.
@@ -464,6 +477,19 @@ class SinkProgress:
             self._commits[place] = max(known, message.complete)
 
 
+@runtime_checkable
+class OwnershipGapSink(Protocol):
+    """Interface of a sink that takes gaps of ownership too."""
+
+    async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
+        """Send a gap of ownership, or return samples that are to be sent instead of it.
+
+        Raises:
+            SinkDown: it may have arrived; it may be given again.
+            SinkRefused: the receiver would refuse it again.
+        """
+
+
 class StreamSink:
     """Passes the samples in a zone's message stream on to one sink, each at least once.
 
@@ -575,7 +601,7 @@ class StreamSink:
         ready = await self._following(jetstream, stream, messages)
         try:
             read = [(each, self._read(each)) for each in ready]
-            await self._send([sample for _, each in read if each is not None for sample in each.samples])
+            await self._send_all([each for _, each in read if each is not None])
             for message, each in read:
                 self._progress.take(message.metadata.sequence.stream, each)
             await self._write_cursors()
@@ -652,12 +678,32 @@ class StreamSink:
             self.unreadable += 1
             return None
 
-    async def _send(self, samples: list[CommittedSample]) -> None:
-        if not samples:
-            return
+    async def _send_all(self, messages: list[SampleMessage]) -> None:
+        waiting: list[CommittedSample] = []
+        for each in messages:
+            if each.gap is not None and isinstance(self._sink, OwnershipGapSink):
+                await self._send(waiting)  # a gap begins after what was there before it
+                waiting = []
+                await self._send_gap(self._sink, each.gap, each.revision)
+            waiting.extend(sample._replace(revision=each.revision) for sample in each.samples)
+        await self._send(waiting)
+
+    async def _send_gap(self, sink: OwnershipGapSink, gap: OwnershipGap, revision: int) -> None:
+        await self._open()
+        try:
+            await self._send([sample._replace(revision=revision) for sample in await sink.send_gap(gap)])
+        except SinkRefused as error:
+            _log.error("sink %s: the gap of link %s before epoch %s: %s", self._name, gap.link, gap.epoch, error)
+
+    async def _open(self) -> None:
         if not self._is_open:
             await self._sink.open()
             self._is_open = True
+
+    async def _send(self, samples: list[CommittedSample]) -> None:
+        if not samples:
+            return
+        await self._open()
         try:
             await self._sink.send(samples)
             self.taken += len(samples)

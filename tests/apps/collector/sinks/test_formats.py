@@ -19,7 +19,7 @@ from deliveries import commit_reads, delivery_to, run_until
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, exception_reason
 from busway.apps.collector.sinks.delivery import DeliveryOptions
-from busway.apps.collector.sinks.documents import documents
+from busway.apps.collector.sinks.documents import documents, sample_document
 from busway.apps.collector.sinks.files import FileSink
 from busway.apps.collector.sinks.influxdb import InfluxSink, line_of
 from busway.apps.collector.sinks.interface import SinkDown
@@ -54,6 +54,20 @@ def test_a_document_has_one_device_and_commit_and_says_what_is_not_good() -> Non
     assert first["uncertain"] == {"b": "held"}
     assert first["bad"]["c"].startswith("exception 02")
     assert len({each.key for each in found}) == 3
+
+
+def test_a_document_of_a_fleet_has_the_revision_of_its_configuration() -> None:
+    one = CommittedSample(7, "pump", "speed", 1, 0, 2.0, 0, "rpm")
+    other = one._replace(revision=12, value=3.0)
+    plain, fleet = documents([other, one])
+    assert "revision" not in plain.content
+    assert (plain.content["reads"][0]["values"], fleet.content["reads"][0]["values"]) == (
+        {"speed": 2.0},
+        {"speed": 3.0},
+    )
+    assert fleet.content["revision"] == 12
+    assert plain.key != fleet.key
+    assert ("revision" in sample_document(one), sample_document(other)["revision"]) == (False, 12)
 
 
 def test_the_key_of_a_document_is_the_same_at_a_repetition() -> None:

@@ -43,12 +43,16 @@ def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
 
     Its content has ``device``, ``key`` and ``reads``. ``reads`` has one entry for each time: ``time`` (nanoseconds
     since 1970 UTC), ``half_width``, ``values`` by point, and where there are any, ``uncertain`` and ``bad`` with the
-    reason by point.
+    reason by point. In a fleet it has ``revision`` too, that of the configuration with which the samples were taken.
     """
-    for (commit, device), group in groupby(sorted(samples, key=_place), key=lambda each: (each.commit, each.device)):
+    for (commit, device, revision), group in groupby(sorted(samples, key=_place), key=lambda each: _place(each)[:3]):
         reads = [_read(moment, list(each)) for moment, each in groupby(group, key=lambda each: each.time)]
-        key = f"{commit}-{device}-{_digest(reads)}"
-        yield Document(device, key, {"device": device, "key": key, "reads": reads})
+        key = f"{commit}-{device}-{_digest([revision, reads] if revision else reads)}"
+        yield Document(device, key, {"device": device, "key": key, **_revision(revision), "reads": reads})
+
+
+def _revision(revision: int) -> dict[str, int]:
+    return {"revision": revision} if revision else {}
 
 
 def _digest(content: Any) -> str:  # JSON
@@ -61,8 +65,8 @@ def _encoded(content: Any) -> bytes:  # JSON
     )
 
 
-def _place(sample: CommittedSample) -> tuple[int, str, int]:
-    return sample.commit, sample.device, sample.time
+def _place(sample: CommittedSample) -> tuple[int, str, int, int]:
+    return sample.commit, sample.device, sample.revision, sample.time
 
 
 def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
@@ -78,7 +82,7 @@ def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
 def sample_document(sample: CommittedSample) -> dict[str, Any]:
     """Return one sample as JSON data: ``time``, ``half_width``, ``value``, ``quality`` and ``reason`` in words.
 
-    Times are nanoseconds; the names of device and point are not in it.
+    Times are nanoseconds; the names of device and point are not in it. ``revision`` is, in a fleet.
     """
     return {
         "time": sample.time,
@@ -86,6 +90,7 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
         "value": json_number(sample.value),
         "quality": sample.quality.name.lower(),
         "reason": reason_text(sample.reason),
+        **_revision(sample.revision),
     }
 
 

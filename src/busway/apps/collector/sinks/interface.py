@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from ....errors import ModbusError
@@ -37,6 +38,39 @@ class Sink(Protocol):
 
     async def close(self) -> None:
         """Disconnect from the sink's receiver; raises nothing."""
+
+
+@dataclass(frozen=True, slots=True)
+class DeviceGap:
+    """A time in which no collector of a fleet read a device, because its link had no owner.
+
+    Attributes:
+        device: name of the device.
+        points: names of its points that the sink gets.
+        epoch: the ownership that ended the gap; with the device it identifies the gap.
+        begin: nanoseconds since 1970 UTC. The true begin is the newest sample of the device in the gap, if there is one
+            or one comes later.
+        end: nanoseconds since 1970 UTC.
+    """
+
+    device: str
+    points: Sequence[str]
+    epoch: str
+    begin: int
+    end: int
+
+
+@runtime_checkable
+class GapSink(Protocol):
+    """Interface of a sink that keeps gaps of ownership as intervals, and lets samples that arrive later shrink them."""
+
+    async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
+        """Send gaps; when it returns, the receiver has accepted them.
+
+        Raises:
+            SinkDown: some may have arrived; all are sent again.
+            SinkRefused: the receiver would refuse them again.
+        """
 
 
 @runtime_checkable

@@ -7,10 +7,16 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 3. The table is created if it does not exist; with ``timescale`` it becomes a hypertable.
 4. Alarm events go to a table of their own, which is created at the first of them. They are upserted by the number of
    the event: its commit, and its place in that commit.
-5. Errors about values (a type, a range, a constraint, an error of a trigger) mean that the database refuses these
+5. Samples of a fleet have the revision of its configuration. The column for it is added at the first of them; if the
+   table belongs to another user, they are written without it.
+6. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
+   of the device within the gap, in the transaction that writes the gap or the sample: the order in which they come does
+   not matter.
+7. Errors about values (a type, a range, a constraint, an error of a trigger) mean that the database refuses these
    samples. After any other error the batch is sent again later.
 """
 
+import logging
 import re
 import ssl
 from collections.abc import AsyncIterator, Sequence
@@ -22,13 +28,15 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import PostgresqlOptions
-from ..samples import Value
+from ..samples import Reason, Value
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .hidden_secrets import HiddenSecrets
-from .interface import SinkDown, SinkRefused
+from .interface import DeviceGap, SinkDown, SinkRefused
 
+_log = logging.getLogger("busway.sinks")
 _USUAL: Final = PostgresqlOptions()
 _COLUMNS: Final = ("time", "device", "point", "value", "text", "reason", "half_width", "nanoseconds")
+_REVISION: Final = "revision"
 _TABLE: Final = """
 CREATE TABLE IF NOT EXISTS {table} (
     time timestamptz NOT NULL, device text NOT NULL, point text NOT NULL, value double precision, text text,
@@ -38,7 +46,7 @@ CREATE TABLE IF NOT EXISTS {table} (
 _ARRIVING: Final = """
 CREATE TEMPORARY TABLE arriving (
     time timestamptz, device text, point text, value double precision, text text, reason smallint, half_width bigint,
-    nanoseconds smallint
+    nanoseconds smallint, revision bigint
 )"""
 """Has types of its own: the server judges what fits the table, in one way for all of its columns."""
 _ALARM_COLUMNS: Final = (
@@ -51,6 +59,30 @@ CREATE TABLE IF NOT EXISTS {table} (
     value double precision, value_text text, text text NOT NULL, by text NOT NULL, nanoseconds smallint NOT NULL,
     commit_number bigint NOT NULL, place integer NOT NULL, PRIMARY KEY (device, point, time, commit_number, place)
 )"""
+_GAP_TABLE: Final = """
+CREATE TABLE IF NOT EXISTS {table} (
+    device text NOT NULL, epoch text NOT NULL, begins timestamptz NOT NULL, ends timestamptz NOT NULL,
+    PRIMARY KEY (device, epoch)
+)"""
+_ADD_GAP: Final = """
+INSERT INTO {table} AS known (device, epoch, begins, ends)
+SELECT $1, $2, greatest($3::timestamptz, (
+    SELECT max(newest) FROM unnest($5::text[]) AS wanted (name), LATERAL (
+        SELECT max(time) AS newest FROM {samples}
+        WHERE device = $1 AND point = wanted.name AND time >= $3 AND time < $4 AND reason <> {reason}
+    ) AS found
+)), $4
+ON CONFLICT (device, epoch) DO UPDATE SET begins = greatest(known.begins, excluded.begins)"""
+_SHRINK_GAPS: Final = """
+UPDATE {table} AS known SET begins = found.newest
+FROM (
+    SELECT gap.device, gap.epoch, max(sample.time) AS newest
+    FROM {table} AS gap JOIN arriving AS sample
+    ON sample.device = gap.device AND sample.time > gap.begins AND sample.time < gap.ends
+    WHERE sample.reason <> {reason} AND gap.ends > (SELECT min(time) FROM arriving)
+    GROUP BY gap.device, gap.epoch
+) AS found
+WHERE known.device = found.device AND known.epoch = found.epoch"""
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 _NAME: Final = re.compile(r"[a-z_][a-z0-9_]{0,62}(\.[a-z_][a-z0-9_]{0,62})?")
 
@@ -64,6 +96,7 @@ class PostgresqlSink:
         *,
         table: str = _USUAL.table,
         alarm_table: str = _USUAL.alarm_table,
+        gap_table: str = _USUAL.gap_table,
         password: str | None = None,
         tls: ssl.SSLContext | None = None,
         timescale: bool = _USUAL.timescale,
@@ -76,6 +109,7 @@ class PostgresqlSink:
             table: name of the table of samples, ``schema.table`` if it is not in the search path; small letters,
                 digits, ``_``.
             alarm_table: name of the table of alarm events, likewise.
+            gap_table: name of the table of gaps of ownership, likewise.
             password: the user's password.
             tls: how to encrypt; None to leave that to the server and the URL.
             timescale: whether the tables become hypertables of TimescaleDB; the extension must be in the database.
@@ -86,25 +120,29 @@ class PostgresqlSink:
             MissingExtra: asyncpg is not installed.
         """
         require("asyncpg", "a sink to PostgreSQL")
-        for key, name in (("table", table), ("alarm_table", alarm_table)):
+        for key, name in (("table", table), ("alarm_table", alarm_table), ("gap_table", gap_table)):
             if _NAME.fullmatch(name) is None:
                 raise ConfigError(f"a table is called by small letters, digits and _, not {name!r}", key=key)
         self._url, self._table, self._alarm_table, self._timescale = url, table, alarm_table, timescale
+        self._gap_table = gap_table
         self._options: dict[str, Any] = {"password": password, "timeout": timeout, "command_timeout": timeout}
         self._secrets = HiddenSecrets(password)
         if tls is not None:
             self._options["ssl"] = tls
         self._connection: Any = None  # asyncpg is loaded when it is used
-        self._has_alarm_table = False
+        self._has_alarm_table = self._has_gap_table = False
+        self._has_revision = self._lacks_revision = False
 
     async def open(self) -> None:
         """Connect to the database, and create the table if it is missing. Raises `SinkDown`."""
         pg = import_module("asyncpg")
         try:
             self._connection = await pg.connect(self._url, **self._options)
-            self._has_alarm_table = False
+            self._has_alarm_table = self._has_revision = self._lacks_revision = False
             await self._make_table(_TABLE, self._table)
             await self._connection.execute(_ARRIVING)
+            asked = "SELECT to_regclass($1) IS NOT NULL"
+            self._has_gap_table = await self._connection.fetchval(asked, self._gap_table)
         except (pg.PostgresError, pg.InterfaceError, OSError, TimeoutError) as error:
             raise SinkDown(f"the database cannot be used: {self._words(error)}") from error
 
@@ -130,12 +168,15 @@ class PostgresqlSink:
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Write samples to the table in one transaction. Raises `SinkDown`, `SinkRefused`."""
-        columns = ", ".join(_COLUMNS)
-        changed = ", ".join(f"{name} = excluded.{name}" for name in _COLUMNS[3:])
+        if not self._has_revision and not self._lacks_revision and any(sample.revision for sample in samples):
+            await self._add_revision()
+        names = (*_COLUMNS, _REVISION) if self._has_revision else _COLUMNS
+        columns = ", ".join(names)
+        changed = ", ".join(f"{name} = excluded.{name}" for name in names[3:])
         async with self._writing():
             await self._connection.execute("TRUNCATE arriving")
             await self._connection.copy_records_to_table(
-                "arriving", records=[_record(sample) for sample in samples], columns=_COLUMNS
+                "arriving", records=[_record(sample) for sample in samples], columns=(*_COLUMNS, _REVISION)
             )
             await self._connection.execute(
                 f"INSERT INTO {self._table} ({columns})"
@@ -143,6 +184,37 @@ class PostgresqlSink:
                 f" ORDER BY device, point, time, nanoseconds DESC"
                 f" ON CONFLICT (device, point, time) DO UPDATE SET {changed}"
             )
+            if self._has_gap_table:
+                await self._connection.execute(_SHRINK_GAPS.format(table=self._gap_table, reason=int(Reason.OWNERSHIP)))
+
+    async def _add_revision(self) -> None:
+        """Add the column for revisions to the table of samples, unless it is there or the user may not."""
+        pg = import_module("asyncpg")
+        asked = (
+            "SELECT count(*) FROM pg_attribute"
+            " WHERE attrelid = $1::text::regclass AND attname = $2 AND NOT attisdropped"
+        )
+        try:
+            async with self._writing():
+                if not await self._connection.fetchval(asked, self._table, _REVISION):
+                    await self._connection.execute(f"ALTER TABLE {self._table} ADD COLUMN {_REVISION} bigint")
+            self._has_revision = True
+        except SinkDown as error:
+            if not isinstance(error.__cause__, pg.InsufficientPrivilegeError):
+                raise
+            self._lacks_revision = True
+            _log.warning("the table %s has no column for the revision of samples: %s", self._table, error)
+
+    async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
+        """Write gaps of ownership to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        async with self._writing():
+            if not self._has_gap_table:
+                await self._connection.execute(_GAP_TABLE.format(table=self._gap_table))
+            await self._connection.executemany(
+                _ADD_GAP.format(table=self._gap_table, samples=self._table, reason=int(Reason.OWNERSHIP)),
+                [(gap.device, gap.epoch, _moment(gap.begin)[0], _moment(gap.end)[0], list(gap.points)) for gap in gaps],
+            )
+        self._has_gap_table = True
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
         """Write alarm events to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
@@ -193,7 +265,17 @@ def _moment(time: int) -> tuple[datetime, int]:
 def _record(sample: CommittedSample) -> tuple[Any, ...]:  # as asyncpg wants it
     moment, rest = _moment(sample.time)
     number, text = number_and_text(sample.value)
-    return moment, sample.device, sample.point, number, text, sample.reason, sample.half_width, rest
+    return (
+        moment,
+        sample.device,
+        sample.point,
+        number,
+        text,
+        sample.reason,
+        sample.half_width,
+        rest,
+        sample.revision or None,
+    )
 
 
 def _alarm_record(alarm: CommittedAlarm) -> tuple[Any, ...]:  # as asyncpg wants it

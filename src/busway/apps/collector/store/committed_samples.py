@@ -43,6 +43,7 @@ class CommittedSample(NamedTuple):
         value: the value; None where there is none.
         reason: number of the reason, 0 for good.
         unit_of_measure: the unit of measure of the point.
+        revision: revision of the fleet's configuration with which it was taken; 0 outside of a fleet's stream.
     """
 
     commit: int
@@ -53,6 +54,7 @@ class CommittedSample(NamedTuple):
     value: Value | None
     reason: int
     unit_of_measure: str = ""
+    revision: int = 0
 
     @property
     def quality(self) -> Quality:

@@ -121,7 +121,7 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
             await client.connect(
                 servers=[f"{scheme}://{each.strip()}" for each in hosts.split(",")],
                 error_cb=client.note_cause,
-                reconnected_cb=client.forget_cause,
+                reconnected_cb=client.note_new_connection,
                 connect_timeout=options.answer,
                 allow_reconnect=True,
                 max_reconnect_attempts=-1,
@@ -166,7 +166,8 @@ def _client_kind() -> Any:
     """Return a subclass of nats-py's client that never gives up a connection that was up (rule 6).
 
     The client of nats-py itself ends for good if a server ends a connection with an error. The subclass also keeps the
-    last error of the server as ``cause``, and hides secrets in it.
+    last error of the server as ``cause``, and hides secrets in it. ``again`` is an event that is set when the present
+    connection is replaced by a newer one; that has another event.
     """
     nats = import_module("nats")
 
@@ -174,6 +175,7 @@ def _client_kind() -> Any:
         def __init__(self, secrets: HiddenSecrets) -> None:
             super().__init__()
             self.cause = ""
+            self.again = asyncio.Event()
             self.was_connected = False
             self._secrets = secrets
 
@@ -183,8 +185,10 @@ def _client_kind() -> Any:
         async def note_cause(self, error: Exception) -> None:
             self.cause = self.words(error)
 
-        async def forget_cause(self) -> None:
+        async def note_new_connection(self) -> None:
             self.cause = ""
+            self.again.set()
+            self.again = asyncio.Event()
 
         async def _process_connect_init(self) -> None:
             try:
