@@ -58,6 +58,7 @@ from .sinks.sink_thread import SinkThread
 from .store.accumulator_states import counters_by_device
 from .store.alarm_events import alarm_events, alarm_rows
 from .store.commit_thread import Committer, StoreStatus
+from .store.folder import half_of_disk
 from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
@@ -234,7 +235,8 @@ class Collector:
         """
         configuration = self.configuration
         options = configuration.file.collector
-        retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
+        age = None if options.keep_days is None else 86_400 * options.keep_days
+        retention = Retention(age, options.keep_bytes or half_of_disk(Path(configuration.store)))
         writer = StoreWriter(
             configuration.store, StoreOptions(durability=options.durability, retention=retention), now=time.time_ns()
         )

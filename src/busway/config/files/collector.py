@@ -49,7 +49,10 @@ class CollectorSection(Section):
         float | None, Range(0, 100_000, above=True), "days after which samples are dropped; None: never."
     ] = None
     keep_bytes: Annotated[
-        int | None, Range(1_000_000, math.inf), "size of the store above which the oldest samples are dropped."
+        int | None,
+        Range(1_000_000, math.inf),
+        "size of the store above which the oldest samples are dropped, also those that a sink has not got; None: half",
+        "of the disk that the store is on.",
     ] = None
     store_report: Annotated[
         Report, "which samples the store keeps, as `report` of a point, where point, device and class do not say that."

@@ -1,7 +1,7 @@
 """Retention: chooses the files of a store to delete, because they are too old or the store is too large.
 
-Pure. Knows parts; the writer drops them. A sink that has not got the samples holds nothing back: the manifest counts
-what it has lost.
+Pure. Knows parts; the writer drops them. A sink that has not got the samples holds nothing back, or a sink that is down
+for good would fill the disk: the manifest counts what it has lost.
 """
 
 from collections.abc import Sequence
