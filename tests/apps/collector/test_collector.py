@@ -18,7 +18,7 @@ import busway
 from busway.apps.collector import collector as collecting
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
-from busway.apps.collector.samples import PointGroup, SampleBatch
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
 from busway.errors import ConfigError
 from busway.points.quality import exception_reason
 from busway.server.server import Server
@@ -306,6 +306,20 @@ async def test_reading_the_file_again_leaves_links_alone_that_did_not_change(tmp
             plant(tmp_path, {"a": links["a"]}, {"one": "a"})
             assert await collector.reload(load_collector(file)) == ["link b ended"]
             assert await collector.reload(load_collector(file)) == ["nothing changed"]
+
+
+async def test_last_values_of_a_link_whose_polling_has_stopped_are_held(tmp_path: Path) -> None:
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
+        async with busway.collect(file) as collector:
+            await first_values(collector, ["pump"], 3)
+            await collector.flush()
+            collector._links["a"].poller.finish()
+            last = collector.commands._targets.last
+            await until(lambda: (found := last("pump", "level")) is not None and found.quality == "uncertain")
+            found = collector.values.last("pump", "level")
+            assert found is not None
+            assert found[1] == Reason.HELD
 
 
 async def test_another_store_is_refused_as_a_whole(tmp_path: Path) -> None:

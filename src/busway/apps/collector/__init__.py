@@ -10,6 +10,7 @@
 `admission`       Admission test before the start: computes whether each link can keep the poll periods of its devices
 `poller`          Polls the devices of one link: sends the reads that the schedule says, and turns replies into samples
 `permitted_link`  A link that asks for permission before each transaction
+`held_values`     When the last value of a point is held: older than it should be
 `derived_points`  Totals, computed points, and members of groups of variable size, of one device
 `reply_timeout`   The timeout for replies of one polled device: adaptive on TCP, as configured on serial lines
 `sample_clock`    The clock that gives samples their time: follows the wall clock, never runs backwards

@@ -149,7 +149,7 @@ class Collector:
         self.more_metrics: list[Callable[[], Iterable[Any]]] = []
         self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
-        self.values: LastValues = LastValues(self._is_behind)
+        self.values: LastValues = LastValues(self._is_behind, configuration.hold_limits())
         self._audit: AuditLog | None = None
         self._commands: CommandRunner | None = None
         self._receivers: list[CommandReceiver] = []
@@ -612,6 +612,7 @@ class Collector:
         """
         assert self._committer is not None
         self.configuration = configuration
+        self.values.limits = configuration.hold_limits()
         done: list[str] = []
         changed = sorted(self.changed_links(configuration))
         for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
@@ -674,7 +675,9 @@ class Collector:
         )
         for device in configuration.devices_of(name):
             known = configuration.known_of(device, self.knowledge)
-            derived = DerivedPoints(device.name, device.points, self._counters.get(device.name, {}).values())
+            counters = self._counters.get(device.name, {}).values()
+            limits = device.hold_limits(configuration.periods)
+            derived = DerivedPoints(device.name, device.points, counters, limits)
             poller.add(
                 device.name,
                 device.unit,
@@ -683,6 +686,7 @@ class Collector:
                 None if derived.is_empty else derived,
                 device.rules.pause,
                 on_line=device.fixed,
+                limits=limits,
             )
             row = self.in_maintenance().get(device.name)
             if row is not None:

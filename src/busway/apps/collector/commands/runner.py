@@ -573,6 +573,9 @@ class CommandRunner:
         if scheduled is not None and scheduled.lives is False:
             error = f": {device.last_error}" if device.last_error else ""
             raise InvalidRequest(f"{command.device} does not answer; nothing was sent{error}")
+        factor = target.point.conversion.scale_from
+        if factor and target.poller.is_factor_held(command.device, factor):
+            raise InvalidRequest(f"{factor}, the scale of {target.point.name}, was not read when due; nothing was sent")
         return point_write(target.point, command.value, device.scale_factors, target.rules), target.poller
 
     # Sending.
