@@ -184,7 +184,8 @@ async def test_a_point_that_is_not_asked_for_is_bad_for_its_reason_after_a_start
             value, reason, time = collector.values.last("pump", "gone") or (0, 0, 0)
             assert (value, reason) == (None, exception_reason(2))
     table = busway.Store(tmp_path / "data").read("pump/gone")
-    assert (table.time[-1], table.reason[-1]) == (time, exception_reason(2))
+    rows = [row for row in zip(table.time, table.reason, strict=True) if row[1] != Reason.SKIPPED]  # a busy machine
+    assert rows[-1] == (time, exception_reason(2))
 
 
 @pytest.mark.parametrize("firmware", ["2.1", "2.2"])
@@ -338,8 +339,8 @@ async def test_changes_that_hold_after_the_next_start_are_named_until_they_are_u
         file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})
         text = file.read_text()
         async with busway.collect(file) as collector:
-            file.write_text(text.replace("[collector]\n", '[collector]\npage = "off"\nkeep_days = 7\n'))
-            left = ["[collector] keep_days holds after the next start", "[collector] page holds after the next start"]
+            file.write_text(text.replace("[collector]\n", '[collector]\npage = "off"\ndurability = "power"\n'))
+            left = ["[collector] durability holds after the next start", "[collector] page holds after the next start"]
             assert await collector.reload(load_collector(file)) == left
             assert await collector.reload(load_collector(file)) == left
             file.write_text(text + '[page_access]\ntokens = "tokens"\n')
@@ -384,8 +385,8 @@ async def test_samples_are_handed_on_to_sinks_and_shown_to_prometheus(tmp_path: 
             page = await loop.run_in_executor(None, lambda: urlopen(collector.pages[0]).read().decode())
             assert 'busway_point_value{device="pump",point="speed"} 1.5' in page
             file.write_text(file.read_text().replace("lines.jsonl", "others.jsonl"))
-            with pytest.raises(ConfigError, match="restart it"):
-                await collector.reload(load_collector(file))
+            assert await collector.reload(load_collector(file)) == ["sink lines began anew"]
+            await until((tmp_path / "others.jsonl").exists)
         assert '"speed"' in _text_of(tmp_path, "lines*")
 
 

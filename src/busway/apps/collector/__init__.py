@@ -24,6 +24,7 @@
 `learnt_file`     The file beside the store in which a collector keeps what it learns about devices, over restarts
 `sample_readers`  The programs that follow the samples of a running collector
 `report_rules`    Which report rule holds for a point, in the store and towards sinks
+`connected_systems`  The other systems that a running collector is connected to: sinks, pages, servers with commands
 `reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file
 `point_names`     Which points have other names after the configuration was read again: for store, alarms and totals
 `sinks`           Sinks: other systems that get the samples of a store

@@ -139,6 +139,16 @@ class CollectorConfiguration:
         return {each.name: each.hosts for each in self.file.link if each.hosts}
 
     @property
+    def sink_keys(self) -> Mapping[str, SinkSection]:
+        """The table of each sink and page for Prometheus of this configuration, by name, for comparison."""
+        return {each.name: each for each in self.file.sink if each.name in self.sinks or each.name in self.pages}
+
+    @property
+    def input_keys(self) -> Mapping[str, SinkSection]:
+        """The table of each sink from whose server commands are received, by name, for comparison."""
+        return {each.name: each for each in self.file.sink if each.name in self.inputs}
+
+    @property
     def learnt_path(self) -> FilePath:
         """Path of the file in which the collector keeps what it learns about devices."""
         return FilePath(self.store) / LEARNT_FILE

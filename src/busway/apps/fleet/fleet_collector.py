@@ -38,7 +38,6 @@ from ...errors import ConfigError, LinkDown
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
-from ..collector.reloading import refuse_what_cannot_change
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
@@ -319,7 +318,7 @@ class FleetCollector:
                 refuse_what_needs_a_store(newer)
             sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
             newer = replace(newer, store=self._configuration.store, sinks=sinks)
-            refuse_what_cannot_change(self._configuration, newer)
+            self.collector.check(newer)
         except ConfigError as error:
             self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
             _log.error("%s", self.refused)

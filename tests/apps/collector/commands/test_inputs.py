@@ -160,6 +160,28 @@ async def test_messages_have_the_role_of_their_input_and_can_be_armed_and_confir
             assert len(boiler.writes) == 1
 
 
+async def test_commands_of_a_sink_begin_and_end_with_a_file_that_is_read_again(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, "") as (collector, boiler), MqttUser(server) as user:
+            text = collector.configuration.text
+            assert await collector.replace_configuration(text + MQTT.format(port=server.port), by="anna") == [
+                "sink broker began"
+            ]
+            await until(lambda: [each.error for each in collector.input_statuses()] == [None])
+            done = await user.ask("plant/boiler/setpoint/set", "21.5")
+            assert done["state"] == "done"
+            configured = MQTT.format(port=server.port).replace("commands = {", 'commands = { role = "configure",')
+            assert await collector.replace_configuration(text + configured, by="anna") == ["sink broker began anew"]
+            await until(lambda: [each.error for each in collector.input_statuses()] == [None])
+            assert (await user.ask("plant/boiler/setpoint/set", "22"))["state"] == "done"
+            assert await collector.replace_configuration(text, by="anna") == ["sink broker ended"]
+            assert (collector.input_statuses(), collector.sink_statuses()) == ([], [])
+            await user.send("plant/boiler/setpoint/set", "23")
+            await until(lambda: collector.status()[0].rounds > 3)
+            assert len(boiler.writes) == 2
+
+
 async def test_what_may_not_come_by_mqtt_is_refused_with_a_sentence_and_not_sent(tmp_path: Path) -> None:
     pytest.importorskip("aiomqtt")
     with mosquitto(tmp_path) as server:

@@ -129,8 +129,8 @@ async def test_a_store_that_is_too_large_drops_what_a_dead_sink_has_not_got_coun
         lost = sum(part.rows or 0 for part in dropped)
         assert lost > 0
         assert writer.manifest.cursors()["sink"] == (0, lost)
-        assert f"sink sink: {lost} samples were dropped with the oldest parts of the store" in caplog.text
         await run_until(dead, lambda: dead.status().lost == lost)
+        assert f"sink sink: {lost} samples were dropped with the oldest parts of the store" in caplog.text
 
 
 async def test_a_full_disk_ends_no_delivery_and_nothing_is_sent_twice_for_it(

@@ -313,7 +313,10 @@ class Delivery:
         self._store_error = f"the store cannot be used now: {error}"
 
     def _drop_old(self) -> None:
-        self._lost = self._lost_in_all()
+        lost = self._lost_in_all() - self._lost
+        if lost:
+            self._lost += lost
+            _log.warning("sink %s: %d samples were dropped with the oldest parts of the store", self.name, lost)
         oldest = self._now() - int(self.options.keep * NANOSECONDS)
         last = self._reader.last_before(oldest, self._cursor)
         if last > self._cursor:

@@ -196,6 +196,10 @@ class PrometheusPage:
         self.url: str = f"http://{host}:{port}/metrics"
         self._service.start()
 
+    def configure(self, points: Sequence[str], stale: float) -> None:
+        """Show other points from now on, and leave values out after other seconds; arguments as when it was made."""
+        self._points, self._stale = tuple(points), stale
+
     def close(self) -> None:
         """Stop listening for scrapes, and end the thread."""
         self._service.stop()

@@ -279,6 +279,10 @@ class StoreWriter:
         is_early = part.low is None or part.low < EARLIEST
         return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
 
+    def keep(self, retention: Retention) -> None:
+        """Use other limits of the store from now on. Safe from any thread."""
+        self.options = replace(self.options, retention=retention)
+
     def sync(self) -> None:
         """Make all commits so far survive a power failure, where durability is ``process``. Raises `OSError`."""
         if self._segment is not None:
@@ -405,12 +409,7 @@ class StoreWriter:
                     _log.info("%d events of alarms are older than samples, or too many: no longer kept", forgotten)
             if not dropped and age is None:
                 return []
-            had = self.manifest.cursors()
             self.manifest.drop_parts(dropped, before=0 if age is None else now - int(age * 1_000_000_000))
-            for sink, (_, lost) in self.manifest.cursors().items():
-                if lost > had.get(sink, (0, lost))[1]:
-                    more = lost - had[sink][1]
-                    _log.warning("sink %s: %d samples were dropped with the oldest parts of the store", sink, more)
             self._step("drop-listed")
             remove_unlisted(self.folder, self.manifest)
             self._step("drop-unlinked")
