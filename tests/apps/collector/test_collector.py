@@ -16,9 +16,11 @@ from waiting import until
 
 import busway
 from busway.apps.collector import collector as collecting
+from busway.apps.collector import time_service
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
+from busway.apps.collector.time_service import Synchronisation
 from busway.errors import ConfigError
 from busway.points.quality import exception_reason
 from busway.server.server import Server
@@ -80,7 +82,7 @@ async def test_the_clock_is_followed_while_files_cannot_be_written(
 ) -> None:
     monkeypatch.setattr(collecting, "CLOCK_EVERY", 0.01)
     async with busway.collect(plant(tmp_path, {"hall": CLOSED}, {"a": "hall"})) as collector:
-        waits, goes_on, shifts = asyncio.Event(), asyncio.Event(), list[int]()
+        waits, goes_on, shifts = asyncio.Event(), asyncio.Event(), list[object]()
 
         async def record_again() -> None:
             waits.set()
@@ -91,6 +93,35 @@ async def test_the_clock_is_followed_while_files_cannot_be_written(
         monkeypatch.setattr(collector, "_mend", shifts.append)
         await until(lambda: len(shifts) >= 3)
         goes_on.set()
+
+
+async def test_samples_are_uncertain_until_a_time_service_has_set_the_clock_and_are_mended_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    said = [Synchronisation.NO]
+    monkeypatch.setattr(collecting, "CLOCK_EVERY", 0.01)
+    monkeypatch.setattr(time_service, "kernel_synchronisation", lambda: said[0])
+    monkeypatch.setattr(time_service, "seconds_since_boot", lambda: 20.0)
+    async with (
+        served() as server,
+        busway.collect(plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})) as collector,
+    ):
+        await until(lambda: (collector.values.last("pump", "level") or (0, 0))[1] == Reason.CLOCK)
+        await collector.flush()
+        store = busway.Store(tmp_path / "data")
+        assert Reason.NONE not in store.read("pump/level").reason
+        said[0] = Synchronisation.YES
+        await until(lambda: (collector.values.last("pump", "level") or (0, 1))[1] == Reason.NONE)
+        await collector.flush()
+        table = store.read("pump/level")
+        assert Reason.NONE in table.reason
+        assert Reason.CLOCK not in table.reason
+        assert list(table.time) == sorted(table.time)
+    file = plant(tmp_path, {"a": CLOSED}, {"pump": "a"})
+    file.write_text(file.read_text().replace("[collector]", '[collector]\nclock = "trusted"'))
+    said[0] = Synchronisation.NO
+    async with busway.collect(file) as collector:
+        assert collector._clock.is_right
 
 
 async def test_readers_get_all_that_was_stored_until_the_end(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@
 `derived_points`  Totals, computed points, and members of groups of variable size, of one device
 `reply_timeout`   The timeout for replies of one polled device: adaptive on TCP, as configured on serial lines
 `sample_clock`    The clock that gives samples their time: follows the wall clock, never runs backwards
+`time_service`    Whether a time service keeps the wall clock right: what the kernel says, and what that means
 `configuration`   Reads a collector file into links, devices with their points, and read plans
 `collector`       The collector: polls the devices of its file, stores their samples, and passes them on to sinks
 `preview`         What a collector would do, without traffic: its reads, the load of each link, undeclared registers

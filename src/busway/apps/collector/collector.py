@@ -29,6 +29,7 @@ from ...client.aio import AsyncLink, open_link, send_only_while
 from ...config.files.sinks import PrometheusSinkSection
 from ...errors import ConfigError
 from ...points.point import Point
+from . import time_service
 from .alarms.collected import CollectorAlarms
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
@@ -50,7 +51,7 @@ from .point_names import PointKey, PointNames
 from .poller import LinkPoller
 from .reloading import Reloading, refuse_what_cannot_change
 from .report_rules import store_rules
-from .sample_clock import SampleClock
+from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
 from .samples import CounterState, PointDescription, SampleBatch, StateInterval
 from .schedule import LinkSchedule
@@ -64,6 +65,7 @@ from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 from .task_errors import first_error, log_defect
+from .time_service import ClockJudge
 
 CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
@@ -173,10 +175,14 @@ class Collector:
 
     async def _start_parts(self) -> None:
         """Open the store and start every part; if one cannot start, those before it are stopped."""
-        writer = self._opened_store()
         loop = asyncio.get_running_loop()
         self._started = loop.time()
-        self._clock = SampleClock(loop.time(), time.time_ns())
+        self._judge = ClockJudge(self.configuration.file.collector.clock)
+        is_known = self._clock_is_known()
+        self._clock = SampleClock(loop.time(), time.time_ns(), is_known=is_known)
+        if not is_known:
+            _log.warning("no time service has set the clock yet: samples are uncertain (clock not set)")
+        writer = self._opened_store(is_known)
         self._committer = committer = Committer(writer, rules=store_rules(self.configuration))
         self.alarms = CollectorAlarms(committer.add_alarms, loop.time, lambda: self._clock.time_ns(loop.time()))
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
@@ -225,8 +231,15 @@ class Collector:
                 steps.push_async_callback(_ended, self._upkeep)
             steps.push_async_callback(self._systems.end_inputs)
 
-    def _opened_store(self) -> StoreWriter:
+    def _clock_is_known(self) -> bool:
+        """Whether the wall clock of the machine is known to be right (`time_service`)."""
+        return self._judge.is_known(time_service.kernel_synchronisation(), time_service.seconds_since_boot())
+
+    def _opened_store(self, clock_is_right: bool) -> StoreWriter:
         """Open the store for writing, read what was learnt before, and tell the store the points of the configuration.
+
+        Args:
+            clock_is_right: whether the wall clock is known to be right.
 
         Raises:
             ConfigError: the store or the file of what was learnt cannot be used; the store is closed.
@@ -235,7 +248,7 @@ class Collector:
         options = StoreOptions(
             durability=configuration.file.collector.durability, retention=_retention_of(configuration)
         )
-        writer = StoreWriter(configuration.store, options, now=time.time_ns())
+        writer = StoreWriter(configuration.store, options, now=time.time_ns(), clock_is_right=clock_is_right)
         with ExitStack() as unless_known:
             unless_known.callback(lambda: writer.close(time.time_ns()))
             self.knowledge = self._learnt.read()
@@ -714,7 +727,8 @@ class Collector:
     async def _follow_clock(self) -> None:
         while True:
             await asyncio.sleep(CLOCK_EVERY)
-            self._mend(self._clock.adjust(asyncio.get_running_loop().time(), time.time_ns()))
+            now, is_known = asyncio.get_running_loop().time(), self._clock_is_known()
+            self._mend(self._clock.adjust(now, time.time_ns(), is_known=is_known))
 
     async def _write_files(self) -> None:
         loop = asyncio.get_running_loop()
@@ -728,17 +742,17 @@ class Collector:
                     self._learn_from(running.poller)
                 await self._write_learnt()
 
-    def _mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to all times from before the wall clock was set, in the store and in memory."""
-        if not shift:
+    def _mend(self, correction: ClockCorrection | None) -> None:
+        """Correct all times from before the wall clock was right, in the store and in memory."""
+        if correction is None:
             return
         assert self._committer is not None
-        self._committer.mend(shift)
-        self.alarms.mend(shift)
+        self._committer.mend(correction)
+        self.alarms.mend(correction)
         for running in self._links.values():
-            running.poller.mend(shift)
+            running.poller.mend(correction)
         if self._maintenance is not None:
-            self._maintenance.mend(shift)
+            self._maintenance.mend(correction)
 
     def _learn_from(self, poller: LinkPoller) -> None:
         for name, device in poller.devices.items():

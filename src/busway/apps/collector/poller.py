@@ -33,7 +33,7 @@ from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead, ReadItem
 from .plan_cache import PlanBook
 from .reply_timeout import ReplyTimeout
-from .sample_clock import EARLIEST, SampleClock
+from .sample_clock import ClockCorrection, SampleClock
 from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
 from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
@@ -424,12 +424,12 @@ class LinkPoller:
         except TimeoutError:
             pass
 
-    def mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to each begin of a current silence or maintenance from before the clock was set."""
+    def mend(self, correction: ClockCorrection) -> None:
+        """Correct each begin of a current silence or maintenance that was noted before the wall clock was right."""
         for device in self.devices.values():
             begun = device.suspended
-            if begun is not None and begun.begin < EARLIEST:
-                device.suspended = replace(begun, begin=begun.begin + shift)
+            if begun is not None:
+                device.suspended = replace(begun, begin=correction.corrected(begun.begin))
 
     def close(self) -> None:
         """Report the end of all current silences of devices, because polling stops; maintenance continues."""
