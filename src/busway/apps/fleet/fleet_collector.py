@@ -54,6 +54,7 @@ from .plant import (
     links_of_shards,
     longest_after_sending,
     longest_transaction,
+    name_edge_nodes,
     refuse_ports_of_any_host,
     refuse_slow_links,
     refuse_two_owners,
@@ -106,7 +107,8 @@ class FleetCollector:
         refused: why the newest configuration of the zone was not taken; None if it was.
 
     Raises:
-        ConfigError: a transaction on a link may last longer than a lease allows, or a name is invalid.
+        ConfigError: a transaction on a link may last longer than a lease allows, a name is invalid, or collectors would
+            share an edge node of Sparkplug.
     """
 
     collector: Collector
@@ -145,6 +147,7 @@ class FleetCollector:
         self.outbox = None
         self.pass_on: Callable[[str, PointCommand], Awaitable[dict[str, Any]]] | None = None
         self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
+        name_edge_nodes(configuration, name)
         self._set_configuration(configuration)
         self.member: FleetMember = FleetMember(
             checked_name(name, "collector"),
@@ -318,6 +321,7 @@ class FleetCollector:
                 refuse_what_needs_a_store(newer)
             sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
             newer = replace(newer, store=self._configuration.store, sinks=sinks)
+            name_edge_nodes(newer, self.member.name)
             self.collector.check(newer)
         except ConfigError as error:
             self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
