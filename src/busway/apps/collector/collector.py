@@ -287,7 +287,7 @@ class Collector:
         options = {} if section is None else section.options()
         self._audit = AuditLog(**{**options, "path": path})
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values, self._plant)
-        journal = CommandJournal(Path(configuration.store), keep=_retention_of(configuration).age)
+        journal = CommandJournal(Path(configuration.store), keep=_age_of(configuration))
         self._journal = journal
         try:
             self._commands = CommandRunner(targets, journal, self._audit, claims=self._claims)
@@ -637,7 +637,7 @@ class Collector:
         if retention == writer.options.retention:
             return []
         writer.keep(retention)
-        self._journal.keep = retention.age
+        self._journal.keep = _age_of(self.configuration)
         return ["keep_days and keep_bytes hold from now on"]
 
     def changed_links(self, configuration: CollectorConfiguration) -> frozenset[str]:
@@ -811,10 +811,15 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
 
 
+def _age_of(configuration: CollectorConfiguration) -> float | None:
+    """Return the seconds for which samples, and results of commands, are kept; None for ever."""
+    days = configuration.file.collector.keep_days
+    return None if days is None else 86_400 * days
+
+
 def _retention_of(configuration: CollectorConfiguration) -> Retention:
-    options = configuration.file.collector
-    age = None if options.keep_days is None else 86_400 * options.keep_days
-    return Retention(age, options.keep_bytes or half_of_disk(Path(configuration.store)))
+    size = configuration.file.collector.keep_bytes or half_of_disk(Path(configuration.store))
+    return Retention(_age_of(configuration), size)
 
 
 def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:
