@@ -13,7 +13,9 @@ from busway.config.files.sinks import SentSection, sink_section
 
 PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "write-through-the-collector.md").read_text("utf-8")
 TABLES = [
-    table for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL) for table in tomllib.loads(block)["sink"]
+    table
+    for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL)
+    for table in tomllib.loads(block).get("sink", [])
 ]
 
 

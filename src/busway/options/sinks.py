@@ -85,7 +85,11 @@ class SparkplugOptions:
     """Options of a sink that publishes samples by Sparkplug B."""
 
     group: Annotated[str, Name("the name of a group"), "name of the group in all topics."]
-    edge_node: Annotated[str, Name("the name of an edge node"), "name of the edge node in all topics."]
+    edge_node: Annotated[
+        str,
+        Name("the name of an edge node"),
+        "name of the edge node in all topics; in a fleet with `{collector}`, which is the name of each collector.",
+    ]
     primary_host: Annotated[
         str | None,
         "name of the host application without which nothing is sent: samples wait in the store while it is offline.",

@@ -82,6 +82,8 @@ class WriteRule:
         minimum, maximum: smallest and largest value that may be written, in the unit of measure; None for no limit.
         step: values must differ from ``minimum`` (or 0) by a whole number of steps; None to allow any value.
         on, off: the raw numbers of a switch; None for a point that is no switch.
+        role: which role a writer of the collector needs.
+        armed: whether a command of the collector must be armed and then confirmed.
     """
 
     function: int | None = None
@@ -91,6 +93,8 @@ class WriteRule:
     step: float | None = None
     on: int | None = None
     off: int | None = None
+    role: Literal["operate", "configure"] = "operate"
+    armed: bool = False
 
     def check(self, value: float) -> None:
         """Raise `InvalidRequest` if a value may not be written: it is out of range, or no whole number of steps.

@@ -497,6 +497,29 @@ def test_behind_a_gateway_to_a_line_replies_have_the_configured_time(on_line: bo
     assert timeout.seconds == seconds
 
 
+async def test_a_value_whose_scale_factor_was_not_read_when_due_is_held() -> None:
+    factor = number("factor", 4, is_exponent=True)
+    scaled = number("power", 900, conversion=Conversion(scale_from="factor"))
+    bench = Bench([scaled])
+    bench.poller.remove("meter")
+    book = PlanBook({"slow": [factor], "fast": [scaled]}, bench.rules, network_cost())
+    bench.poller.add("meter", 7, book, {"slow": 10.0, "fast": 1.0}, limits={"factor": 20.0, "power": 3.0})
+    await bench.until(115)
+    bench.batches.clear()
+    bench.device.holes = (4,)
+    await bench.until(140)
+    found = [
+        (batch.time, reason)
+        for batch in bench.batches
+        for point, reason in zip(batch.points, batch.reason_column(), strict=True)
+        if point == "power"
+    ]
+    assert {reason for _, reason in found} == {Reason.NONE, Reason.HELD}
+    reasons = [reason for _, reason in sorted(found)]
+    assert reasons == sorted(reasons), "once it is held, it stays so until the factor is read"
+    assert bench.poller.is_factor_held("meter", "factor")
+
+
 async def test_a_device_that_needs_a_pause_gets_it() -> None:
     loop = asyncio.get_running_loop()
     asked: list[float] = []

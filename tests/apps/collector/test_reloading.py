@@ -3,7 +3,9 @@
 import asyncio
 import json
 import re
+import socket
 import time
+import urllib.request
 from collections.abc import AsyncIterator
 from contextlib import AsyncExitStack, asynccontextmanager
 from dataclasses import dataclass
@@ -19,6 +21,7 @@ import busway
 from busway.apps.collector.commands.audit import LONGEST_DIFFERENCE, configuration_line, revision_of
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.reloading import left_for_the_next_start, replace_file
+from busway.apps.collector.store.retention import Retention
 from busway.config.files.file_error import FileError
 from busway.errors import ConfigError
 from busway.points import Reason
@@ -109,6 +112,100 @@ async def test_keys_that_need_a_restart_are_logged_and_kept_until_they_are_chang
         file.write_text(text)
         await collector.read_again()
         assert (collector.restart_needed, caplog.text) == ([], "")
+
+
+def sink(name: str, file: str, more: str = "") -> str:
+    return f'[[sink]]\nname = "{name}"\nurl = "file://{file}"\nage = 0\n{more}\n'
+
+
+def lines(path: Path) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
+
+
+async def test_sinks_begin_change_and_end_while_links_and_other_sinks_go_on(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    async with boiler.server() as server:
+        file = commanded_plant(tmp_path, server.endpoints[0], more=sink("kept", "kept.jsonl"))
+        text = file.read_text()
+        async with busway.collect(file) as collector:
+            untouched = collector._links["hall"]
+            delivery = collector._systems._thread._running["kept"].delivery  # type: ignore[union-attr]
+            await until(lambda: len(lines(tmp_path / "kept.jsonl")) > 20)
+            more = text + sink("late", "late.jsonl")
+            assert await collector.replace_configuration(more, by="anna") == ["sink late began"]
+            await until(lambda: len(lines(tmp_path / "late.jsonl")) > 20)
+            assert [each.name for each in collector.sink_statuses()] == ["kept", "late"]
+            fewer = text + sink("late", "late.jsonl", 'points = ["boiler/mode"]')
+            assert await collector.replace_configuration(fewer, by="anna") == ["sink late began anew"]
+            last = len(lines(tmp_path / "late.jsonl"))
+            await until(lambda: len(lines(tmp_path / "late.jsonl")) > last + 5)
+            assert {each["point"] for each in lines(tmp_path / "late.jsonl")[last:]} == {"mode"}
+            found = [each["time"] for each in lines(tmp_path / "late.jsonl") if each["point"] == "mode"]
+            await until(lambda: lines(tmp_path / "kept.jsonl")[-1]["time"] > max(found))
+            all_of_it = {each["time"] for each in lines(tmp_path / "kept.jsonl") if each["point"] == "mode"}
+            assert {time for time in all_of_it if time <= max(found)} == set(found), "it went on where it was"
+            assert await collector.replace_configuration(text, by="anna") == ["sink late ended"]
+            assert [each.name for each in collector.sink_statuses()] == ["kept"]
+            last = len(lines(tmp_path / "late.jsonl"))
+            count = len(lines(tmp_path / "kept.jsonl"))
+            await until(lambda: len(lines(tmp_path / "kept.jsonl")) > count + 20)
+            assert len(lines(tmp_path / "late.jsonl")) == last
+            assert collector._links["hall"] is untouched
+            assert collector._systems._thread._running["kept"].delivery is delivery  # type: ignore[union-attr]
+            assert collector.restart_needed == []
+
+
+async def test_a_page_for_prometheus_changes_in_place_and_a_port_that_is_taken_refuses_the_whole_file(
+    tmp_path: Path,
+) -> None:
+    pytest.importorskip("prometheus_client")
+    boiler = RecordedDevice()
+
+    def page(port: int, points: str) -> str:
+        return f'[[sink]]\nname = "scrape"\nurl = "prometheus://127.0.0.1:{port}"\npoints = ["{points}"]\n'
+
+    async def shown(collector: busway.Collector) -> str:
+        def read() -> str:
+            with urllib.request.urlopen(collector.pages[0], timeout=60) as answer:
+                return str(answer.read().decode())
+
+        return await asyncio.to_thread(read)
+
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        async with boiler.server() as server:
+            file = commanded_plant(tmp_path, server.endpoints[0])
+            text = file.read_text()
+            async with busway.collect(file) as collector:
+                await until(lambda: collector.values.last("boiler", "mode") is not None)
+                assert await collector.replace_configuration(text + page(0, "boiler/mode"), by="a") == [
+                    "sink scrape began"
+                ]
+                url = collector.pages[0]
+                assert 'point="mode"' in await shown(collector)
+                await collector.replace_configuration(text + page(0, "boiler/level"), by="a")
+                assert collector.pages == [url]
+                assert 'point="mode"' not in await shown(collector)
+                in_use = file.read_text()
+                wanted = text.replace("all.period = 0.1", "all.period = 0.2") + page(port, "boiler/mode")
+                with pytest.raises(ConfigError, match=r"sink\.scrape\.url"):
+                    await collector.replace_configuration(wanted, by="a")
+                assert (file.read_text(), collector.revision) == (in_use, revision_of(in_use))
+                assert collector.pages == [url]
+                assert 'point="level"' in await shown(collector)
+                assert await collector.replace_configuration(text, by="a") == ["sink scrape ended"]
+                assert collector.pages == []
+
+
+async def test_limits_of_the_store_hold_at_once(tmp_path: Path) -> None:
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1")
+    async with busway.collect(file) as collector:
+        text = file.read_text().replace("[collector]", "[collector]\nkeep_days = 3\nkeep_bytes = 5000000")
+        done = await collector.replace_configuration(text, by="anna")
+        assert done == ["keep_days and keep_bytes hold from now on"]
+        assert collector._committer is not None
+        assert collector._committer.writer.options.retention == Retention(3 * 86_400.0, 5_000_000)
+        assert await collector.replace_configuration(text, by="anna") == ["nothing changed"]
 
 
 @pytest.mark.parametrize(
@@ -203,11 +300,11 @@ async def test_what_holds_after_the_next_start_is_said(tmp_path: Path) -> None:
     boiler = RecordedDevice()
     async with boiler.server() as server:
         file = commanded_plant(tmp_path, server.endpoints[0])
-        text = file.read_text().replace('page = "off"', 'page = "127.0.0.1:8599"\nkeep_days = 3')
+        text = file.read_text().replace('page = "off"', 'page = "127.0.0.1:8599"\ndurability = "power"')
         text += f'[audit]\npath = "{tmp_path}/other.log"\n'
         async with busway.collect(file) as collector:
             assert await collector.replace_configuration(text, by="anna") == [
-                "[collector] keep_days holds after the next start",
+                "[collector] durability holds after the next start",
                 "[collector] page holds after the next start",
                 "[audit] holds after the next start",
             ]

@@ -6,9 +6,11 @@ import pytest
 from fleet_devices import FleetDevice, plant
 
 from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
+from busway.apps.collector.sinks.sparkplug import SparkplugSink
 from busway.apps.fleet.plant import (
     links_of_shards,
     longest_transaction,
+    name_edge_nodes,
     refuse_moved_endpoints,
     refuse_ports_of_any_host,
     refuse_two_owners,
@@ -101,3 +103,20 @@ def test_an_endpoint_does_not_go_to_another_shard_in_one_step(
 def test_hosts_that_cannot_be_are_refused_with_their_line(tmp_path: Path, hosts: list[str]) -> None:
     with pytest.raises(ConfigError, match=r"x\.toml:\d+: .*host"):
         made(tmp_path, ("a", PORT, hosts))
+
+
+def test_each_collector_of_a_fleet_is_an_edge_node_of_its_own(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    pytest.importorskip("google.protobuf")
+
+    def configured(edge_node: str) -> CollectorConfiguration:
+        sink = f'[[sink]]\nname = "scada"\nurl = "sparkplug+mqtt://127.0.0.1"\ngroup = "g"\nedge_node = "{edge_node}"\n'
+        return parse_collector(plant(tmp_path / "store", [FleetDevice("hall", 502)]) + sink, "x.toml")
+
+    configuration = configured("hall-{collector}")
+    name_edge_nodes(configuration, "west")
+    sink, _ = configuration.sinks["scada"]
+    assert isinstance(sink, SparkplugSink)
+    assert sink.edge_node == "hall-west"
+    with pytest.raises(ConfigError, match=r"sink\.scada\.edge_node: names one edge node.*add \{collector\}"):
+        name_edge_nodes(configured("hall"), "west")

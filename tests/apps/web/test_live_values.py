@@ -87,6 +87,26 @@ def test_all_values_are_bad_while_the_store_cannot_be_written_and_good_again_aft
     assert since(values, 2)["changed"] == [[0, [1.5, 7, None], [0, 0, Reason.TIMEOUT]]]
 
 
+def test_a_good_value_that_is_not_read_again_when_due_is_held_until_it_is() -> None:
+    moment = [0.0]
+    values = LiveValues(POINTS, limits=dict.fromkeys(POINTS[:3], 3.0), moment=lambda: moment[0])
+    values.update(commit(SampleBatch(PUMP, SECOND, 0, (1.5, 7, None), (0, Reason.OUT_OF_RANGE, Reason.TIMEOUT))))
+    values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))
+    moment[0] = 3.0
+    assert values.columns()[1] == [0, Reason.OUT_OF_RANGE, Reason.TIMEOUT, 0]
+    moment[0] = 5.0
+    assert values.advance()
+    assert values.columns()[1] == [Reason.HELD, Reason.OUT_OF_RANGE, Reason.TIMEOUT, 0], "the meter has no limit"
+    assert since(values, 1)["changed"][0][0] == 0
+    assert since(values, 1)["reasons"][str(int(Reason.HELD))] == ["uncertain", "held"]
+    assert not values.advance()
+    values.update(commit(SampleBatch(PUMP, 2 * SECOND, 0, (1.5, 7, 2), 0)))
+    assert values.columns()[1] == [0, 0, 0, 0]
+    values.set_limits({})
+    moment[0] = 99.0
+    assert not values.advance()
+
+
 def test_one_that_begins_is_told_of_points_that_were_not_read_too() -> None:
     values = LiveValues(POINTS)
     values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))

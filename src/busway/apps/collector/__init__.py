@@ -10,9 +10,11 @@
 `admission`       Admission test before the start: computes whether each link can keep the poll periods of its devices
 `poller`          Polls the devices of one link: sends the reads that the schedule says, and turns replies into samples
 `permitted_link`  A link that asks for permission before each transaction
+`held_values`     When the last value of a point is held: older than it should be
 `derived_points`  Totals, computed points, and members of groups of variable size, of one device
 `reply_timeout`   The timeout for replies of one polled device: adaptive on TCP, as configured on serial lines
 `sample_clock`    The clock that gives samples their time: follows the wall clock, never runs backwards
+`time_service`    Whether a time service keeps the wall clock right: what the kernel says, and what that means
 `configuration`   Reads a collector file into links, devices with their points, and read plans
 `collector`       The collector: polls the devices of its file, stores their samples, and passes them on to sinks
 `preview`         What a collector would do, without traffic: its reads, the load of each link, undeclared registers
@@ -24,6 +26,7 @@
 `sample_readers`  The programs that follow the samples of a running collector
 `running`         Notes by which `busway status` finds the running collectors of this user
 `report_rules`    Which report rule holds for a point, in the store and towards sinks
+`connected_systems`  The other systems that a running collector is connected to: sinks, pages, servers with commands
 `reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file
 `point_names`     Which points have other names after the configuration was read again: for store, alarms and totals
 `sinks`           Sinks: other systems that get the samples of a store

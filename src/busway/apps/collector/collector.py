@@ -26,18 +26,21 @@ from typing import Any, Final, Self
 
 from ...access.audit_log import AuditLog
 from ...client.aio import AsyncLink, open_link, send_only_while
+from ...config.files.sinks import PrometheusSinkSection
 from ...errors import ConfigError
 from ...points.point import Point
+from . import time_service
 from .alarms.collected import CollectorAlarms
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
-from .commands.inputs import CommandReceiver, InputStatus
+from .commands.inputs import CommandInput, CommandReceiver, InputStatus
 from .commands.journal import CommandJournal
 from .commands.other_owners import OtherOwners
 from .commands.runner import CommandRunner
 from .commands.targets import CollectedTargets
 from .configuration import CollectedDevice, CollectorConfiguration, load_collector
+from .connected_systems import ConnectedSystems
 from .derived_points import DerivedPoints
 from .device_status import CollectedDeviceStatus, status_of
 from .knowledge import Knowledge
@@ -46,22 +49,23 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
-from .reloading import Reloading
-from .report_rules import points_of, sink_rules, store_rules
-from .sample_clock import SampleClock
+from .reloading import Reloading, refuse_what_cannot_change
+from .report_rules import store_rules
+from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
 from .samples import CounterState, PointDescription, SampleBatch, StateInterval
 from .schedule import LinkSchedule
 from .sinks.delivery import SinkStatus
 from .sinks.prometheus import LastValues, PrometheusPage
-from .sinks.sink_thread import SinkThread
 from .store.accumulator_states import counters_by_device
 from .store.alarm_events import alarm_events, alarm_rows
 from .store.commit_thread import Committer, StoreStatus
+from .store.folder import half_of_disk
 from .store.manifest import MaintenanceRow, Manifest
 from .store.retention import Retention
 from .store.writer import Commit, StoreOptions, StoreWriter
 from .task_errors import first_error, log_defect
+from .time_service import ClockJudge
 
 CLOCK_EVERY: Final = 5.0
 """Seconds between two comparisons with the wall clock."""
@@ -142,20 +146,18 @@ class Collector:
         self._links: dict[str, _RunningLink] = {}
         self._readers = SampleReaders()
         self._upkeep: asyncio.Task[None] | None = None
-        self._sinks: SinkThread | None = None
-        self._pages: list[PrometheusPage] = []
+        self._systems = ConnectedSystems(self._made_page, self._made_receiver)
         # Families of prometheus-client, whose types are not there without its extra.
         self.more_metrics: list[Callable[[], Iterable[Any]]] = []
         self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
-        self.values: LastValues = LastValues(self._is_behind)
+        self.values: LastValues = LastValues(self._is_behind, configuration.hold_limits())
         self._audit: AuditLog | None = None
         self._commands: CommandRunner | None = None
-        self._receivers: list[CommandReceiver] = []
-        self._receiving: list[asyncio.Task[None]] = []
+        self._journal: CommandJournal | None = None
         self._maintenance: MaintenanceBook | None = None
         self._names = PointNames()
-        self._reloading = Reloading(lambda: self.configuration, lambda: self._audit, self._apply)
+        self._reloading = Reloading(lambda: self.configuration, lambda: self._audit, self._apply, self._systems.prepare)
 
     async def __aenter__(self) -> Self:
         """Open the store, start the sinks and begin to poll the devices.
@@ -173,17 +175,21 @@ class Collector:
 
     async def _start_parts(self) -> None:
         """Open the store and start every part; if one cannot start, those before it are stopped."""
-        writer = self._opened_store()
         loop = asyncio.get_running_loop()
         self._started = loop.time()
-        self._clock = SampleClock(loop.time(), time.time_ns())
+        self._judge = ClockJudge(self.configuration.file.collector.clock)
+        is_known = self._clock_is_known()
+        self._clock = SampleClock(loop.time(), time.time_ns(), is_known=is_known)
+        if not is_known:
+            _log.warning("no time service has set the clock yet: samples are uncertain (clock not set)")
+        writer = self._opened_store(is_known)
         self._committer = committer = Committer(writer, rules=store_rules(self.configuration))
         self.alarms = CollectorAlarms(committer.add_alarms, loop.time, lambda: self._clock.time_ns(loop.time()))
         self._committer.subscribe(lambda commit: self._committed_in_thread(loop, commit))
         self._committer.subscribe(self.values.update)
         async with AsyncExitStack() as unless_started:
             unless_started.push_async_callback(self._stop)
-            self._start_sinks(writer, self._committer)
+            self._systems.begin(writer, self.configuration)
             self.alarms.begin(alarm_events(alarm_rows(writer.folder, writer.manifest), writer.manifest), self._points())
             for device, counters in counters_by_device(writer.manifest).items():
                 self._counters[device] = {each.point: each for each in counters}
@@ -193,7 +199,7 @@ class Collector:
             self._readers.begin()
             self._upkeep = asyncio.create_task(self._keep_up(), name="busway collector upkeep")
             self._upkeep.add_done_callback(log_defect)
-            self._receive_commands()
+            self._systems.receive(self.configuration)
             unless_started.pop_all()
 
     async def __aexit__(
@@ -223,21 +229,26 @@ class Collector:
                 steps.push_async_callback(self._stop_link, name)
             if self._upkeep is not None:
                 steps.push_async_callback(_ended, self._upkeep)
-            for task in self._receiving:
-                steps.push_async_callback(_ended, task)
+            steps.push_async_callback(self._systems.end_inputs)
 
-    def _opened_store(self) -> StoreWriter:
+    def _clock_is_known(self) -> bool:
+        """Whether the wall clock of the machine is known to be right (`time_service`)."""
+        return self._judge.is_known(time_service.kernel_synchronisation(), time_service.seconds_since_boot())
+
+    def _opened_store(self, clock_is_right: bool) -> StoreWriter:
         """Open the store for writing, read what was learnt before, and tell the store the points of the configuration.
+
+        Args:
+            clock_is_right: whether the wall clock is known to be right.
 
         Raises:
             ConfigError: the store or the file of what was learnt cannot be used; the store is closed.
         """
         configuration = self.configuration
-        options = configuration.file.collector
-        retention = Retention(None if options.keep_days is None else 86_400 * options.keep_days, options.keep_bytes)
-        writer = StoreWriter(
-            configuration.store, StoreOptions(durability=options.durability, retention=retention), now=time.time_ns()
+        options = StoreOptions(
+            durability=configuration.file.collector.durability, retention=_retention_of(configuration)
         )
+        writer = StoreWriter(configuration.store, options, now=time.time_ns(), clock_is_right=clock_is_right)
         with ExitStack() as unless_known:
             unless_known.callback(lambda: writer.close(time.time_ns()))
             self.knowledge = self._learnt.read()
@@ -246,28 +257,21 @@ class Collector:
             unless_known.pop_all()
         return writer
 
-    def _start_sinks(self, writer: StoreWriter, committer: Committer) -> None:
-        """Start to send samples to the sinks (MQTT, …), and serve the pages for Prometheus.
+    def _made_page(self, section: PrometheusSinkSection) -> PrometheusPage:
+        """Return a page for Prometheus that listens. Raises `ConfigError` or `LinkDown`."""
+        return PrometheusPage(
+            section.parts.netloc,
+            section.points,
+            self.values,
+            stale=section.stale,
+            alarms=self.alarms.active,
+            more=lambda: [family for give in self.more_metrics for family in give()],
+        )
 
-        Raises:
-            ConfigError: a sink or page cannot be used as configured.
-            LinkDown: the port of a page is in use.
-        """
-        configuration = self.configuration
-        if configuration.sinks:
-            self._sinks = SinkThread(writer, configuration.sinks, sink_rules(configuration), points_of(configuration))
-        if configuration.pages:
-            for page in configuration.pages.values():
-                alarms = self.alarms.active
-                made = PrometheusPage(
-                    page.parts.netloc,
-                    page.points,
-                    self.values,
-                    stale=page.stale,
-                    alarms=alarms,
-                    more=lambda: [family for give in self.more_metrics for family in give()],
-                )
-                self._pages.append(made)
+    def _made_receiver(self, name: str, made: CommandInput) -> CommandReceiver:
+        return CommandReceiver(
+            name, made, self.commands, lambda: self.configuration, plant=self._plant, others=self._others
+        )
 
     def _start_commands(self) -> None:
         """Open the audit log, the journal of commands and the record of maintenance.
@@ -283,8 +287,8 @@ class Collector:
         options = {} if section is None else section.options()
         self._audit = AuditLog(**{**options, "path": path})
         targets = CollectedTargets(lambda: self.configuration, self._poller_of, self.values, self._plant)
-        days = configuration.file.collector.keep_days
-        journal = CommandJournal(Path(configuration.store), keep=None if days is None else 86_400 * days)
+        journal = CommandJournal(Path(configuration.store), keep=_age_of(configuration))
+        self._journal = journal
         try:
             self._commands = CommandRunner(targets, journal, self._audit, claims=self._claims)
         except OSError as error:
@@ -293,17 +297,6 @@ class Collector:
         assert self._committer is not None
         self._maintenance = MaintenanceBook(self._committer.writer.manifest, self._audit)
         self._end_maintenance_of_others()
-
-    def _receive_commands(self) -> None:
-        """Start to receive write commands from the servers (MQTT, …) of the sinks that are configured for commands."""
-        for name, made in self.configuration.inputs.items():
-            receiver = CommandReceiver(
-                name, made, self.commands, lambda: self.configuration, plant=self._plant, others=self._others
-            )
-            task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
-            task.add_done_callback(log_defect)
-            self._receivers.append(receiver)
-            self._receiving.append(task)
 
     @property
     def commands(self) -> CommandRunner:
@@ -319,11 +312,9 @@ class Collector:
         assert self._committer is not None
         async with AsyncExitStack() as steps:
             steps.push_async_callback(asyncio.to_thread, self._committer.close)
-            if self._sinks is not None:
-                steps.push_async_callback(asyncio.to_thread, self._sinks.close)
+            steps.push_async_callback(asyncio.to_thread, self._systems.close_sinks)
             steps.push_async_callback(asyncio.to_thread, self._committer.flush)
-            for page in self._pages:
-                steps.callback(page.close)
+            steps.callback(self._systems.close_pages)
 
     # What programs use.
 
@@ -451,16 +442,16 @@ class Collector:
 
     def sink_statuses(self) -> Sequence[SinkStatus]:
         """Return the status of each sink, such as an MQTT broker; pages for Prometheus are not among them."""
-        return () if self._sinks is None else self._sinks.statuses()
+        return self._systems.sink_statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:
         """Return the status of each input of commands, such as an MQTT broker that sends write commands."""
-        return [each.status() for each in self._receivers]
+        return self._systems.input_statuses()
 
     @property
     def pages(self) -> list[str]:
         """The URLs of the pages from which Prometheus can scrape last values."""
-        return [page.url for page in self._pages]
+        return self._systems.urls
 
     def status(self) -> list[CollectedDeviceStatus]:
         """Return the status of each polled device."""
@@ -552,6 +543,11 @@ class Collector:
         """The lines and keys for which the file was refused when it was read again; empty once one was accepted."""
         return list(self._reloading.refusal)
 
+    def check(self, configuration: CollectorConfiguration) -> None:
+        """Raise `ConfigError` if another configuration cannot be used while the collector runs; changes nothing."""
+        refuse_what_cannot_change(self.configuration, configuration)
+        self._systems.prepare(configuration)
+
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
     ) -> list[str]:
@@ -566,7 +562,8 @@ class Collector:
             What changed, each as a sentence.
 
         Raises:
-            ConfigError: the store or a sink is another one, or the collector ends; nothing was changed.
+            ConfigError: the store is another one, the port of a page for Prometheus is in use, or the collector ends;
+                nothing was changed.
         """
         return await self._reloading.reload(configuration, by, origin)
 
@@ -577,8 +574,7 @@ class Collector:
 
         Raises:
             FileError: the file is wrong; ``problems`` has all errors, with file, line and key. Nothing was changed.
-            ConfigError: the file cannot be read, the store or a sink is another one, or the collector ends; nothing was
-                changed.
+            ConfigError: the file cannot be read or used (see `reload`), or the collector ends; nothing was changed.
         """
         return await self._reloading.read_again(by, origin)
 
@@ -599,8 +595,7 @@ class Collector:
 
         Raises:
             FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
-            ConfigError: the store or a sink is another one, the file cannot be written, another revision is in use, or
-                the collector ends.
+            ConfigError: it cannot be used (see `reload`), the file cannot be written, or another revision is in use.
         """
         return await self._reloading.replace(text, by, origin, revision)
 
@@ -611,6 +606,7 @@ class Collector:
         """
         assert self._committer is not None
         self.configuration = configuration
+        self.values.limits = configuration.hold_limits()
         done: list[str] = []
         changed = sorted(self.changed_links(configuration))
         for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
@@ -623,8 +619,8 @@ class Collector:
         descriptions = _descriptions(configuration)
         moved = self._names.describe(descriptions)
         self._committer.describe(descriptions, store_rules(configuration))
-        if self._sinks is not None:
-            self._sinks.set_points(points_of(configuration), sink_rules(configuration))
+        done += self._keep(_retention_of(configuration))
+        done += await self._systems.apply(configuration)
         self.alarms.configure(self._points(), moved)
         self._counters = _renamed(self._counters, moved)
         for name in configuration.links:
@@ -633,6 +629,17 @@ class Collector:
                 done.append(f"link {name} {'began anew' if name in changed else 'began'}")
         self._end_maintenance_of_others()
         return done
+
+    def _keep(self, retention: Retention) -> list[str]:
+        """Use other limits of the store from now on; return the change as a sentence."""
+        assert self._committer is not None
+        assert self._journal is not None
+        writer = self._committer.writer
+        if retention == writer.options.retention:
+            return []
+        writer.keep(retention)
+        self._journal.keep = _age_of(self.configuration)
+        return ["keep_days and keep_bytes hold from now on"]
 
     def changed_links(self, configuration: CollectorConfiguration) -> frozenset[str]:
         """Return the names of the polled links that a reload with this configuration would end or restart."""
@@ -673,7 +680,9 @@ class Collector:
         )
         for device in configuration.devices_of(name):
             known = configuration.known_of(device, self.knowledge)
-            derived = DerivedPoints(device.name, device.points, self._counters.get(device.name, {}).values())
+            counters = self._counters.get(device.name, {}).values()
+            limits = device.hold_limits(configuration.periods)
+            derived = DerivedPoints(device.name, device.points, counters, limits)
             poller.add(
                 device.name,
                 device.unit,
@@ -682,6 +691,7 @@ class Collector:
                 None if derived.is_empty else derived,
                 device.rules.pause,
                 on_line=device.fixed,
+                limits=limits,
             )
             row = self.in_maintenance().get(device.name)
             if row is not None:
@@ -718,7 +728,8 @@ class Collector:
     async def _follow_clock(self) -> None:
         while True:
             await asyncio.sleep(CLOCK_EVERY)
-            self._mend(self._clock.adjust(asyncio.get_running_loop().time(), time.time_ns()))
+            now, is_known = asyncio.get_running_loop().time(), self._clock_is_known()
+            self._mend(self._clock.adjust(now, time.time_ns(), is_known=is_known))
 
     async def _write_files(self) -> None:
         loop = asyncio.get_running_loop()
@@ -732,20 +743,17 @@ class Collector:
                     self._learn_from(running.poller)
                 await self._write_learnt()
 
-    def _mend(self, shift: int) -> None:
-        """Correct times in the store and in memory by ``shift`` nanoseconds, after a wrong wall clock was put right.
-
-        Only times that this process took from the wrong clock are changed.
-        """
-        if not shift:
+    def _mend(self, correction: ClockCorrection | None) -> None:
+        """Correct all times from before the wall clock was right, in the store and in memory."""
+        if correction is None:
             return
         assert self._committer is not None
-        self._committer.mend(shift)
-        self.alarms.mend(shift)
+        self._committer.mend(correction)
+        self.alarms.mend(correction)
         for running in self._links.values():
-            running.poller.mend(shift)
+            running.poller.mend(correction)
         if self._maintenance is not None:
-            self._maintenance.mend(shift)
+            self._maintenance.mend(correction)
 
     def _learn_from(self, poller: LinkPoller) -> None:
         for name, device in poller.devices.items():
@@ -802,6 +810,17 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
     return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
+
+
+def _age_of(configuration: CollectorConfiguration) -> float | None:
+    """Return the seconds for which samples, and results of commands, are kept; None for ever."""
+    days = configuration.file.collector.keep_days
+    return None if days is None else 86_400 * days
+
+
+def _retention_of(configuration: CollectorConfiguration) -> Retention:
+    size = configuration.file.collector.keep_bytes or half_of_disk(Path(configuration.store))
+    return Retention(_age_of(configuration), size)
 
 
 def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:

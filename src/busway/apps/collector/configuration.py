@@ -39,6 +39,7 @@ from .admission import LinkLoad, admit
 from .commands.input_options import make_input
 from .commands.inputs import CommandInput
 from .cost import ReadCost, baud_cost, line_cost, network_cost
+from .held_values import hold_limits
 from .knowledge import DeviceKnowledge, Knowledge
 from .plan_cache import PlanBook
 from .samples import PointDescription
@@ -83,6 +84,10 @@ class CollectedDevice:
     def book(self, known: DeviceKnowledge) -> PlanBook:
         """Return a new cache of the device's read plans, which starts with what is known about the device."""
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
+
+    def hold_limits(self, periods: Mapping[str, float]) -> dict[str, float]:
+        """Return for each point the seconds after which its value is held; ``periods`` is seconds by poll class."""
+        return hold_limits(self.points, self.items, periods)
 
     def descriptions(self) -> list[PointDescription]:
         """Return the descriptions of the device's points, such as units of measure, which the store keeps."""
@@ -144,6 +149,16 @@ class CollectorConfiguration:
         return {each.name: each.hosts for each in self.file.link if each.hosts}
 
     @property
+    def sink_keys(self) -> Mapping[str, SinkSection]:
+        """The table of each sink and page for Prometheus of this configuration, by name, for comparison."""
+        return {each.name: each for each in self.file.sink if each.name in self.sinks or each.name in self.pages}
+
+    @property
+    def input_keys(self) -> Mapping[str, SinkSection]:
+        """The table of each sink from whose server commands are received, by name, for comparison."""
+        return {each.name: each for each in self.file.sink if each.name in self.inputs}
+
+    @property
     def learnt_path(self) -> FilePath:
         """Path of the file in which the collector keeps what it learns about devices."""
         return FilePath(self.store) / LEARNT_FILE
@@ -151,6 +166,14 @@ class CollectorConfiguration:
     def devices_of(self, link: str) -> list[CollectedDevice]:
         """Return the devices that are polled over the link of this name; empty if there are none."""
         return [device for device in self.devices.values() if device.link == link]
+
+    def hold_limits(self) -> dict[tuple[str, str], float]:
+        """Return for each point, by device and name, the seconds after which its value is held."""
+        return {
+            (device.name, point): limit
+            for device in self.devices.values()
+            for point, limit in device.hold_limits(self.periods).items()
+        }
 
     def known_of(self, device: CollectedDevice, knowledge: Knowledge) -> DeviceKnowledge:
         """Return what ``knowledge`` has about a device with its present profile, firmware, endpoint and unit."""

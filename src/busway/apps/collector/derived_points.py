@@ -7,6 +7,7 @@ Pure: knows points and their latest readings; knows no request and no clock.
 2. Computed points get a sample at the end of each round that read one of their inputs.
 3. The size of some groups is itself a point of the device. Members of such a group are read once the size is known, and
    only those that the device has.
+4. An input that was not read when it was due, as after an outage, is held: what is computed from it is uncertain.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -26,9 +27,16 @@ class DerivedPoints:
         device: name of the device.
         points: all points of the device.
         counters: the states of accumulators stored before a restart; their totals go on from there.
+        limits: seconds after which the value of a point is held, by its name.
     """
 
-    def __init__(self, device: str, points: Sequence[Point], counters: Iterable[CounterState] = ()) -> None:
+    def __init__(
+        self,
+        device: str,
+        points: Sequence[Point],
+        counters: Iterable[CounterState] = (),
+        limits: Mapping[str, float] | None = None,
+    ) -> None:
         accumulators = [point for point in points if point.rollover and not point.formula]
         computed = [point for point in points if point.formula]
         self._accumulators = frozenset(point.name for point in accumulators)
@@ -38,7 +46,10 @@ class DerivedPoints:
         self._formulas = Derivation(computed)
         self._inputs = {point.name: frozenset(parse_expression(point.formula).names) for point in computed}
         self._group = PointGroup(device, tuple(self._inputs)) if self._inputs else None
+        inputs = self._formulas.inputs() - self._inputs.keys()
+        self._limits = {name: limit for name, limit in (limits or {}).items() if name in inputs}
         self._latest: dict[str, Reading] = {}
+        self._read_at: dict[str, float] = {}
         self._touched: set[str] = set()
         self._counted = [point for point in points if point.exists]
         self._counts: dict[str, int | None] = {name: None for point in self._counted for name, _ in point.exists}
@@ -62,8 +73,12 @@ class DerivedPoints:
                 return False
         return True
 
-    def take(self, batch: SampleBatch) -> tuple[SampleBatch, bool]:
+    def take(self, batch: SampleBatch, at: float) -> tuple[SampleBatch, bool]:
         """Replace the counter readings in the samples of a read by running totals, and keep what formulas need.
+
+        Args:
+            batch: the samples of the read.
+            at: when it ended, seconds of the monotonic clock.
 
         Returns:
             The samples, and whether the size of a group has changed, so that `absent` gives other points.
@@ -86,6 +101,8 @@ class DerivedPoints:
         if self._group is not None:
             self._latest |= found
             self._touched |= found.keys()
+            for name in self._limits.keys() & found.keys():
+                self._read_at[name] = at
         return batch, changed
 
     def _counter_states(self, names: Iterable[str]) -> list[CounterState]:
@@ -108,7 +125,7 @@ class DerivedPoints:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)
 
-    def computed(self, time: int, half_width: int) -> SampleBatch | None:
+    def computed(self, time: int, half_width: int, at: float) -> SampleBatch | None:
         """Return the samples of all computed points at the end of a round.
 
         None if there are no computed points, or if the round read none of their inputs.
@@ -116,11 +133,12 @@ class DerivedPoints:
         Args:
             time: time of the samples, nanoseconds since 1970 UTC.
             half_width: half the length of the last transaction, nanoseconds.
+            at: the same time, seconds of the monotonic clock.
         """
         touched, self._touched = self._touched, set()
         if self._group is None or not any(inputs & touched for inputs in self._inputs.values()):
             return None
-        made = self._formulas.apply(self._latest, time / NANOSECONDS)
+        made = self._formulas.apply(self._latest | self._held(at), time / NANOSECONDS)
         readings = [made.get(name, Reading(None, Reason.NO_INPUT)) for name in self._group.points]
         return SampleBatch(
             self._group,
@@ -129,3 +147,11 @@ class DerivedPoints:
             [each.value for each in readings],
             [each.reason for each in readings] if any(each.reason for each in readings) else 0,
         )
+
+    def _held(self, at: float) -> dict[str, Reading]:
+        """Return the good inputs of formulas that were not read when they were due, as held (rule 4)."""
+        return {
+            name: Reading(reading.value, Reason.HELD)
+            for name, limit in self._limits.items()
+            if at - self._read_at.get(name, at) > limit and not (reading := self._latest[name]).reason
+        }

@@ -15,7 +15,7 @@ from dataclasses import replace
 
 from ...access.audit_log import AuditLog
 from ...errors import ConfigError
-from .sample_clock import EARLIEST
+from .sample_clock import ClockCorrection
 from .samples import NANOSECONDS, Reason, StateInterval
 from .store.manifest import MaintenanceRow, Manifest
 
@@ -96,11 +96,10 @@ class MaintenanceBook:
         self._tell(row, "end", by, why, seconds)
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
-    def mend(self, shift: int) -> None:
-        """Correct the begins of maintenance by ``shift`` nanoseconds that were taken from a wrong wall clock."""
+    def mend(self, correction: ClockCorrection) -> None:
+        """Correct each begin of maintenance that was recorded before the computer's wall clock was right."""
         for row in list(self._rows.values()):
-            if row.begin < EARLIEST:
-                self._rows[row.device] = replace(row, begin=row.begin + shift)
+            self._rows[row.device] = replace(row, begin=correction.corrected(row.begin))
 
     def _tell(self, row: MaintenanceRow, what: str, by: str, why: str, seconds: float) -> None:
         line = {

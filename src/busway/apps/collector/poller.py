@@ -13,6 +13,7 @@ Knows the schedule, a link of asyncio and the decoders of points; knows no store
 
 import asyncio
 import logging
+import math
 from collections import deque
 from collections.abc import Awaitable, Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -32,7 +33,7 @@ from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead, ReadItem
 from .plan_cache import PlanBook
 from .reply_timeout import ReplyTimeout
-from .sample_clock import EARLIEST, SampleClock
+from .sample_clock import ClockCorrection, SampleClock
 from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
 from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
@@ -74,6 +75,8 @@ class _CompiledRead:
         group: the device and the points, in the order of the values.
         data: the data of the last reply, for requests of raw registers; empty before the first.
         at: when that reply was read, nanoseconds since 1970 UTC.
+        exponents: names of points in the read by which other points may be scaled.
+        scaled: the place of each point that is scaled by one of another read, and the name of that one.
     """
 
     read: PlannedRead
@@ -82,6 +85,8 @@ class _CompiledRead:
     group: PointGroup
     data: bytes = b""
     at: int = 0
+    exponents: tuple[str, ...] = ()
+    scaled: tuple[tuple[int, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +128,9 @@ class PolledDevice:
         derived: totals and formulas computed from its reads; None without any.
         pause: seconds from a reply to the next request to it, at least.
         ready_at: when it may be asked next, seconds of the monotonic clock.
+        limits: seconds after which the value of a point is held, by name.
         scale_factors: exponents read from the device that scale the values of other points, by name.
+        factors_at: when each of them was read, seconds of the monotonic clock.
         reads: reads made in polling rounds since the start, failed ones included.
         failures: reads of polling rounds that failed since the start.
         last_seconds: how long its last transaction took.
@@ -142,7 +149,9 @@ class PolledDevice:
     derived: DerivedPoints | None = None
     pause: float = 0.0
     ready_at: float = 0.0
+    limits: Mapping[str, float] = field(default_factory=dict)
     scale_factors: dict[str, int] = field(default_factory=dict)
+    factors_at: dict[str, float] = field(default_factory=dict)
     unread: dict[str, str] = field(default_factory=dict)
     unread_given: bool = False
     reads: int = 0
@@ -169,17 +178,30 @@ class PolledDevice:
                     found[item.name] = bytes(each.data[begin : begin + 2 * item.width])
         return found
 
+    def is_factor_held(self, name: str, now: float) -> bool:
+        """Whether a scale factor was not read when it was due, so that what it scales is uncertain."""
+        at = self.factors_at.get(name)
+        return at is not None and now - at > self.limits.get(name, math.inf)
+
     def compiled(self, read: PlannedRead) -> _CompiledRead:
         """Return one planned read of the device with its request, decoder and points; made at its first use."""
         found = self._compiled.get(id(read))
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
                 self._compiled.clear()
+            factors = {point.conversion.scale_from for point in self.book.points()} - {""}
+            names = tuple(point.name for point in read.items)
             found = self._compiled[id(read)] = _CompiledRead(
                 read,
                 _REQUESTS[read.table](read.start, read.width),
                 _decoder_of(read),
-                PointGroup(self.name, tuple(point.name for point in read.items)),
+                PointGroup(self.name, names),
+                exponents=tuple(name for name in names if name in factors),
+                scaled=tuple(
+                    (place, factor)
+                    for place, point in enumerate(read.items)
+                    if (factor := point.conversion.scale_from) and factor not in names
+                ),
             )
         return found
 
@@ -245,6 +267,7 @@ class LinkPoller:
         derived: DerivedPoints | None = None,
         pause: float = 0.0,
         on_line: bool = False,
+        limits: Mapping[str, float] | None = None,
     ) -> None:
         """Begin to poll one more device of the link.
 
@@ -257,11 +280,12 @@ class LinkPoller:
             pause: seconds from a reply to the next request to the device, at least.
             on_line: whether it is on a serial line, local or behind a gateway, where another silent device holds up its
                 replies; its timeout then does not adapt.
+            limits: seconds after which the value of a point is held, by name.
         """
         timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered and not on_line)
         if derived is not None:
             book.set_absent(derived.absent())
-        self.devices[name] = PolledDevice(name, unit, book, timeout, derived, pause)
+        self.devices[name] = PolledDevice(name, unit, book, timeout, derived, pause, limits=limits or {})
         self.schedule.add(name, book, periods, self._now())
         self.wake()
 
@@ -354,8 +378,12 @@ class LinkPoller:
         half = int((ended - began) * 500_000_000)
         batch = SampleBatch(group, self._clock.time_ns((began + ended) / 2), half, (found.value,), int(reason))
         if device.derived is not None:
-            batch, _ = device.derived.take(batch)
+            batch, _ = device.derived.take(batch, ended)
         self._give(device, batch)
+
+    def is_factor_held(self, name: str, factor: str) -> bool:
+        """Whether a scale factor of a device was not read when it was due, so that no value can be scaled by it."""
+        return self.devices[name].is_factor_held(factor, self._now())
 
     def wake(self) -> None:
         """Let the polling task check the schedule now, because the schedule has changed."""
@@ -401,15 +429,12 @@ class LinkPoller:
         except TimeoutError:
             pass
 
-    def mend(self, shift: int) -> None:
-        """Correct the begins of current silences and maintenance by ``shift`` nanoseconds.
-
-        Only begins that were taken from a wrong wall clock are corrected, after the clock was put right.
-        """
+    def mend(self, correction: ClockCorrection) -> None:
+        """Correct each begin of a current silence or maintenance that was noted before the wall clock was right."""
         for device in self.devices.values():
             begun = device.suspended
-            if begun is not None and begun.begin < EARLIEST:
-                device.suspended = replace(begun, begin=begun.begin + shift)
+            if begun is not None:
+                device.suspended = replace(begun, begin=correction.corrected(begun.begin))
 
     def close(self) -> None:
         """Report the end of all current silences of devices, because polling stops; maintenance continues."""
@@ -467,7 +492,7 @@ class LinkPoller:
             error = outcome if isinstance(outcome, ModbusError) else None
             if error is None:
                 try:
-                    batch = self._decoded(device, each, outcome, middle, half)
+                    batch = self._decoded(device, each, outcome, middle, half, ended)
                 except BadReply as broken:
                     error = broken
             if error is not None:
@@ -475,14 +500,14 @@ class LinkPoller:
                 continue
             result = TurnOutcome.ANSWERED
             if device.derived is not None:
-                batch, changed = device.derived.take(batch)
+                batch, changed = device.derived.take(batch, ended)
                 if changed:
                     device.book.set_absent(device.derived.absent())
             self._give(device, batch)
             device.reads += turn.kind is TurnKind.ROUND
             self._learn(device, turn, each.read, ReadOutcome.SUCCESS, ended - began, alone=len(compiled) == 1)
         if device.derived is not None and turn.round is not None and not turn.round.reads:
-            computed = device.derived.computed(middle, half)
+            computed = device.derived.computed(middle, half, ended)
             if computed is not None:
                 self._give(device, computed)
         if result is TurnOutcome.ANSWERED:
@@ -500,7 +525,7 @@ class LinkPoller:
             self._begin_interval(device, Reason.NO_CONNECTION if down else Reason.SUSPENDED, ended)
 
     def _decoded(
-        self, device: PolledDevice, compiled: _CompiledRead, reply: Any, middle: int, half: int
+        self, device: PolledDevice, compiled: _CompiledRead, reply: Any, middle: int, half: int, ended: float
     ) -> SampleBatch:
         decoder = compiled.decoder
         data = reply.data
@@ -508,10 +533,14 @@ class LinkPoller:
             raise BadReply(f"{counted(len(data), 'byte')} came where {decoder.size} were asked for", kind="content")
         compiled.data, compiled.at = data, middle
         found = decoder.decode(data, device.scale_factors)
-        if not found.flaws and self._clock.is_right:
+        device.factors_at.update(dict.fromkeys(compiled.exponents, ended))
+        held = [place for place, factor in compiled.scaled if device.is_factor_held(factor, ended)]
+        if not found.flaws and self._clock.is_right and not held:
             return SampleBatch(compiled.group, middle, half, found.values)
         usual = Reason.NONE if self._clock.is_right else Reason.CLOCK
         reasons = [int(usual)] * len(found.values)
+        for place in held:
+            reasons[place] = Reason.HELD
         for place, reason in found.flaws.items():
             reasons[place] = reason
         return SampleBatch(compiled.group, middle, half, found.values, reasons)

@@ -2,7 +2,8 @@
 
 Knows two configurations, a file and the audit log; how another configuration is put into use is the collector's.
 
-1. Store and sinks are those of the start: another one is refused, and nothing is changed.
+1. The store is that of the start: another one is refused, and nothing is changed. What can fail in a new configuration
+   is prepared before anything is changed (`prepare`).
 2. Other settings that are read at the start alone are named, also in the log: they hold after the next start.
 3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
 4. One change at a time. A change that has begun is completed, even if its caller is cancelled.
@@ -27,10 +28,12 @@ from .commands.audit import configuration_line, revision_of
 from .configuration import CollectorConfiguration, parse_collector
 
 _READ_AT_THE_START: Final = tuple(
-    key for key in CollectorSection.model_fields if key not in ("store", "learn", "store_report")
+    key
+    for key in CollectorSection.model_fields
+    if key not in ("store", "learn", "store_report", "keep_days", "keep_bytes")
 )
-"""Keys of ``[collector]`` whose changes take effect at the next start. Another `store` is refused; `learn` and
-`store_report` take effect at once."""
+"""Keys of ``[collector]`` whose changes take effect at the next start. Another `store` is refused; the others take
+effect at once."""
 _log = logging.getLogger("busway.collector")
 
 
@@ -41,6 +44,7 @@ class Reloading:
         current: returns the configuration in use.
         audit: returns the audit log; None while there is none.
         apply: puts another configuration into use, and returns the changes, each as a sentence.
+        prepare: does what can fail of that, and changes nothing that is in use; raises `ConfigError`.
 
     Attributes:
         running: the tasks that change the configuration, or wait for their turn to do so.
@@ -55,8 +59,9 @@ class Reloading:
         current: Callable[[], CollectorConfiguration],
         audit: Callable[[], AuditLog | None],
         apply: Callable[[CollectorConfiguration], Awaitable[list[str]]],
+        prepare: Callable[[CollectorConfiguration], None] = lambda new: None,
     ) -> None:
-        self._current, self._audit, self._apply = current, audit, apply
+        self._current, self._audit, self._apply, self._prepare = current, audit, apply, prepare
         self._started_with = current()
         self._lock = asyncio.Lock()
         self.running: set[asyncio.Task[list[str]]] = set()
@@ -140,12 +145,17 @@ class Reloading:
             raise ConfigError(f"the configuration is {in_use} by now, not {revision}: read it again", key="revision")
         configuration = await self._parsed(text, by, origin)
         try:
-            refuse_what_cannot_change(self._current(), configuration)
+            self._check(configuration)
             await asyncio.to_thread(replace_file, configuration.name, text)
         except ConfigError as error:
             self._record(text, [str(error)], False, by, origin)
             raise
         return await self._use(configuration, by, origin)
+
+    def _check(self, configuration: CollectorConfiguration) -> None:
+        """Raise `ConfigError` if a configuration cannot be put into use."""
+        refuse_what_cannot_change(self._current(), configuration)
+        self._prepare(configuration)
 
     async def _parsed(self, text: str, by: str, origin: str) -> CollectorConfiguration:
         try:
@@ -157,7 +167,7 @@ class Reloading:
     async def _use(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         old = self._current()
         try:
-            refuse_what_cannot_change(old, configuration)
+            self._check(configuration)
         except ConfigError as error:
             self._record(configuration.text, [str(error)], False, by, origin)
             raise
@@ -199,9 +209,7 @@ def _places(error: ConfigError) -> list[str]:
 
 
 def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
-    """Raise `NeedsRestart` if a new configuration has another store or other sinks than the old one."""
-    if new.file.sink != old.file.sink:
-        raise NeedsRestart("sinks cannot change while the collector runs: restart it", file=new.name, key="sink")
+    """Raise `NeedsRestart` if a new configuration has another store than the old one."""
     if new.store != old.store:
         raise NeedsRestart(
             "the store cannot be another while the collector runs: restart it", file=new.name, key="store"

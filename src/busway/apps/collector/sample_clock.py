@@ -7,10 +7,12 @@ Pure: knows readings of two clocks; reads none itself.
    followed by going at half speed, because a jump would put new samples before old ones; until that is done, the time
    is not known to be right.
 3. A wall clock that shows a time before this program was written is not right: many computers have no battery, and
-   begin in 1970. Such a clock is not followed until it is set. The step at which it is set is then added to all times
-   given before. Times given at half speed (rule 2) are never changed: that would change their order.
+   begin in 1970. Nor is one that is not known to be right (`time_service`): many begin with the time of their last end.
+   A clock that is not right at the start is not followed until it is. The difference is then added to all times given
+   before. Times given at half speed (rule 2) are never changed: that would change their order.
 """
 
+from dataclasses import dataclass
 from typing import Final
 
 NANOSECONDS: Final = 1_000_000_000
@@ -20,47 +22,72 @@ TOLERANCE: Final = NANOSECONDS // 2
 """Nanoseconds that the wall clock may be behind while the time still counts as right."""
 
 
+@dataclass(frozen=True, slots=True)
+class ClockCorrection:
+    """What is to be added to the times that were given before the wall clock was known to be right.
+
+    Attributes:
+        shift: nanoseconds to be added; negative if the clock was ahead.
+        begin, end: the times from ``begin`` to before ``end`` are corrected, nanoseconds since 1970 UTC.
+    """
+
+    shift: int
+    begin: int = 0
+    end: int = EARLIEST
+
+    def corrected(self, time: int) -> int:
+        """Return a time that was given before, corrected; one that this clock has not given is returned as it is."""
+        return time + self.shift if self.begin <= time < self.end else time
+
+
 class SampleClock:
     """Converts monotonic times into the times that samples get, nanoseconds since 1970 UTC. Reads no clock itself.
 
     Args:
         monotonic: what the monotonic clock shows now, seconds.
         wall: what the wall clock shows at the same moment, nanoseconds since 1970 UTC.
+        is_known: whether the wall clock is known to be right, as far as that can be known.
     """
 
-    def __init__(self, monotonic: float, wall: int) -> None:
+    def __init__(self, monotonic: float, wall: int, *, is_known: bool = True) -> None:
         self._offset = wall - int(monotonic * NANOSECONDS)
         self._behind = 0  # nanoseconds that the wall clock is behind, still to be made up for
         self._since = monotonic
-        self._wall_is_right = wall >= EARLIEST
-        self._was_never_set = not self._wall_is_right
+        self._wall_is_right = wall >= EARLIEST and is_known
+        self._was_never_right = not self._wall_is_right
+        self._begin = wall
 
     @property
     def is_right(self) -> bool:
         """Whether the times of samples can be trusted: the wall clock is set, and sample times are not ahead of it."""
         return self._wall_is_right and self._behind <= TOLERANCE
 
-    def adjust(self, monotonic: float, wall: int) -> int:
+    def adjust(self, monotonic: float, wall: int, *, is_known: bool = True) -> ClockCorrection | None:
         """Follow the computer's wall clock. To be called every few seconds.
 
         Args:
             monotonic: what the monotonic clock shows now, seconds.
             wall: what the wall clock shows at the same moment, nanoseconds since 1970 UTC.
+            is_known: whether the wall clock is known to be right.
 
         Returns:
-            Nanoseconds to add to all times before `EARLIEST` that were given so far, in the call that finds the wall
-            clock set for the first time after a start with a wrong one; in every other call 0.
+            The correction of all times that were given so far, in the call that finds the wall clock right for the
+            first time after a start with a wrong one; in every other call None.
         """
         self._offset += self._made_up(monotonic)
         self._since = monotonic
-        self._wall_is_right = wall >= EARLIEST
-        if self._was_never_set and not self._wall_is_right:
-            return 0
-        ahead = wall - int(monotonic * NANOSECONDS) - self._offset
+        self._wall_is_right = wall >= EARLIEST and is_known
+        now = int(monotonic * NANOSECONDS) + self._offset
+        if self._was_never_right:
+            if not self._wall_is_right:
+                return None
+            self._was_never_right = False
+            self._offset += wall - now
+            return ClockCorrection(wall - now, self._begin, now + 1) if now >= EARLIEST else ClockCorrection(wall - now)
+        ahead = wall - now
         self._offset += max(ahead, 0)
         self._behind = max(-ahead, 0)
-        was_set_now, self._was_never_set = self._was_never_set, False
-        return max(ahead, 0) if was_set_now else 0
+        return None
 
     def time_ns(self, monotonic: float) -> int:
         """Return the sample time (nanoseconds since 1970 UTC) for a time of the monotonic clock, in seconds.

@@ -39,7 +39,6 @@ from ...errors import ConfigError, LinkDown
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
-from ..collector.reloading import refuse_what_cannot_change
 from ..collector.sample_clock import EARLIEST
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .chosen_samples import refuse_what_needs_a_store
@@ -58,6 +57,7 @@ from .plant import (
     links_of_shards,
     longest_after_sending,
     longest_transaction,
+    name_edge_nodes,
     refuse_ports_of_any_host,
     refuse_slow_links,
     refuse_two_owners,
@@ -110,7 +110,8 @@ class FleetCollector:
         refused: why the newest configuration of the zone was not applied; None if it was.
 
     Raises:
-        ConfigError: a transaction on a link may last longer than a lease allows, or a name is invalid.
+        ConfigError: a transaction on a link may last longer than a lease allows, a name is invalid, or collectors would
+            share an edge node of Sparkplug.
     """
 
     collector: Collector
@@ -149,6 +150,7 @@ class FleetCollector:
         self.outbox = None
         self.pass_on: Callable[[str, PointCommand], Awaitable[dict[str, Any]]] | None = None
         self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
+        name_edge_nodes(configuration, name)
         self._set_configuration(configuration)
         self.member: FleetMember = FleetMember(
             checked_name(name, "collector"),
@@ -328,7 +330,8 @@ class FleetCollector:
                 refuse_what_needs_a_store(newer)
             sinks = newer.sinks if self._stream is None else {}  # its samples reach sinks through the stream
             newer = replace(newer, store=self._configuration.store, sinks=sinks)
-            refuse_what_cannot_change(self._configuration, newer)
+            name_edge_nodes(newer, self.member.name)
+            self.collector.check(newer)
         except ConfigError as error:
             self.refused = f"revision {entry.revision} is refused, revision {self.revision} holds: {error}"
             _log.error("%s", self.refused)

@@ -10,7 +10,8 @@ its key and the wire are the collector's own. Works with nats-server 2.9.
    lines, ``busway.<zone>.audit``.
 4. A command that reached a collector as a message, for a link that another one owns, goes the same way to its owner.
 5. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
-   sender says of itself.
+   sender says of itself. Such a sender has the role `configure`, as a program has; a point whose commands must be armed
+   is not written this way, because there is one step only.
 """
 
 import asyncio

@@ -15,6 +15,7 @@ from ...client.settings import link_settings, options_of
 from ...config.links import NamedLink
 from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration
+from ..collector.sinks.sparkplug import SparkplugSink
 from ..server.configuration import Configuration
 from .lease_times import LeaseTimes
 from .shards import links_by_shard
@@ -33,6 +34,20 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
     )
     devices = {name: device for name, device in configuration.devices.items() if device.link in links}
     return replace(configuration, common=common, devices=devices)
+
+
+def name_edge_nodes(configuration: CollectorConfiguration, member: str) -> None:
+    """Give each Sparkplug sink of a new configuration the name of this collector's edge node.
+
+    Raises:
+        ConfigError: the name of an edge node has no place for that of the collector.
+    """
+    for name, (sink, _) in configuration.sinks.items():
+        if isinstance(sink, SparkplugSink):
+            try:
+                sink.join(member)
+            except ConfigError as error:
+                raise ConfigError(error.message, file=configuration.name, key=f"sink.{name}.edge_node") from error
 
 
 def with_short_user_timeout(configuration: CollectorConfiguration) -> CollectorConfiguration:

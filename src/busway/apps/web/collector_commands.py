@@ -24,6 +24,7 @@ from ...config.files.file_error import FileError
 from ...errors import ConfigError, Overloaded
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult, CommandValue, OldValue
+from ..collector.commands.rights import WriterRights
 from ..collector.commands.runner import NoSuchCommand, NoSuchPoint
 from .access import Caller, Role, require
 from .messages import Answer, Asked, Failure, Plain, plain_value
@@ -181,7 +182,9 @@ class CommandsApi:
         """
         value = _given(asked.value)
         try:
-            armed = self._collector.commands.arm(asked.device, asked.point, value, by=caller.name, origin="page")
+            armed = self._collector.commands.arm(
+                asked.device, asked.point, value, by=caller.name, origin="page", rights=WriterRights(caller.role.label)
+            )
         except NoSuchPoint as error:
             raise HTTPException(404, error.message) from error
         except Overloaded as error:
@@ -207,7 +210,7 @@ class CommandsApi:
     async def send_command(self, asked: DirectCommand, caller: Operator) -> CommandAnswer:
         """Check a command, send it to its device, and return the result. A key that was used before sends nothing."""
         try:
-            result = await self._collector.write(
+            result = await self._collector.commands.write(
                 asked.device,
                 asked.point,
                 _given(asked.value),
@@ -215,6 +218,7 @@ class CommandsApi:
                 expires=asked.expires,
                 key=asked.key,
                 origin="api",
+                rights=WriterRights(caller.role.label),
             )
         except NoSuchPoint as error:
             raise HTTPException(404, error.message) from error

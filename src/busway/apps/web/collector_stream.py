@@ -107,12 +107,16 @@ class CollectorStream:
         self.revision: int = secrets.randbelow(_REVISIONS)
         self._configuration = collector.configuration
         self.points: list[tuple[str, str]] = _points_of(collector)
-        self.values: LiveValues = LiveValues(self.points, collector.values.intervals(), collector.values.is_behind)
+        self.values: LiveValues = self._made()
         collector.subscribe(self._committed)
         collector.commands.subscribe(self._tell_command)
 
     def __len__(self) -> int:
         return len(self._viewers)
+
+    def _made(self) -> LiveValues:
+        last = self._collector.values
+        return LiveValues(self.points, last.intervals(), last.is_behind, last.limits)
 
     def _committed(self, commit: Commit) -> None:
         self.values.update(commit)
@@ -124,8 +128,10 @@ class CollectorStream:
             points = _points_of(self._collector)
             if points != self.points:
                 self.points = points
-                self.values = LiveValues(points, self._collector.values.intervals(), self._collector.values.is_behind)
+                self.values = self._made()
                 self.revision += 1
+            else:
+                self.values.set_limits(self._collector.values.limits)
         return self.values
 
     def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON

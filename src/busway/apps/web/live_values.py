@@ -9,12 +9,16 @@ thread may call the rest.
 3. While a device is not read (suspended, without connection, in maintenance), its points have the quality bad, with
    that as the reason, until each point is read again.
 4. While the store cannot be written, all points are bad with that as the reason: what was read since is not known here.
-5. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
+5. A good value that was not read again when it was due is held, and so uncertain (`..collector.held_values`). This is
+   looked at every second.
+6. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
    values as a run.
 """
 
 import json
+import math
 import threading
+import time
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 from weakref import WeakKeyDictionary
@@ -25,6 +29,8 @@ from .messages import plain_value
 
 MOST_WAITING: Final = 10_000
 """Most groups of points whose latest samples wait for the next tick; with more, `LiveValues.update` begins a tick."""
+_LOOK_EVERY: Final = 1.0
+"""Seconds between two looks whether values are held."""
 _MILLION: Final = 1_000_000
 
 
@@ -35,11 +41,13 @@ class LiveValues:
         points: device and name of each point, in the order of ``/api/points``.
         intervals: by device, the latest interval in which it was not read.
         is_behind: whether commits have failed or hung for some seconds (rule 4).
+        limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
+        moment: returns seconds of the monotonic clock.
 
     Attributes:
         tick: number of the last tick; 0 before the first.
         values: the last value of each point; None for a point that was not read yet, or whose last sample has no value.
-        reasons: the reason code of each point's quality, rule 4 apart; 0 without a reason.
+        reasons: the reason code of each point's quality, rules 4 and 5 apart; 0 without a reason.
         times: when each point was read, milliseconds since 1970 UTC; 0 for a point that was not read yet.
     """
 
@@ -48,6 +56,8 @@ class LiveValues:
         points: Sequence[tuple[str, str]],
         intervals: Mapping[str, StateInterval] | None = None,
         is_behind: Callable[[], bool] = lambda: False,
+        limits: Mapping[tuple[str, str], float] | None = None,
+        moment: Callable[[], float] = time.monotonic,
     ) -> None:
         self.tick: int = 0
         self.values: list[Value | None] = [None] * len(points)
@@ -56,8 +66,12 @@ class LiveValues:
         self._changed_at = [0] * len(points)
         self._read_at = [0] * len(points)
         self._places = {key: place for place, key in enumerate(points)}
+        self._moment = moment
+        self._taken_at = [math.inf] * len(points)
+        self._held = [False] * len(points)
+        self._look_at = 0.0
         self._groups: WeakKeyDictionary[PointGroup, list[int]] = WeakKeyDictionary()
-        self._waiting: dict[PointGroup, SampleBatch] = {}
+        self._waiting: dict[PointGroup, tuple[SampleBatch, float]] = {}
         self._by_device: dict[str, list[int]] = {}
         for place, (device, _) in enumerate(points):
             self._by_device.setdefault(device, []).append(place)
@@ -67,12 +81,18 @@ class LiveValues:
         self._was_behind = False
         self._lock = threading.Lock()
         self._texts: dict[int, str] = {}
+        self.set_limits(limits or {})
+
+    def set_limits(self, limits: Mapping[tuple[str, str], float]) -> None:
+        """Use other limits from now on: by device and point, seconds after which a value is held (rule 5)."""
+        self._limits = [limits.get(key, math.inf) for key in self._places]
 
     def update(self, commit: Commit) -> None:
         """Take over the samples of a commit. Called by the thread of the store for each commit, once it is stored."""
+        now = self._moment()
         with self._lock:
             for batch in commit.last_values:
-                self._waiting[batch.group] = batch
+                self._waiting[batch.group] = batch, now
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each
@@ -83,7 +103,8 @@ class LiveValues:
     def advance(self) -> bool:
         """Begin a new tick with what was stored since the last tick. Returns False if there is nothing new."""
         with self._lock:
-            if not self._waiting and not self._unapplied and self._is_behind() == self._was_behind:
+            is_quiet = not self._waiting and not self._unapplied and self._is_behind() == self._was_behind
+            if is_quiet and not self._newly_held():
                 return False
             self._advance()
             return True
@@ -92,11 +113,14 @@ class LiveValues:
         self.tick += 1
         self._texts.clear()
         waiting, self._waiting = self._waiting, {}
-        for batch in sorted(waiting.values(), key=lambda each: each.time):
-            self._take(batch)
-        concerned, self._unapplied = self._unapplied | {batch.device for batch in waiting.values()}, set()
+        for batch, at in sorted(waiting.values(), key=lambda each: each[0].time):
+            self._take(batch, at)
+        concerned, self._unapplied = self._unapplied | {batch.device for batch, _ in waiting.values()}, set()
         for device in concerned & self._intervals.keys():
             self._apply(self._intervals[device])
+        for place in self._newly_held():
+            self._held[place] = True
+            self._changed_at[place] = self.tick
         behind = self._is_behind()
         if behind != self._was_behind:
             self._was_behind = behind
@@ -104,9 +128,21 @@ class LiveValues:
                 if at:
                     self._changed_at[place] = self.tick
 
+    def _newly_held(self) -> list[int]:
+        """Return the places of good values that are held since `_LOOK_EVERY` seconds at most; empty before that."""
+        now = self._moment()
+        if now < self._look_at:
+            return []
+        ages = enumerate(zip(self._taken_at, self._limits, strict=True))
+        found = [place for place, (at, limit) in ages if now - at > limit]
+        found = [place for place in found if not self._held[place]]
+        if not found:
+            self._look_at = now + _LOOK_EVERY
+        return found
+
     def _shown(self, place: int) -> int:
-        """Return the reason code to show for a point (rule 4)."""
-        reason = self.reasons[place]
+        """Return the reason code to show for a point (rules 4 and 5)."""
+        reason = self.reasons[place] or (Reason.HELD if self._held[place] else 0)
         is_old = self._was_behind and self.times[place] and quality_of(reason) is not Quality.BAD
         return Reason.LOST if is_old else reason
 
@@ -125,15 +161,17 @@ class LiveValues:
                 self.reasons[place] = interval.reason
                 self._changed_at[place] = self.tick
 
-    def _take(self, batch: SampleBatch) -> None:
+    def _take(self, batch: SampleBatch, taken_at: float) -> None:
         tick, at = self.tick, batch.time // _MILLION
-        values, reasons, times = self.values, self.reasons, self.times
+        values, reasons, times, held = self.values, self.reasons, self.times, self._held
         for place, value, reason in zip(self._places_of(batch.group), batch.values, batch.reason_column(), strict=True):
             if place < 0 or times[place] > at:
                 continue
             times[place] = at
             self._read_at[place] = tick
-            if value != values[place] or reason != reasons[place] or not self._changed_at[place]:
+            self._taken_at[place] = taken_at
+            if value != values[place] or reason != reasons[place] or held[place] or not self._changed_at[place]:
+                held[place] = False
                 values[place] = value
                 reasons[place] = reason
                 self._changed_at[place] = tick

@@ -49,12 +49,21 @@ class CollectorSection(Section):
         float | None, Range(0, 100_000, above=True), "days after which samples are dropped; None: never."
     ] = None
     keep_bytes: Annotated[
-        int | None, Range(1_000_000, math.inf), "size of the store above which the oldest samples are dropped."
+        int | None,
+        Range(1_000_000, math.inf),
+        "size of the store above which the oldest samples are dropped, also those that a sink has not got; None: half",
+        "of the disk that the store is on.",
     ] = None
     store_report: Annotated[
         Report, "which samples the store keeps, as `report` of a point, where point, device and class do not say that."
     ] = ReportSection()
     learn: Annotated[bool, "whether what was learnt of devices is kept, in `learnt.json` in the store."] = True
+    clock: Annotated[
+        Literal["auto", "synchronised", "trusted"],
+        "when the wall clock is known to be right: `synchronised`, while the kernel says that a time service keeps it",
+        "right; `trusted`, always; `auto`, as `synchronised` in the first ten minutes of the machine, and ten minutes",
+        "after a time service was lost.",
+    ] = "auto"
     page: Annotated[str, Name("an address such as 127.0.0.1:8503"), "host and port of the page; `off` for none."] = (
         "127.0.0.1:8503"
     )

@@ -114,6 +114,8 @@ class WriteSection(Section):
     ] = None
     on: Annotated[int | None, "what the register of a switch holds where it is on; there with `off`."] = None
     off: Annotated[int | None, "what it holds where it is off."] = None
+    role: Annotated[Literal["operate", "configure"], "the role that a writer of a collector needs."] = "operate"
+    armed: Annotated[bool, "whether a command of a collector must be armed, and then confirmed."] = False
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
@@ -498,7 +500,17 @@ class PointSection(WholeSection):
 
     def _writing(self) -> WriteRule:
         write = self.write or WriteSection()
-        return _write_rule(write.function, write.place, self.minimum, self.maximum, write.step, write.on, write.off)
+        return _write_rule(
+            write.function,
+            write.place,
+            self.minimum,
+            self.maximum,
+            write.step,
+            write.on,
+            write.off,
+            write.role,
+            write.armed,
+        )
 
     def raw(self, value: Any) -> Any:
         """Return the raw number for a value in the unit of measure, or for the name of a value.

@@ -8,7 +8,7 @@ An example is in `docs/how-to/send-samples-on.md`.
 from collections.abc import Mapping
 from functools import reduce
 from operator import or_
-from typing import Annotated, Any, Final
+from typing import Annotated, Any, Final, Literal
 from urllib.parse import SplitResult, parse_qsl, urlsplit
 
 from pydantic import AfterValidator, BeforeValidator
@@ -80,6 +80,10 @@ class CommandsSection(Section):
         AfterValidator(_checked_points),
         "patterns `device/point` of what may be written from there.",
     ]
+    role: Annotated[
+        Literal["operate", "configure"],
+        "the role of all messages from there: points whose rule asks for `configure` need that.",
+    ] = "operate"
     seconds: Annotated[
         float,
         Range(0, sinks.LONGEST_SECONDS, above=True),

@@ -17,7 +17,7 @@ import busway
 from busway.apps.collector.alarms.collected import CollectorAlarms
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind, AlarmState
 from busway.apps.collector.configuration import load_collector
-from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS
+from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, ClockCorrection
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
 from busway.codes import Table
 from busway.errors import InvalidRequest
@@ -175,7 +175,7 @@ def test_events_that_wait_for_their_commit_are_shown_by_the_names_and_times_of_t
     (raised,) = alarms.take(read)
     shift = EARLIEST
     alarms.configure({"boiler": [replace(old, name="heat", was="temperature")]}, {("boiler", "temperature"): "heat"})
-    alarms.mend(shift)
+    alarms.mend(ClockCorrection(shift))
     alarms.committed([raised])
     (shown,) = [each for each in alarms.active() if each.limit == "H"]
     assert (shown.point, shown.since) == ("heat", 6 * NANOSECONDS + shift)

@@ -125,6 +125,63 @@ async def test_commands_by_mqtt_are_written_and_answered_on_the_response_topic(t
             assert {each.command.origin for each in await collector.commands.newest(9)} == {"mqtt"}
 
 
+async def test_messages_have_the_role_of_their_input_and_can_be_armed_and_confirmed(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, MQTT.format(port=server.port)) as (collector, boiler), MqttUser(server) as user:
+            where = "plant/boiler/setpoint/set"
+            profile = tmp_path / "valve.toml"
+            text = profile.read_text()
+            profile.write_text(text.replace("write = {", "write = { armed = true,", 1))
+            assert profile.read_text() != text, "the setpoint is the first point with a rule"
+            await collector.read_again()
+            await until(lambda: collector.status()[0].state == "polled")
+            refused = await user.ask(where, "21.5")
+            assert (refused["state"], "must be armed" in refused["reason"]) == ("refused", True)
+            armed = await user.ask(where, '{"value": 21.5, "arm": true, "by": "anna"}')
+            assert (armed["state"], armed["confirm"].startswith("Write 21.5 ")) == ("armed", True)
+            assert boiler.writes == []
+            confirm = json.dumps({"confirm": armed["key"], "by": "anna"})
+            other = await user.ask(where, json.dumps({"confirm": armed["key"], "by": "bert"}))
+            assert (other["state"], other["reason"]) == ("refused", "broker: anna has armed it, and has to confirm it")
+            elsewhere = await user.ask("plant/boiler/mode/set", confirm)
+            assert (elsewhere["state"], "armed for boiler/setpoint" in elsewhere["reason"]) == ("refused", True)
+            done = await user.ask(where, confirm)
+            assert (done["state"], done["origin"], done["value"]) == ("done", "mqtt", 21.5)
+            assert await user.ask(where, confirm) == done, "a repetition writes nothing"
+            assert len(boiler.writes) == 1
+            mixed = await user.ask(where, '{"value": 21.5, "arm": true, "key": "mine"}')
+            assert (mixed["state"], "in two steps" in mixed["reason"]) == ("refused", True)
+            profile.write_text(text.replace("write = {", 'write = { role = "configure",', 1))
+            await collector.read_again()
+            await until(lambda: collector.status()[0].state == "polled")
+            refused = await user.ask(where, "22")
+            assert "needs the role configure, and the writer has operate" in refused["reason"]
+            assert len(boiler.writes) == 1
+
+
+async def test_commands_of_a_sink_begin_and_end_with_a_file_that_is_read_again(tmp_path: Path) -> None:
+    pytest.importorskip("aiomqtt")
+    with mosquitto(tmp_path) as server:
+        async with plant(tmp_path, "") as (collector, boiler), MqttUser(server) as user:
+            text = collector.configuration.text
+            assert await collector.replace_configuration(text + MQTT.format(port=server.port), by="anna") == [
+                "sink broker began"
+            ]
+            await until(lambda: [each.error for each in collector.input_statuses()] == [None])
+            done = await user.ask("plant/boiler/setpoint/set", "21.5")
+            assert done["state"] == "done"
+            configured = MQTT.format(port=server.port).replace("commands = {", 'commands = { role = "configure",')
+            assert await collector.replace_configuration(text + configured, by="anna") == ["sink broker began anew"]
+            await until(lambda: [each.error for each in collector.input_statuses()] == [None])
+            assert (await user.ask("plant/boiler/setpoint/set", "22"))["state"] == "done"
+            assert await collector.replace_configuration(text, by="anna") == ["sink broker ended"]
+            assert (collector.input_statuses(), collector.sink_statuses()) == ([], [])
+            await user.send("plant/boiler/setpoint/set", "23")
+            await until(lambda: collector.status()[0].rounds > 3)
+            assert len(boiler.writes) == 2
+
+
 async def test_what_may_not_come_by_mqtt_is_refused_with_a_sentence_and_not_sent(tmp_path: Path) -> None:
     pytest.importorskip("aiomqtt")
     with mosquitto(tmp_path) as server:

@@ -17,8 +17,10 @@ from waiting import set_forward, until
 
 import busway
 from busway.apps.collector.commands.command import CommandResult, CommandState
+from busway.apps.collector.commands.rights import WriterRights
 from busway.apps.collector.commands.runner import MOST_OPEN, NoSuchCommand, NoSuchPoint
 from busway.errors import InvalidRequest
+from busway.points import WriteRule
 
 DONE, FAILED, UNKNOWN, EXPIRED, REFUSED = (
     CommandState.DONE,
@@ -387,3 +389,68 @@ async def test_a_journal_that_cannot_be_written_sends_nothing(tmp_path: Path, mo
     async with plant(tmp_path) as again:  # it was recorded at the end
         assert (await again.write("setpoint", 5, key="k")).is_done
         assert again.boiler.writes == []
+
+
+RULES = """
+[[unit]]
+[[unit.point]]
+name = "setpoint"
+address = "4x1"
+write = { role = "configure" }
+[[unit.point]]
+name = "breaker"
+address = "4x2"
+write = { armed = true }
+[[unit.point]]
+name = "level"
+address = "4x3"
+"""
+VIEW, OPERATE, CONFIGURE = WriterRights("view"), WriterRights("operate"), WriterRights("configure")
+NEEDS_OPERATE = "needs the role operate, and the writer has view; nothing was sent"
+
+
+@pytest.mark.parametrize(
+    ("rule", "rights", "sentence"),
+    [
+        (WriteRule(), VIEW, NEEDS_OPERATE),
+        (WriteRule(), OPERATE, ""),
+        (None, OPERATE, ""),
+        (None, VIEW, NEEDS_OPERATE),
+        (
+            WriteRule(role="configure"),
+            OPERATE,
+            "needs the role configure, and the writer has operate; nothing was sent",
+        ),
+        (WriteRule(role="configure"), CONFIGURE, ""),
+        (WriteRule(armed=True), CONFIGURE, "must be armed and then confirmed; nothing was sent"),
+        (WriteRule(armed=True), WriterRights("operate", has_armed=True), ""),
+        (WriteRule(armed=True), WriterRights("view", has_armed=True), NEEDS_OPERATE),
+    ],
+)
+def test_one_rule_decides_who_may_write_a_point(rule: WriteRule | None, rights: WriterRights, sentence: str) -> None:
+    assert rights.refusal(rule) == sentence
+
+
+async def test_a_point_may_need_the_role_configure_or_two_steps_whoever_writes_it(tmp_path: Path) -> None:
+    async with plant(tmp_path) as running:
+        (tmp_path / "valve.toml").write_text(RULES)
+        await running.collector.read_again()
+        await until(lambda: running.collector.values.last("boiler", "breaker") is not None)
+        commands = running.collector.commands
+
+        async def write(point: str, rights: WriterRights) -> CommandResult:
+            return await commands.write("boiler", point, 1, by="anna", origin="api", rights=rights)
+
+        refused = await write("setpoint", OPERATE)
+        assert (refused.state, "needs the role configure" in refused.reason) == (REFUSED, True)
+        assert (await write("setpoint", CONFIGURE)).is_done
+        assert (await write("level", OPERATE)).is_done
+        refused = await running.write("breaker", 1)
+        assert (refused.state, "must be armed" in refused.reason) == (REFUSED, True)
+        armed = commands.arm("boiler", "breaker", 1, by="anna", origin="page", rights=OPERATE)
+        with pytest.raises(InvalidRequest, match="armed for boiler/breaker"):
+            await commands.confirm(armed.command.key, by="anna", point=("boiler", "level"))
+        assert (await commands.confirm(armed.command.key, by="anna", point=("boiler", "breaker"))).is_done
+        with pytest.raises(InvalidRequest, match="needs the role configure"):
+            commands.arm("boiler", "setpoint", 1, by="anna", origin="page", rights=OPERATE)
+        assert [line["outcome"] for line in running.audit() if line["event"] == "command"].count("refused") == 3

@@ -115,6 +115,24 @@ async def test_what_retention_takes_from_a_sink_is_counted(tmp_path: Path) -> No
         assert delivery.status().lost == 36
 
 
+async def test_a_store_that_is_too_large_drops_what_a_dead_sink_has_not_got_counts_it_and_logs_it(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    options = StoreOptions(seals=False, retention=Retention(size=1_000_000), segment_size=1)
+    with filled(tmp_path, 20, options=options, step=100.0) as writer:
+        dead = delivery_to(RecordingSink(), writer, DeliveryOptions(age=0))
+        assert writer.apply_retention(at(2000)) == []
+        for part in writer.manifest.parts()[:2]:
+            with writer.manifest.transaction() as database:
+                database.execute("UPDATE parts SET bytes = 600000 WHERE id = ?", (part.id,))
+        dropped = writer.apply_retention(at(2000))
+        lost = sum(part.rows or 0 for part in dropped)
+        assert lost > 0
+        assert writer.manifest.cursors()["sink"] == (0, lost)
+        await run_until(dead, lambda: dead.status().lost == lost)
+        assert f"sink sink: {lost} samples were dropped with the oldest parts of the store" in caplog.text
+
+
 async def test_a_full_disk_ends_no_delivery_and_nothing_is_sent_twice_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

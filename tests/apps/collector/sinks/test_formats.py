@@ -295,6 +295,28 @@ def test_last_values_are_bad_while_the_store_cannot_be_written() -> None:
     assert values.last("meter-7", "power") == (1.5, Reason.LOST, 5)
 
 
+def test_last_values_that_were_not_read_again_when_due_are_held_and_uncertain_for_prometheus() -> None:
+    pytest.importorskip("prometheus_client")
+    moment = [0.0]
+    values = LastValues(limits={("meter-7", "power"): 3.0}, moment=lambda: moment[0])
+    group = PointGroup("meter-7", ("power", "load", "state"))
+    values.update(Commit(1, 0, [SampleBatch(group, 5, 0, [1.5, 2, None], [0, 0, Reason.TIMEOUT])], []))
+    moment[0] = 3.0
+    assert [reason for *_, reason, _ in values.samples()] == [0, 0, Reason.TIMEOUT]
+    moment[0] = 3.1
+    assert [reason for *_, reason, _ in values.samples()] == [0, Reason.HELD, Reason.TIMEOUT]
+    assert values.last("meter-7", "power") == (1.5, Reason.HELD, 5)
+    page = PrometheusPage("127.0.0.1:0", ["*"], values, now=lambda: 10)
+    try:
+        text = urllib.request.urlopen(page.url, timeout=60).read().decode()
+        assert 'busway_point_uncertain{device="meter-7",point="power"} 1.0' in text
+        assert 'busway_point_uncertain{device="meter-7",point="load"}' not in text
+    finally:
+        page.close()
+    values.update(Commit(2, 0, [SampleBatch(group, 6, 0, [1.5, 2, 3], 0)], []))
+    assert values.last("meter-7", "power") == (1.5, 0, 6)
+
+
 def test_last_values_hold_one_batch_for_each_group() -> None:
     values = LastValues()
     for second in range(100):

@@ -9,7 +9,7 @@ from collected import METER, NOON, SECOND, at, meter_read
 from deliveries import RecordingSink, delivery_to, run_until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.sample_clock import EARLIEST, SampleClock
+from busway.apps.collector.sample_clock import EARLIEST, ClockCorrection, SampleClock
 from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
 from busway.apps.collector.store.alarm_events import forget_old_alarms
@@ -81,7 +81,7 @@ def test_what_was_mended_is_durable_before_it_is_noted_as_done(tmp_path: Path, m
     writer.begin_mending(SHIFT)
     assert writer._segment is not None
     order: list[str] = []
-    monkeypatch.setattr(Segment, "mend", lambda segment, first, shift: order.append("mended"))
+    monkeypatch.setattr(Segment, "mend", lambda segment, correction: order.append("mended"))
     monkeypatch.setattr(Segment, "sync", lambda segment: order.append("synced"))
     with monkeypatch.context() as patched:
         patched.setattr(Manifest, "set_fact", lambda manifest, name, value: order.append(f"{name} {value}"))
@@ -154,9 +154,10 @@ def test_the_committer_mends_what_was_added_before_the_clock_was_set_in_the_orde
     for second in range(1, 200):
         now = clock.time_ns(float(second)) if second != 100 else NOON
         if second == 100:
-            shift = clock.adjust(100.0, NOON)
-            assert shift == SHIFT
-            committer.mend(shift)
+            correction = clock.adjust(100.0, NOON)
+            assert correction is not None
+            assert correction.shift == SHIFT
+            committer.mend(correction)
         reason = 0 if clock.is_right else int(Reason.CLOCK)
         committer.add(SampleBatch(METER, clock.time_ns(float(second)), 0, (float(second), 1, "on"), reason))
     assert committer.flush()
@@ -269,3 +270,63 @@ async def test_a_sink_does_not_wait_for_ever_where_nobody_sets_the_clock(tmp_pat
 
 def voltage_times(sink: RecordingSink) -> list[int]:
     return [sample.time for sample in sink.taken if sample.point == "voltage" and sample.value is not None]
+
+
+@pytest.mark.parametrize("shift", [3600 * SECOND, -3600 * SECOND, 2 * SECOND, -2 * SECOND, 0])
+def test_times_of_a_clock_that_was_a_little_wrong_move_once_over_crashes_and_later_ones_stay(
+    tmp_path: Path, shift: int
+) -> None:
+    """Times overlap those that they become, and there is a sample each second: two could have one key for a moment."""
+
+    def read(second: int, reason: int) -> SampleBatch:
+        return SampleBatch(METER, at(second), 5, (float(second), None, "on"), (reason, int(Reason.TIMEOUT), reason))
+
+    with StoreWriter(tmp_path, now=at(-50)) as earlier:
+        earlier.commit([read(-50, int(Reason.CLOCK))], [], at(-50))
+    writer = StoreWriter(tmp_path, now=at(0), clock_is_right=False)
+    for second in range(1, 30):
+        writer.commit([read(second, int(Reason.CLOCK))], [], at(second))
+        if second in (10, 20):
+            writer.roll()
+    raised = AlarmEvent("meter-7", "voltage", "H", AlarmEventKind.RAISED, at(5), 1.0)
+    writer.commit([], [StateInterval("meter-7", at(6), at(7), Reason.SUSPENDED)], at(29), [raised])
+    last = writer.newest_commit
+    right = SampleBatch(METER, at(30) + shift + 7, 5, (30.0, None, "on"), (0, int(Reason.TIMEOUT), 0))
+    writer.commit([right], [], at(30) + shift)
+    writer.seal_closed()
+    assert [part.kind for part in writer.manifest.parts()].count("closed") >= 2, "those of this process"
+    writer.begin_mending(ClockCorrection(shift, at(0), at(30)), last)
+    assert writer.mend_next()
+    with writer:  # as a crash: it is not closed, and goes on with the next start
+        pass
+    with StoreWriter(tmp_path, now=at(9000)) as later:
+        assert later.manifest.correction() is None
+        later.begin_mending(ClockCorrection(0, at(0), at(1)), last)
+    wanted = [(at(-50), -50.0, int(Reason.CLOCK)), (at(30) + shift + 7, 30.0, 0)]
+    wanted += [(at(second) + shift, float(second), 0) for second in range(1, 30)]
+    assert sorted(voltages(tmp_path)) == sorted(wanted)
+    store = Store(tmp_path)
+    assert [each.begin for each in store.read("meter-7").intervals] == [at(6) + shift]
+    assert [each.at for each in store.alarms()] == [at(5) + shift]
+
+
+def test_the_committer_never_mixes_times_to_be_corrected_with_right_ones(tmp_path: Path) -> None:
+    """The clock was ahead by an hour: right times that come later are among the wrong ones."""
+    hour = 3600 * SECOND
+    clock, now = SampleClock(0.0, at(0) + hour, is_known=False), at(0) + hour
+    committer = Committer(StoreWriter(tmp_path, now=now, clock_is_right=False), now=lambda: now, interval=0.001)
+    for second in range(1, 400):
+        if second == 200:
+            correction = clock.adjust(200.0, at(200), is_known=True)
+            assert correction == ClockCorrection(-hour, at(0) + hour, at(200) + hour + 1)
+            committer.mend(correction)
+        now = clock.time_ns(float(second))
+        reason = 0 if clock.is_right else int(Reason.CLOCK)
+        committer.add(SampleBatch(METER, now, 0, (float(second), 1, "on"), reason))
+        if second % 50 == 0:
+            committer.add_interval(StateInterval("meter-7", now, now + SECOND, Reason.SKIPPED))
+    assert committer.flush()
+    committer.close()
+    assert voltages(tmp_path) == [(at(second), second, 0) for second in range(1, 400)]
+    found = [each.begin for each in Store(tmp_path).read("meter-7").intervals]
+    assert found == [at(second) for second in range(50, 400, 50)]

@@ -9,6 +9,7 @@ import pytest
 from collected import NOON, PUMP, at, meter_read, read_of
 from waiting import wait_until
 
+from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.store import commit_thread
 from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, SYNC, Committer
@@ -151,7 +152,7 @@ def test_a_defect_while_times_are_mended_is_told_in_the_status_and_ends_no_threa
 
     with monkeypatch.context() as patched:
         patched.setattr(committer.writer, "mend_next", mend_next)
-        committer.mend(1)
+        committer.mend(ClockCorrection(1))
         wait_until(lambda: committer.status().upkeep_error == "ZeroDivisionError")
     assert committer.flush()
     assert committer.status().upkeep_error is None

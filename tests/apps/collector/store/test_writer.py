@@ -3,6 +3,7 @@
 import errno
 import math
 import os
+import shutil
 import sqlite3
 import subprocess
 import sys
@@ -22,7 +23,7 @@ from busway.apps.collector.samples import (
     exception_reason,
 )
 from busway.apps.collector.store import manifest, segment
-from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.folder import SEGMENTS, half_of_disk
 from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention, parts_to_drop
@@ -229,6 +230,10 @@ def test_retention_by_size_drops_the_oldest_parts_until_the_rest_fits_and_never_
     ]
     dropped = parts_to_drop(parts, Retention(size=int(size * 1_000_000)), at(1000))
     assert [part.id for part in dropped] == [1, 2][: 3 - left]
+
+
+def test_without_a_limit_a_store_takes_half_of_its_disk(tmp_path: Path) -> None:
+    assert half_of_disk(tmp_path / "not" / "there") == shutil.disk_usage(tmp_path).total // 2
 
 
 def test_a_second_collector_is_refused_with_the_pid_of_the_first(tmp_path: Path) -> None:

@@ -11,12 +11,12 @@ import asyncio
 from collections import deque
 from collections.abc import AsyncGenerator, Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import replace
-from typing import Final, Protocol, TypeVar
+from typing import Any, Final, Protocol, TypeVar
 
 from ....errors import InvalidRequest, Overloaded
 from ....points.point import Point
 from ..point_names import PointKey
-from ..sample_clock import EARLIEST
+from ..sample_clock import ClockCorrection
 from ..samples import NANOSECONDS, SampleBatch
 from .book import AlarmBook
 from .events import AlarmEvent, AlarmKey, AlarmState, RaisedAlarm, alarms_after, fold_event
@@ -180,7 +180,7 @@ class CollectorAlarms:
         """
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
-        self._earlier = frozenset(event.at for event in journal if event.at < EARLIEST)
+        self._earlier = frozenset(event.at for event in journal)
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]], moved: Mapping[PointKey, str] | None = None) -> None:
@@ -214,12 +214,12 @@ class CollectorAlarms:
         for reader in self._readers:
             reader.take(shown)
 
-    def mend(self, shift: int) -> None:
-        """Correct the times of alarms and events by ``shift`` nanoseconds, after a wrong wall clock was put right.
+    def mend(self, correction: ClockCorrection) -> None:
+        """Correct those times of alarms and events that were taken before the wall clock was right.
 
         Only times that this process took from the wrong clock are changed.
         """
-        self._show_anew(lambda named: _moved(named, shift, self._earlier))
+        self._show_anew(lambda named: _moved(named, correction, self._earlier))
 
     def end(self) -> None:
         """End each iteration over `events`, once it has yielded the events that wait for it."""
@@ -251,15 +251,16 @@ def _renamed(named: Named, moved: Mapping[PointKey, str]) -> Named:
     return named if name is None else replace(named, point=name)
 
 
-def _moved(named: Named, shift: int, earlier: Container[int]) -> Named:
-    """Return an alarm or event, its times corrected by ``shift`` if they were taken from a wrong wall clock.
+def _moved(named: Named, correction: ClockCorrection, earlier: Container[int]) -> Named:
+    """Return an alarm or event with its times from before the wall clock was right corrected.
 
     Args:
         named: the alarm or event.
-        shift: nanoseconds to add.
+        correction: the correction.
         earlier: times that an earlier process gave; these are not changed.
     """
     names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")
     found = {name: getattr(named, name) for name in names}
-    wrong = {name: at for name, at in found.items() if at is not None and at < EARLIEST and at not in earlier}
-    return replace(named, **{name: at + shift for name, at in wrong.items()}) if wrong else named
+    mine = {name: at for name, at in found.items() if at is not None and at not in earlier}
+    right: dict[str, Any] = {name: correction.corrected(at) for name, at in mine.items()}  # of the fields named
+    return named if right == mine else replace(named, **right)

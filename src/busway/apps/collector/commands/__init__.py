@@ -10,6 +10,7 @@
 `runner`         executes commands that write points of a running collector: checks, records, sends, reads back, reports
 `audit`          audit lines, as JSON, for commands that write points and for changes of the configuration
 `targets`        finds points of a running collector for commands to write, and their last values
+`rights`         whether a writer may write a point: by its role, and by whether the command was armed
 `inputs`         commands that arrive as messages: which points they may write, how they are answered
 `input_options`  makes the receiver of commands that the key `commands` of a sink's table asks for
 `message_tasks`  the tasks that handle messages of one broker connection; all of them end before the connection is left
@@ -18,7 +19,8 @@
 `sparkplug`      receives commands from host applications of Sparkplug B, over the connection of the sink
 ===============  =======================================================================================================
 
-Where it is decided: which points the commands of one server may write, and whether a message came too late: `inputs`.
+Where it is decided: whether a writer may write a point: `rights`. Which points the commands of one server may write,
+and whether a message came too late: `inputs`.
 Whether a command was given before (also before a crash), and what it gets then: `journal`, in a fleet `claims` too. The
 order of check, record, write and report: `runner`. Which values a point takes, and whether the device shows them
 afterwards: `point_write`. How many messages wait at once: `message_tasks`. What the audit log says: `audit`.

@@ -59,7 +59,8 @@ def _rights(section: MqttSinkSection | NatsSinkSection, template: str, separator
         raise _refusal(f"{where} has no wildcards, braces or empty levels, not {template!r}")
     if overlap(template, samples, separator):
         raise _refusal(f"{where} is one on which samples are sent: {samples}")
-    return InputRights(template, tuple(section.commands.points), section.commands.seconds)
+    commands = section.commands
+    return InputRights(template, tuple(commands.points), commands.seconds, commands.role)
 
 
 def _refusal(sentence: str) -> ConfigError:
@@ -78,7 +79,7 @@ def _sparkplug(commands: CommandsSection, sink: object) -> CommandInput:
     from ..sinks.sparkplug import SparkplugSink
     from .sparkplug import PLACE, SparkplugCommands
 
-    made = SparkplugCommands(InputRights(PLACE, tuple(commands.points), commands.seconds))
+    made = SparkplugCommands(InputRights(PLACE, tuple(commands.points), commands.seconds, commands.role))
     if isinstance(sink, SparkplugSink):
         sink.commands = made
     return made

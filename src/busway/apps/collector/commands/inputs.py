@@ -2,10 +2,11 @@
 
 Knows messages and the runner of commands; knows no broker.
 
-1. Nothing is taken unless the file names where commands come from and the points that they may write. That stands for
-   the role of the sender: brokers do not say who sends.
+1. Nothing is taken unless the file names where commands come from, the points that they may write, and their role.
+   Brokers do not say who sends, so all messages of one server have the same role; `rights` decides what that permits.
 2. A message is JSON: the value alone, or ``{"value": 21.5, "key": "…", "expires": 1800000000, "by": "…"}``. What is no
-   JSON is a text: a name of a number. One that does not say until when it may be sent is sent within ``seconds``.
+   JSON is a text: a name of a number. One that does not say until when it may be sent is sent within ``seconds``. With
+   ``"arm": true`` it is checked and armed, and sent by ``{"confirm": "KEY"}`` on the same topic within a minute.
 3. A retained message is refused: a broker would hand it on again at every connection.
 4. A name as one level of a topic stands for one point; where it stands for two of the plant, neither is written, also
    where the file names only one of them.
@@ -26,11 +27,13 @@ from fnmatch import fnmatchcase
 from typing import Any, Final, Protocol
 
 from ....access.repeats import Repeats, so_often
-from ....errors import InvalidRequest
+from ....errors import InvalidRequest, ModbusError, Overloaded
 from ....points.point import Point
+from ....points.point_rules import WriteRule
 from ....values.refusal import shown
 from .command import CommandResult, CommandState, PointCommand, new_key
 from .other_owners import OtherOwners
+from .rights import WriterRights
 from .runner import CommandRunner
 
 LONGEST_REQUEST: Final = 16_384
@@ -41,6 +44,8 @@ SETTLED: Final = 30.0
 """Seconds after which no message is still on its way that an earlier owner of the link has executed."""
 _LONGEST_NAME: Final = 100
 _KNOWN: Final = frozenset({"value", "key", "expires", "by"})
+_TWO_STEPS: Final = ({"value", "arm", "by"}, {"confirm", "by"})
+"""The keys of a message that arms a command, and of one that confirms it."""
 
 _log = logging.getLogger("busway.collector.commands")
 
@@ -53,11 +58,13 @@ class InputRights:
         where: topic or subject of commands, with ``{device}`` and ``{point}`` as levels of their own.
         points: patterns ``device/point`` of what may be written.
         seconds: seconds within which a command without an expiry may be sent.
+        role: the role of all these commands.
     """
 
     where: str
     points: tuple[str, ...]
     seconds: float = 10.0
+    role: str = "operate"
 
     def permits(self, device: str, point: str) -> bool:
         """Whether commands may write a point, by the patterns; device and point are matched apart from each other."""
@@ -248,7 +255,8 @@ class CommandReceiver:
             if self._others is None and device not in self._configuration().devices:
                 return None
             given = parsed(message.payload)
-            command = self._command(message, given, device, point)
+            is_in_two_steps = "arm" in given or "confirm" in given
+            command = self._command(message, {"value": "", **given} if is_in_two_steps else given, device, point)
         except InvalidRequest as error:
             return self._refuse(message.where, error.message) if await self._answers(device) else None
         # Not later: who owned the link when the message came may have sent it.
@@ -264,7 +272,13 @@ class CommandReceiver:
                     refused, "retained commands are not executed: the broker would send them again"
                 ).content()
             )
+        rights = WriterRights(self._input.rights.role)
+        if is_in_two_steps:
+            return await self._in_two_steps(message.where, given, command, rights)
         if self._others is not None and since is None:
+            refusal = rights.refusal(self._rule(command))
+            if refusal:
+                return self._refuse(message.where, f"{device}/{point} {refusal}")
             if not self._is_shared:
                 return self._refuse(message.where, f"no collector owns the link of {device} now; nothing was sent")
             if "key" not in given:
@@ -283,10 +297,39 @@ class CommandReceiver:
                 origin=command.origin,
                 expires=command.expires,
                 key=given.get("key"),
+                rights=rights,
             )
         except InvalidRequest as error:
             return self._refuse(message.where, error.message)
         return _encoded(result.content())
+
+    async def _in_two_steps(
+        self, where: str, given: dict[str, Any], command: PointCommand, rights: WriterRights
+    ) -> bytes:
+        """Arm a command, or confirm one, and return the answer.
+
+        Args:
+            where: topic or subject of the message.
+            given: the keys of the message.
+            command: the command, for its device, point and sender.
+            rights: what messages from this server may do.
+        """
+        runner = self._runner
+        try:
+            if "confirm" in given:
+                point = command.device, command.point
+                return _encoded((await runner.confirm(given["confirm"], by=command.by, point=point)).content())
+            armed = runner.arm(
+                command.device, command.point, command.value, by=command.by, origin=command.origin, rights=rights
+            )
+        except (InvalidRequest, Overloaded, OSError) as error:
+            return self._refuse(where, error.message if isinstance(error, ModbusError) else str(error))
+        content = {"state": "armed", "key": armed.command.key, "confirm": armed.sentence}
+        return _encoded(content | {"expires": armed.command.expires})
+
+    def _rule(self, command: PointCommand) -> WriteRule | None:
+        points = self._plant().devices[command.device].points
+        return next((each.writing for each in points if each.name == command.point), None)
 
     async def _answers(self, device: str | None) -> bool:
         """Return whether this collector answers a message for a device (rule 5).
@@ -367,6 +410,10 @@ def parsed(payload: bytes) -> dict[str, Any]:
             raise InvalidRequest("the message is neither JSON nor a name") from None
     if not isinstance(found, dict):
         return {"value": found}
+    if found.keys() & {"arm", "confirm"}:
+        if found.keys() - {"by"} not in [keys - {"by"} for keys in _TWO_STEPS] or found.get("arm", True) is not True:
+            raise InvalidRequest('a command in two steps is {"value": …, "arm": true}, then {"confirm": "its key"}')
+        return found
     unknown = sorted(found.keys() - _KNOWN)
     if unknown:
         raise InvalidRequest(f"unknown key {shown(unknown[0])}; there are value, key, expires and by")

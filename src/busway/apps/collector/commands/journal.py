@@ -63,7 +63,7 @@ class CommandJournal:
         self, folder: Path, *, most: int = MOST_KEPT, most_keys: int = MOST_KEYS, keep: float | None = None
     ) -> None:
         self.path: Path = folder / COMMANDS
-        self._most, self._most_keys, self._keep = most, most_keys, keep
+        self._most, self._most_keys, self.keep = most, most_keys, keep
         self._lock = threading.Lock()
         try:
             self._database = open_database(self.path, "PRAGMA synchronous=FULL")
@@ -212,7 +212,7 @@ class CommandJournal:
             now: seconds since 1970 UTC.
         """
         surplus = self._kept - self._most + self._most // 10 if self._kept > self._most else 0
-        oldest = now - self._keep if self._keep is not None else 0.0
+        oldest = now - self.keep if self.keep is not None else 0.0
         found = self._database.execute(
             "SELECT number, key, at FROM commands WHERE state != ? ORDER BY number LIMIT ?",
             (CommandState.OPEN.value, max(surplus, _AGED_AT_ONCE)),

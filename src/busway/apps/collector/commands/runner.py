@@ -23,7 +23,7 @@ import math
 import time
 from collections.abc import Awaitable, Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final, Protocol, TypeVar
 
 from ....access.audit_log import AuditLog
@@ -50,7 +50,10 @@ from .command import (
 from .journal import CommandJournal
 from .point_read import PointRead
 from .point_write import PointWrite, judged, plain, point_write
+from .rights import WriterRights
 
+PROGRAM: Final = WriterRights()
+"""What a program may do that has the collector in it."""
 MOST_OPEN: Final = 16
 """Commands of one device that wait or run."""
 MOST_OPEN_IN_ALL: Final = 1000
@@ -124,6 +127,7 @@ class ArmedCommand:
         until: until when it may be confirmed, seconds of the monotonic clock.
         poller: the poller of the device when the command was armed; with another poller, device and point may be
             others.
+        rights: what the writer may do.
     """
 
     command: PointCommand
@@ -131,6 +135,7 @@ class ArmedCommand:
     sentence: str
     until: float
     poller: LinkPoller
+    rights: WriterRights
 
 
 class _LinkEnded(Exception):
@@ -229,6 +234,7 @@ class CommandRunner:
         origin: str,
         expires: float | None = None,
         key: str | None = None,
+        rights: WriterRights = PROGRAM,
     ) -> CommandResult:
         """Write a value to a point by a command, and return the command's result.
 
@@ -240,6 +246,7 @@ class CommandRunner:
             by, origin: who gives the command, and on which way it came.
             expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.
             key: names the command for ever; None for a new key.
+            rights: what the writer may do.
 
         Returns:
             The result; also for a command that was refused, failed or expired: its state says so.
@@ -269,15 +276,25 @@ class CommandRunner:
             if known is None:
                 raise
             return known
-        return await self._submit(command)
+        return await self._submit(command, rights)
 
-    def arm(self, device: str, point: str, value: CommandValue, *, by: str, origin: str) -> ArmedCommand:
+    def arm(
+        self,
+        device: str,
+        point: str,
+        value: CommandValue,
+        *,
+        by: str,
+        origin: str,
+        rights: WriterRights = PROGRAM,
+    ) -> ArmedCommand:
         """Check a command, and keep it for `ARMED_SECONDS` until `confirm` sends it. Nothing is sent to the device now.
 
         Args:
             device, point: the point to write.
             value: as for `write`.
             by, origin: who gives the command, and on which way it came.
+            rights: what the writer may do.
 
         Raises:
             NoSuchPoint: there is no such point.
@@ -287,7 +304,8 @@ class CommandRunner:
         now, moment = self._now(), self._moment()
         command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
         target = self._targets.target(device, point)
-        refusal = self._refusal(command)
+        rights = replace(rights, has_armed=True)
+        refusal = self._refusal(command, rights)
         if refusal:
             self.refused(self._result(command), refusal)
             raise InvalidRequest(refusal)
@@ -298,32 +316,35 @@ class CommandRunner:
         old = self._targets.last(device, point)
         is_now = f", now {_text(old.value, target.point)} ({old.quality})" if old is not None else ""
         sentence = f"Write {_text(value, target.point)} to {device}/{point}{is_now}?"
-        armed = ArmedCommand(command, old, sentence, moment + ARMED_SECONDS, target.poller)
+        armed = ArmedCommand(command, old, sentence, moment + ARMED_SECONDS, target.poller, rights)
         self._armed[command.key] = armed
         return armed
 
-    async def confirm(self, key: str, *, by: str) -> CommandResult:
+    async def confirm(self, key: str, *, by: str, point: tuple[str, str] | None = None) -> CommandResult:
         """Send an armed command, and return its result; for the same key again, return the first result.
 
         Args:
             key: the key of the armed command.
             by: who confirms; it must be who armed the command.
+            point: device and point that the command must be for; None for any.
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
-            InvalidRequest: another person armed the command, or its link was begun anew since, so that the point may be
-                another. Nothing was sent.
+            InvalidRequest: another person armed the command, it is for another point, or its link was begun anew since,
+                so that the point may be another. Nothing was sent.
             OSError: the journal cannot be read; nothing was sent.
         """
         armed = self._armed.get(key)
         if armed is not None:
             if armed.command.by != by:
                 raise InvalidRequest(f"{armed.command.by} has armed it, and has to confirm it")
-            del self._armed[key]
             command = armed.command
+            if point is not None and (command.device, command.point) != point:
+                raise InvalidRequest(f"it was armed for {command.device}/{command.point}; nothing was sent")
+            del self._armed[key]
             if self._targets.target(command.device, command.point).poller is not armed.poller:
                 raise InvalidRequest(f"the link of {command.device} was begun anew since this was armed; arm it anew")
-            return await self._submit(command, armed.until - self._moment())
+            return await self._submit(command, armed.rights, armed.until - self._moment())
         running = self._running.get(key)
         if running is not None:
             return await asyncio.shield(running.task)
@@ -339,11 +360,12 @@ class CommandRunner:
 
     # Taking one.
 
-    async def _submit(self, command: PointCommand, seconds: float = math.inf) -> CommandResult:
+    async def _submit(self, command: PointCommand, rights: WriterRights, seconds: float = math.inf) -> CommandResult:
         """Execute a command and return its result; if the same command is in execution, wait for that one.
 
         Args:
             command: the command.
+            rights: what its writer may do.
             seconds: for how long it may be sent, beside its expiry.
         """
         joined = await self._joined(command)
@@ -355,7 +377,7 @@ class CommandRunner:
                 return self.refused(self._result(command), "the collector ends; this command was not taken")
             return await self._refused_now(command, f"{waiting} commands of {command.device} are open")
         self._devices[command.device] = lock, waiting + 1
-        task = asyncio.create_task(self._take(command, lock, seconds), name=f"busway command {command.key}")
+        task = asyncio.create_task(self._take(command, lock, rights, seconds), name=f"busway command {command.key}")
         self._running[command.key] = _Running(command, task)
         task.add_done_callback(lambda _: self._leave(command))
         return await asyncio.shield(task)
@@ -368,18 +390,21 @@ class CommandRunner:
         else:
             del self._devices[command.device]
 
-    async def _take(self, command: PointCommand, lock: asyncio.Lock, seconds: float) -> CommandResult:
+    async def _take(
+        self, command: PointCommand, lock: asyncio.Lock, rights: WriterRights, seconds: float
+    ) -> CommandResult:
         """Check and record a command, send it, and record its result (rules 1 and 2); return the result.
 
         Args:
             command: the command.
             lock: held while a command of the device is sent.
+            rights: what its writer may do.
             seconds: for how long it may be sent, beside its expiry.
         """
         until = asyncio.get_running_loop().time() + min(seconds, command.expires - self._now())
         result = self._result(command)
         try:
-            refusal = self._refusal(command)
+            refusal = self._refusal(command, rights)
         except NotPolledNow as error:
             return await self._refused_now(command, error.message)
         if refusal:
@@ -546,9 +571,12 @@ class CommandRunner:
 
     # Deciding.
 
-    def _refusal(self, command: PointCommand) -> str:
+    def _refusal(self, command: PointCommand, rights: WriterRights) -> str:
         """Return why a command cannot be sent, as a sentence; empty if it can."""
         try:
+            refusal = rights.refusal(self._targets.target(command.device, command.point).point.writing)
+            if refusal:
+                return f"{command.device}/{command.point} {refusal}"
             self._planned(command)
         except InvalidRequest as error:
             return error.message
@@ -574,6 +602,9 @@ class CommandRunner:
         if scheduled is not None and scheduled.lives is False:
             error = f": {device.last_error}" if device.last_error else ""
             raise InvalidRequest(f"{command.device} does not answer; nothing was sent{error}")
+        factor = target.point.conversion.scale_from
+        if factor and target.poller.is_factor_held(command.device, factor):
+            raise InvalidRequest(f"{factor}, the scale of {target.point.name}, was not read when due; nothing was sent")
         return point_write(target.point, command.value, device.scale_factors, target.rules), target.poller
 
     # Sending.

@@ -299,10 +299,13 @@ class Delivery:
             self._note_store_error(error)
 
     def _keep_cursor(self) -> None:
-        # Retention may have counted losses meanwhile.
-        self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
+        self._lost = self._lost_in_all()
         self._manifest.set_cursor(self.name, self._cursor, self._lost, self._unkept.values())
         self._unkept.clear()
+
+    def _lost_in_all(self) -> int:
+        """Return the samples that were lost for the sink, with those that retention has dropped meanwhile."""
+        return max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
 
     def _note_store_error(self, error: Exception) -> None:
         if self._store_error is None:
@@ -310,11 +313,15 @@ class Delivery:
         self._store_error = f"the store cannot be used now: {error}"
 
     def _drop_old(self) -> None:
+        lost = self._lost_in_all() - self._lost
+        if lost:
+            self._lost += lost
+            _log.warning("sink %s: %d samples were dropped with the oldest parts of the store", self.name, lost)
         oldest = self._now() - int(self.options.keep * NANOSECONDS)
         last = self._reader.last_before(oldest, self._cursor)
         if last > self._cursor:
             lost = self._reader.count(self._cursor, last)
-            self._lost = max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1]) + lost
+            self._lost += lost
             self._manifest.set_cursor(self.name, last, self._lost)
             self._cursor = last
             if lost:

@@ -8,11 +8,14 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
 3. A device that is not read (suspended, without connection, in maintenance) has bad last values for that reason, from
    the begin of that interval until each point is read again: no value stays good while it only grows old.
 4. While the store cannot be written, no value is replaced by a newer one, so all are bad for that reason.
+5. A good value that was not read again when it was due is held, and so uncertain (`held_values`): the link is
+   overloaded or waits for a reply, or polling has ended by a defect.
 """
 
+import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
@@ -35,25 +38,36 @@ class LastValues:
     `update` is called with each commit, by the thread that commits.
 
     Args:
-        is_behind: returns whether commits have failed or hung for some seconds, so that there may be newer samples
-            (rule 4).
+        is_behind: whether commits have failed or hung for some seconds, so that there may be newer samples (rule 4).
+        limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
+        moment: returns seconds of the monotonic clock.
 
     Attributes:
-        is_behind: that function.
+        is_behind, limits: the same.
     """
 
-    def __init__(self, is_behind: Callable[[], bool] = lambda: False) -> None:
+    def __init__(
+        self,
+        is_behind: Callable[[], bool] = lambda: False,
+        limits: Mapping[tuple[str, str], float] | None = None,
+        moment: Callable[[], float] = time.monotonic,
+    ) -> None:
         self.is_behind: Callable[[], bool] = is_behind
+        self.limits: Mapping[tuple[str, str], float] = limits or {}
+        self._moment = moment
         self._lock = threading.Lock()
         self._batches: dict[PointGroup, SampleBatch] = {}
+        self._taken_at: dict[PointGroup, float] = {}
         self._forget_above = _FORGET_ABOVE
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Store the samples and intervals of a commit as the last ones; called when the store has made the commit."""
+        """Take over the samples and intervals of a commit that the store has just made."""
+        now = self._moment()
         with self._lock:
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
+                self._taken_at[batch.group] = now
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each
@@ -69,6 +83,7 @@ class LastValues:
         latest = self._latest()
         used = {id(batch) for batch, _ in latest.values()}
         self._batches = {group: batch for group, batch in self._batches.items() if id(batch) in used}
+        self._taken_at = {group: self._taken_at[group] for group in self._batches}
 
     def _latest(self) -> dict[tuple[str, str], tuple[SampleBatch, int]]:
         found: dict[tuple[str, str], tuple[SampleBatch, int]] = {}
@@ -79,16 +94,23 @@ class LastValues:
                     found[batch.device, point] = (batch, index)
         return found
 
-    def _reason(self, device: str, reason: int, time: int) -> int:
-        """Return the number of the reason to show for a last value; bad while nothing newer is read (rules 3 and 4).
+    def _reason(self, batch: SampleBatch, point: str, reason: int) -> int:
+        """Return the number of the reason to show for a last value; not good while it only grows old (rules 3 to 5).
 
         Call with the lock held.
 
         Args:
-            device: name of the device.
+            batch: the read that gave the value.
+            point: name of the point.
             reason: the reason of the sample, 0 for good.
-            time: nanoseconds since 1970 UTC of the sample.
         """
+        shown = self._reason_not_read(batch.device, reason, batch.time)
+        if shown:
+            return shown
+        age = self._moment() - self._taken_at[batch.group]
+        return Reason.HELD if age > self.limits.get((batch.device, point), math.inf) else shown
+
+    def _reason_not_read(self, device: str, reason: int, time: int) -> int:
         interval = self._intervals.get(device)
         if interval is None or (interval.end is not None and time > interval.begin):
             return Reason.LOST if quality_of(reason) is not Quality.BAD and self.is_behind() else reason
@@ -117,7 +139,7 @@ class LastValues:
                 if batch.device == device and point in batch.points and (found is None or batch.time >= found[2]):
                     index = batch.points.index(point)
                     reason = batch.reasons if isinstance(batch.reasons, int) else batch.reasons[index]
-                    found = batch.values[index], self._reason(device, reason, batch.time), batch.time
+                    found = batch.values[index], self._reason(batch, point, reason), batch.time
         return found
 
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
@@ -128,7 +150,7 @@ class LastValues:
         with self._lock:
             found = []
             for (device, point), (batch, index) in sorted(self._latest().items()):
-                reason = self._reason(device, batch.reason_column()[index], batch.time)
+                reason = self._reason(batch, point, batch.reason_column()[index])
                 found.append((device, point, batch.values[index], reason, batch.time))
         yield from found
 
@@ -177,6 +199,10 @@ class PrometheusPage:
         self.url: str = f"http://{host}:{port}/metrics"
         self._service.start()
 
+    def configure(self, points: Sequence[str], stale: float) -> None:
+        """Show other points from now on, and leave values out after other seconds; arguments as when it was made."""
+        self._points, self._stale = tuple(points), stale
+
     def close(self) -> None:
         """Stop listening for scrapes, and end the thread."""
         self._service.stop()
@@ -193,9 +219,13 @@ class PrometheusPage:
     def _families(self) -> Iterator[Any]:
         from prometheus_client.core import GaugeMetricFamily
 
-        value = GaugeMetricFamily("busway_point_value", "Last value of a point.", labels=["device", "point"])
+        labels = ["device", "point"]
+        value = GaugeMetricFamily("busway_point_value", "Last value of a point.", labels=labels)
         moment = GaugeMetricFamily(
-            "busway_point_time_seconds", "When it was read, seconds since 1970 UTC.", labels=["device", "point"]
+            "busway_point_time_seconds", "When it was read, seconds since 1970 UTC.", labels=labels
+        )
+        uncertain = GaugeMetricFamily(
+            "busway_point_uncertain", "1 for each value that is uncertain: held, out of range, clock.", labels=labels
         )
         oldest = self._now() - int(self._stale * NANOSECONDS)
         for device, point, found, reason, at in self._values.samples():
@@ -204,8 +234,11 @@ class PrometheusPage:
             if any(fnmatchcase(f"{device}/{point}", pattern) for pattern in self._points):
                 value.add_metric([device, point], float(found))
                 moment.add_metric([device, point], at / NANOSECONDS)
+                if reason:
+                    uncertain.add_metric([device, point], 1.0)
         yield value
         yield moment
+        yield uncertain
         yield from self._alarm_families()
         yield from self._more()
 

@@ -8,6 +8,7 @@ import contextlib
 import logging
 import threading
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 
 from ....errors import ConfigError
 from ....options.sinks import DeliveryOptions
@@ -21,7 +22,10 @@ _log = logging.getLogger("busway.sinks")
 
 
 class SinkThread:
-    """The thread that sends the samples of a store to all its sinks, from its creation until `close`."""
+    """The thread that sends the samples of a store to all its sinks, from its creation until `close`.
+
+    `add`, `remove`, `set_points` and `statuses` are for one thread, that of the collector.
+    """
 
     def __init__(
         self,
@@ -40,52 +44,85 @@ class SinkThread:
 
         Raises:
             ConfigError: a name is empty or has a character that a file's name cannot have.
+            sqlite3.Error: the manifest cannot be written.
         """
         for name in sinks:
-            if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
-                raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
-        self._described = [sink for sink, _ in sinks.values() if isinstance(sink, DescribedSink)]
-        if points is not None:
-            self._describe(points)
-        self._deliveries = [
-            Delivery(name, sink, writer.folder, writer.manifest, options, point_rules=point_rules, points=points)
-            for name, (sink, options) in sinks.items()
-        ]
+            check_name(name)
+        self._writer, self._rules, self._points = writer, point_rules or {}, points
+        self._running: dict[str, _RunningSink] = {}
         self._loop = asyncio.new_event_loop()
-        self._tasks: set[asyncio.Task[None]] = set()
-        self._is_ending = False
+        self._ending = asyncio.Event()
+        with contextlib.ExitStack() as unless_added:
+            unless_added.callback(self._loop.close)
+            for name, (sink, options) in sinks.items():
+                self.add(name, sink, options)
+            unless_added.pop_all()
         self._thread = threading.Thread(target=self._run, name="busway-sinks", daemon=True)
         self._thread.start()
 
+    def add(self, name: str, sink: Sink, options: DeliveryOptions) -> None:
+        """Begin to send to one more sink; it continues after the last commit that a sink of this name has got.
+
+        Args:
+            name: name of the sink; none of this name is running.
+            sink: the sink.
+            options: the options of its delivery.
+
+        Raises:
+            ConfigError: the name is empty or has a character that a file's name cannot have.
+            sqlite3.Error: the manifest cannot be written; nothing has begun.
+        """
+        check_name(name)
+        if self._points is not None and isinstance(sink, DescribedSink):
+            sink.describe(self._points)
+        writer = self._writer
+        delivery = Delivery(
+            name, sink, writer.folder, writer.manifest, options, point_rules=self._rules, points=self._points
+        )
+        running = self._running[name] = _RunningSink(sink, delivery)
+        self._loop.call_soon_threadsafe(self._begin, running)
+
+    def reserve(self, name: str) -> None:
+        """Have the store list a sink that will be added, so that `add` cannot fail for it. Raises `sqlite3.Error`."""
+        manifest = self._writer.manifest
+        manifest.set_cursor(name, *manifest.cursors().get(name, (0, 0)))
+
+    def remove(self, name: str, timeout: float = 10.0) -> None:
+        """Stop sending to a sink within ``timeout`` seconds; one that is added under its name later goes on there."""
+        running = self._running.pop(name)
+        ended = asyncio.run_coroutine_threadsafe(_end(running), self._loop)
+        try:
+            ended.result(timeout)
+        except TimeoutError:
+            _log.warning("sink %s does not end its connection within %g s; it is left", name, timeout)
+
     def set_points(self, points: Mapping[tuple[str, str], Point], rules: Mapping[tuple[str, str], ReportRule]) -> None:
-        """Use the points and report rules of a configuration that was read again. Safe from any thread.
+        """Use the points and report rules of a configuration that was read again.
 
         Args:
             points: by device and name, the points that the configuration has.
             rules: by device and point, the report rules of points of which only some samples are sent.
         """
-        self._describe(points)
-        for delivery in self._deliveries:
-            delivery.set_points(points, rules)
-
-    def _describe(self, points: Mapping[tuple[str, str], Point]) -> None:
-        for sink in self._described:
-            sink.describe(points)
+        self._points, self._rules = points, rules
+        for running in self._running.values():
+            if isinstance(running.sink, DescribedSink):
+                running.sink.describe(points)
+            running.delivery.set_points(points, rules)
 
     def statuses(self) -> Sequence[SinkStatus]:
         """Return the status of each sink. Safe from any thread."""
-        return [delivery.status() for delivery in self._deliveries]
+        return [each.delivery.status() for each in list(self._running.values())]
 
     def close(self, timeout: float = 10.0) -> None:
         """Stop sending to all sinks within ``timeout`` seconds; unsent samples are sent after the next start."""
         with contextlib.suppress(RuntimeError):  # the loop has ended
-            self._loop.call_soon_threadsafe(self._cancel)
+            self._loop.call_soon_threadsafe(self._ending.set)
         self._thread.join(timeout)
 
-    def _cancel(self) -> None:
-        self._is_ending = True
-        for task in self._tasks:
-            task.cancel()
+    # In the thread.
+
+    def _begin(self, running: "_RunningSink") -> None:
+        running.task = asyncio.create_task(_guarded(running.delivery))
 
     def _run(self) -> None:
         # A runner ends and awaits what libraries have left behind too, such as a connection that was being made.
@@ -93,19 +130,37 @@ class SinkThread:
             runner.run(self._deliver())
 
     async def _deliver(self) -> None:
-        self._tasks = {asyncio.create_task(self._guarded(delivery)) for delivery in self._deliveries}
-        if self._is_ending:  # `close` came first
-            self._cancel()
-        if self._tasks:
-            await asyncio.wait(self._tasks)
+        await self._ending.wait()
+        await asyncio.gather(*(_end(each) for each in list(self._running.values())))
 
-    @staticmethod
-    async def _guarded(delivery: Delivery) -> None:
-        """Run the delivery to one sink; after an unexpected error, log it, pause, and run the delivery again."""
-        while True:
-            try:
-                await delivery.run()
-            except Exception as error:  # a defect of one sink, whatever it is: its status has it
-                _log.exception("sink %s failed; it is tried again", delivery.name)
-                delivery.note_defect(error)
-                await asyncio.sleep(PAUSE_LIMIT)
+
+@dataclass(slots=True, eq=False)
+class _RunningSink:
+    """A sink with the delivery to it, and the task of that; None until the task has begun."""
+
+    sink: Sink
+    delivery: Delivery
+    task: "asyncio.Task[None] | None" = None
+
+
+def check_name(name: str) -> None:
+    """Raise `ConfigError` for a name that no sink can have: it is part of the name of a file."""
+    if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
+        raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
+
+
+async def _end(running: _RunningSink) -> None:
+    if running.task is not None:
+        running.task.cancel()
+        await asyncio.wait([running.task])
+
+
+async def _guarded(delivery: Delivery) -> None:
+    """Run the delivery to one sink; after an unexpected error, log it, pause, and run the delivery again."""
+    while True:
+        try:
+            await delivery.run()
+        except Exception as error:  # a defect of one sink, whatever it is: its status has it
+            _log.exception("sink %s failed; it is tried again", delivery.name)
+            delivery.note_defect(error)
+            await asyncio.sleep(PAUSE_LIMIT)

@@ -160,8 +160,16 @@ class SparkplugCommandTaker(Protocol):
         """Learn why no commands can arrive now; None when they can arrive."""
 
 
+COLLECTOR: Final = "{collector}"
+"""What stands for the name of the collector in the name of an edge node."""
+
+
 class SparkplugSink:
-    """Sink that publishes samples and alarm events as a Sparkplug B edge node, and receives commands of hosts."""
+    """Sink that publishes samples and alarm events as a Sparkplug B edge node, and receives commands of hosts.
+
+    Attributes:
+        edge_node: the name of the edge node in all topics.
+    """
 
     def __init__(
         self,
@@ -204,7 +212,8 @@ class SparkplugSink:
         for key, name in (("group", group), ("edge_node", edge_node), ("primary_host", primary_host or "-")):
             if not name or topic_level(name) != name:
                 raise ConfigError(f"a name without / + # is needed, not {name!r}", key=key)
-        self._group, self._node, self._primary_host = group, edge_node, primary_host
+        self._group, self._primary_host = group, primary_host
+        self.edge_node: str = edge_node
         self._number_file, self._timeout, self._now = number_file, timeout, now
         self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}
@@ -230,6 +239,24 @@ class SparkplugSink:
         self.commands: SparkplugCommandTaker | None = commands
 
     # Life
+
+    def join(self, member: str) -> None:
+        """Publish as the edge node of one collector of a fleet; called before `open`.
+
+        Args:
+            member: the name of the collector; it stands for ``{collector}`` in the name of the edge node.
+
+        Raises:
+            ConfigError: the name has no ``{collector}``: two collectors would be one edge node.
+        """
+        if COLLECTOR not in self.edge_node:
+            raise ConfigError(
+                f"names one edge node, and each collector of a fleet is one of its own: add {COLLECTOR}",
+                key="edge_node",
+            )
+        self.edge_node = self.edge_node.replace(COLLECTOR, member)
+        if self._address["identifier"] is not None:  # a broker ends a connection when another one has its name
+            self._address["identifier"] += f"-{member}"
 
     async def open(self) -> None:
         """Connect to the broker, wait for the primary host, and publish the births of the edge node and its devices.
@@ -390,7 +417,7 @@ class SparkplugSink:
 
     async def _publish_acknowledged(self) -> None:
         """Publish one more message with QoS 1 and wait for its answer: then the broker has all messages so far."""
-        topic = f"busway/sparkplug/{self._group}/{self._node}/delivered"
+        topic = f"busway/sparkplug/{self._group}/{self.edge_node}/delivered"
         await self._connected().publish(topic, b"")  # any answer, also that this topic is not permitted
 
     def _connected(self) -> MqttPublisher:
@@ -496,7 +523,7 @@ class SparkplugSink:
         await self._client.publish(topic, content, qos=0, timeout=self._timeout)
 
     def _topic(self, kind: str, device: str | None = None) -> str:
-        levels = ["spBv1.0", self._group, kind, self._node]
+        levels = ["spBv1.0", self._group, kind, self.edge_node]
         return "/".join(levels if device is None else [*levels, topic_level(device)])
 
     def _death(self) -> bytes:

@@ -28,7 +28,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 from ..alarms.events import AlarmEvent
-from ..sample_clock import EARLIEST
+from ..sample_clock import ClockCorrection
 from ..samples import Gap, PointDescription, Reason, SampleBatch, StateInterval
 from .kept_samples import KeptSamples, StoreRules
 from .writer import Commit, StoreWriter
@@ -79,6 +79,23 @@ class StoreStatus:
     passed_over: int = 0
 
 
+@dataclass(slots=True)
+class _Correction:
+    """A correction of times that is still to be made.
+
+    Attributes:
+        clock: the correction.
+        before: how many batches, of all ever queued, were queued before it.
+        others: the identities of the intervals and alarm events that were queued before it and are not stored.
+        last: the number of the last commit with times to be corrected; None while such times are queued.
+    """
+
+    clock: ClockCorrection
+    before: int
+    others: set[int]
+    last: int | None = None
+
+
 class Committer:
     """Writes samples to a store in a thread of its own, several times a second.
 
@@ -119,7 +136,7 @@ class Committer:
         self._alarms: deque[tuple[int, AlarmEvent]] = deque()
         self._descriptions: deque[tuple[int, list[PointDescription], StoreRules | None]] = deque()
         self._described = 0
-        self._shift: int | None = None
+        self._correction: _Correction | None = None
         self._is_mending = False
         self._taken = 0
         self._waiting = 0
@@ -263,29 +280,44 @@ class Committer:
             if not self._commit_once() or not self._mend():
                 self._ended.wait(self._retry)
 
-    def mend(self, shift: int) -> None:
-        """Have stored times corrected by ``shift`` nanoseconds that were taken from a wrong wall clock.
+    def mend(self, correction: ClockCorrection) -> None:
+        """Have all times corrected that were given before the wall clock was right.
 
-        Returns at once. The correction is made in the thread that commits, after the samples queued with such times are
-        stored.
+        Returns at once. They are corrected in the thread that commits, after all that is queued with such times is
+        stored, in commits without later samples. What is added from now on has the right time.
         """
         with self._changed:
-            self._shift = shift
+            others = {id(each) for each in self._intervals} | {id(each) for _, each in self._alarms}
+            self._correction = _Correction(correction, self._taken + len(self._batches), others)
+            self._note_corrected(self.writer.newest_commit)
             self._changed.notify_all()
 
+    def _note_corrected(self, newest: int) -> None:
+        """Note the newest commit as the last with wrong times, once no such times are queued. Call with the lock held.
+
+        Args:
+            newest: its number.
+        """
+        correction = self._correction
+        if correction is None or correction.last is not None or self._committing or correction.before > self._taken:
+            return
+        queued = (*map(id, self._intervals), *(id(each) for _, each in self._alarms))
+        if correction.others.isdisjoint(queued):
+            correction.last = newest
+
     def _mend(self) -> bool:
-        """Correct times in one segment file, if a correction is wanted and everything it concerns is stored.
+        """Correct times in one segment file, if a correction is wanted.
 
         Returns:
             False if the correction failed and must be tried again; True if it succeeded or there is nothing to do yet.
         """
         with self._changed:
-            shift = self._shift
-            if shift is None or self._holds_early_times():
+            correction = self._correction
+            if correction is None or correction.last is None:
                 return True
         try:
             if not self._is_mending:
-                self.writer.begin_mending(shift)
+                self.writer.begin_mending(correction.clock, correction.last)
                 self._is_mending = True
             more = self.writer.mend_next()
         except Exception as error:  # as in `_commit_once`: told in the status, and tried again
@@ -295,18 +327,10 @@ class Committer:
             return False
         self._mend_error = None
         if not more:
-            _log.info("times from before the clock was set are mended: they were %.0f s behind", shift / 1e9)
+            _log.info("times from before the clock was right are mended, by %+.3f s", correction.clock.shift / 1e9)
             with self._changed:
-                self._shift, self._is_mending = None, False
+                self._correction, self._is_mending = None, False
         return True
-
-    def _holds_early_times(self) -> bool:
-        """Whether a time that was taken from a wrong wall clock is still queued. Call with the lock held."""
-        return (
-            any(batch.time < EARLIEST for batch in self._batches)
-            or any(each.begin < EARLIEST for each in self._intervals)
-            or any(event.at < EARLIEST for _, event in self._alarms)
-        )
 
     def _wait_for_work(self) -> bool:
         """Wait until a commit is due: samples have waited for the interval, or nothing was queued for `ALIVE` seconds.
@@ -334,7 +358,7 @@ class Committer:
 
     def _is_due(self) -> bool:
         """Whether something waits to be written, or times are to be corrected. Call with the lock held."""
-        return self._has_queued() or self._shift is not None
+        return self._has_queued() or self._correction is not None
 
     def _has_queued(self) -> bool:
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
@@ -350,9 +374,20 @@ class Committer:
     def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
         """Remove and return the queued alarm events before the next change of point names. Call with the lock held."""
         taken = []
-        while self._alarms and self._alarms[0][0] <= self._described:
+        while self._alarms and self._alarms[0][0] <= self._described and self._is_next(self._alarms[0][1]):
             taken.append(self._alarms.popleft())
         return taken
+
+    def _next_intervals(self) -> list[StateInterval | Gap]:
+        """Remove and return the queued intervals that the next commit may have. Call with the lock held."""
+        taken = [each for each in self._intervals if self._is_next(each)]
+        self._intervals = [each for each in self._intervals if not self._is_next(each)]
+        return taken
+
+    def _is_next(self, queued: StateInterval | Gap | AlarmEvent) -> bool:
+        """Whether a commit now may have this: while wrong times are queued, it has nothing with right ones."""
+        correction = self._correction
+        return correction is None or correction.last is not None or id(queued) in correction.others
 
     def _describe_what_is_due(self) -> None:
         """Write queued descriptions of points and report rules once all samples queued before them are stored."""
@@ -369,6 +404,8 @@ class Committer:
         count = len(self._batches)
         if self._descriptions:
             count = min(count, max(0, self._descriptions[0][0] - self._taken))
+        if self._correction is not None and self._correction.last is None:
+            count = min(count, max(0, self._correction.before - self._taken))
         self._taken += count
         return [self._batches.popleft() for _ in range(count)]
 
@@ -386,7 +423,7 @@ class Committer:
             self._describe_what_is_due()
             with self._changed:
                 batches = self._next_batches()
-                intervals, self._intervals = self._intervals, []
+                intervals = self._next_intervals()
                 alarms = self._next_alarms()
                 gap, self._lost_now = self._lost_now, None
                 self._committing = True
@@ -414,6 +451,9 @@ class Committer:
         with self._changed:  # only now: subscribers have what was committed
             self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False
+            if self._correction is not None:
+                self._correction.others -= {*map(id, intervals), *(id(each) for _, each in alarms)}
+            self._note_corrected(commit.number)
             self._changed.notify_all()
         return True
 
@@ -479,6 +519,8 @@ class Committer:
                 self._alarms.popleft()
             if gap is not None:
                 self._note_loss(gap)
+            if self._correction is not None and self._correction.last is None:
+                self._correction.others |= {*map(id, intervals), *(id(each) for _, each in alarms)}
             if self._error is None:
                 _log.error("the store %s cannot be written: %s; samples wait in memory", self.writer.folder, error)
             self._error = error

@@ -5,6 +5,7 @@ Knows names, descriptors and process ids; knows nothing of samples.
 
 import contextlib
 import os
+import shutil
 import time
 from pathlib import Path
 from typing import Final
@@ -36,6 +37,19 @@ def check_locks() -> None:
             "a store cannot be written on this system: it has no file locks of POSIX (fcntl), as Windows has none;"
             " the collector runs on Linux"
         )
+
+
+def half_of_disk(folder: Path) -> int | None:
+    """Return half the size in bytes of the disk that a folder is on, or will be on; at least 1 MB.
+
+    None if the system does not tell the size.
+    """
+    there = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
+    try:
+        total = shutil.disk_usage(there).total
+    except OSError:
+        return None
+    return max(total // 2, 1_000_000) if total else None
 
 
 class StoreLock:

@@ -23,7 +23,9 @@ from typing import Any, Final
 
 from ....errors import ConfigError
 from ..point_names import PointNames
+from ..sample_clock import ClockCorrection
 from ..samples import PointDescription, Value
+from .clock_correction import EVERY, CommitCorrection
 from .database import open_database, transaction
 from .folder import MANIFEST, check_store
 
@@ -466,20 +468,33 @@ class Manifest:
         with self.transaction() as database:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
-    def begin_mending(self, first: int, shift: int, earliest: int) -> None:
-        """Record that stored times must be corrected, because a wrong wall clock was put right.
-
-        The begins of maintenance are corrected at once.
-
-        Args:
-            first: number of the first commit whose times are corrected.
-            shift: nanoseconds to be added.
-            earliest: nanoseconds since 1970 UTC; only earlier times are corrected.
-        """
+    def begin_mending(self, correction: CommitCorrection) -> None:
+        """Record which times are to be corrected; correct the begin of maintenance now."""
+        clock = correction.clock
+        facts = {
+            "mend_by": clock.shift,
+            "mend_from": correction.first,
+            "mend_to": correction.last,
+            "mend_begin": clock.begin,
+            "mend_end": clock.end,
+        }
         with self.transaction() as database:
             database.execute("DELETE FROM facts WHERE name = 'mended'")
-            database.execute("INSERT OR REPLACE INTO facts VALUES ('mend_by', ?), ('mend_from', ?)", (shift, first))
-            database.execute("UPDATE maintenance SET begin = begin + ? WHERE begin < ?", (shift, earliest))
+            database.executemany("INSERT OR REPLACE INTO facts VALUES (?, ?)", facts.items())
+            database.execute(
+                "UPDATE maintenance SET begin = begin + ? WHERE begin >= ? AND begin < ?",
+                (clock.shift, clock.begin, clock.end),
+            )
+
+    def correction(self) -> CommitCorrection | None:
+        """Return the correction of times that was begun and is not completed; None without one."""
+        first, shift = self.fact("mend_from"), self.fact("mend_by")
+        if first is None or shift is None:
+            return None
+        last, begin, end = self.fact("mend_to"), self.fact("mend_begin"), self.fact("mend_end")
+        if last is None or begin is None or end is None:  # of a version that corrected times before 2026 alone
+            return CommitCorrection(first, EVERY, ClockCorrection(shift))
+        return CommitCorrection(first, last, ClockCorrection(shift, begin, end))
 
     # Points
 

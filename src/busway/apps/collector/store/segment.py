@@ -26,7 +26,7 @@ from typing import Final
 
 from ..alarms.events import AlarmEvent
 from ..samples import CounterState, Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
-from .clock_correction import mend_segment
+from .clock_correction import CommitCorrection, mend_segment
 from .database import open_database
 from .folder import size_of, sync_file
 from .manifest import INSERT_ALARM, AlarmRow, CounterRow, IntervalRow, StorePart
@@ -182,13 +182,9 @@ class Segment:
         """Return the size of the segment file on disk in bytes, its write-ahead log included."""
         return size_of(self.path)
 
-    def mend(self, first: int, shift: int) -> int:
-        """Correct times that were taken from a wrong wall clock by ``shift`` nanoseconds, from commit ``first`` on.
-
-        Returns:
-            The number of corrected samples; see `clock_correction`.
-        """
-        return mend_segment(self._database, first, shift)
+    def mend(self, correction: CommitCorrection) -> int:
+        """Correct times from before the clock was right; return the number of samples moved (`clock_correction`)."""
+        return mend_segment(self._database, correction)
 
     def sync(self) -> None:
         """Make all commits so far survive a power failure: write the write-ahead log to the disk.

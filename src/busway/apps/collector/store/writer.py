@@ -24,10 +24,10 @@ from typing import Final, Literal, Self
 
 from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
-from ..sample_clock import EARLIEST
+from ..sample_clock import EARLIEST, ClockCorrection
 from ..samples import CounterState, Gap, PointDescription, PointGroup, SampleBatch, StateInterval
 from .alarm_events import forget_old_alarms
-from .clock_correction import mend_segment
+from .clock_correction import EVERY, CommitCorrection, mend_segment
 from .database import open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
 from .manifest import Manifest, StorePart
@@ -106,7 +106,13 @@ class StoreWriter:
     """
 
     def __init__(
-        self, folder: Path | str, options: StoreOptions | None = None, *, now: int, step: Step = no_step
+        self,
+        folder: Path | str,
+        options: StoreOptions | None = None,
+        *,
+        now: int,
+        clock_is_right: bool = True,
+        step: Step = no_step,
     ) -> None:
         """Open a store for writing, and create it if there is none.
 
@@ -116,6 +122,7 @@ class StoreWriter:
             folder: the folder of the store.
             options: the options of writing; None for the defaults.
             now: nanoseconds since 1970 UTC.
+            clock_is_right: whether ``now`` is known to be right; if not, times may be corrected later.
             step: called with the name of each step, for tests that end the process there.
 
         Raises:
@@ -142,7 +149,7 @@ class StoreWriter:
                 remove_unlisted(self.folder, self.manifest)
                 self._next, self._behind = self.manifest.reserve_numbers()
                 self._first = self._next
-                self._awaits_clock = now < EARLIEST
+                self._awaits_clock = now < EARLIEST or not clock_is_right
                 self._recover(now)
                 unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
@@ -224,15 +231,15 @@ class StoreWriter:
         self._step("after-commit")
         return Commit(number, now, batches, intervals, alarms)
 
-    def begin_mending(self, shift: int) -> None:
-        """Record that times stored since this start must be corrected, because a wrong wall clock was put right.
-
-        `mend_next` corrects them, a segment at a time.
+    def begin_mending(self, clock: ClockCorrection | int, last: int = EVERY) -> None:
+        """Record that times stored since this start before the clock was right are to be corrected by `mend_next`.
 
         Args:
-            shift: nanoseconds to be added.
+            clock: the correction; a number of nanoseconds for the times before `EARLIEST`.
+            last: the number of the last commit that has such times.
         """
-        self.manifest.begin_mending(self._first, shift, EARLIEST)
+        clock = ClockCorrection(clock) if isinstance(clock, int) else clock
+        self.manifest.begin_mending(CommitCorrection(self._first, last, clock))
 
     def mend_next(self) -> bool:
         """Correct the times in one more segment that were taken from a wrong wall clock.
@@ -245,19 +252,19 @@ class StoreWriter:
         Raises:
             sqlite3.Error, OSError: the segment is as it was.
         """
-        first, shift = self.manifest.fact("mend_from"), self.manifest.fact("mend_by")
-        if first is None or shift is None:
+        correction = self.manifest.correction()
+        if correction is None:
             return False
         if not self._files.acquire(blocking=False):
             return True  # the other thread seals or drops; samples do not wait for that
         try:
             done = self.manifest.fact("mended") or 0
             for part in self.manifest.parts():
-                if part.kind == "closed" and part.id > done and (part.last_commit or 0) >= first:
-                    self._mend_closed(part, first, shift)
+                if part.kind == "closed" and part.id > done and (part.last_commit or 0) >= correction.first:
+                    self._mend_closed(part, correction)
                     return True
             if self._segment is not None:
-                self._segment.mend(first, shift)
+                self._segment.mend(correction)
                 self._segment.sync()  # before the manifest says that all is done
             elif self._part is not None:
                 return True  # the next commit opens it again
@@ -267,10 +274,10 @@ class StoreWriter:
         self._awaits_clock = False
         return False
 
-    def _mend_closed(self, part: StorePart, first: int, shift: int) -> None:
+    def _mend_closed(self, part: StorePart, correction: CommitCorrection) -> None:
         path = self.folder / SEGMENTS / part.file
         with closing(open_database(path, makes=False)) as database:
-            mend_segment(database, first, shift)
+            mend_segment(database, correction)
             found = facts_of(database, part, path.stat().st_size)
             self.manifest.close_segment(found, alarms_of(database), is_mended=True)
 
@@ -279,8 +286,11 @@ class StoreWriter:
 
         A segment without samples counts too, because its intervals and alarms have times.
         """
-        is_early = part.low is None or part.low < EARLIEST
-        return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
+        return self._awaits_clock and (part.last_commit or 0) >= self._first
+
+    def keep(self, retention: Retention) -> None:
+        """Use other limits of the store from now on. Safe from any thread."""
+        self.options = replace(self.options, retention=retention)
 
     def sync(self) -> None:
         """Make all commits so far survive a power failure: write the open segment's log to the disk.

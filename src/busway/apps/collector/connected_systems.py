@@ -1,0 +1,174 @@
+"""The other systems that a running collector is connected to: sinks, pages for Prometheus, servers that send commands.
+
+Knows which of them a configuration has; what each does is its own.
+
+1. One whose table in the file is the same in another configuration is not touched.
+2. What can fail is made before anything is changed (`prepare`): the port of a new page, the place of a new sink.
+3. A sink that begins anew goes on after the last commit that it has got; a sink that comes back, too.
+"""
+
+import asyncio
+import sqlite3
+from collections.abc import Callable, Mapping, Sequence
+
+from ...config.files.sinks import PrometheusSinkSection, SinkSection
+from ...errors import ConfigError, LinkDown
+from .commands.inputs import CommandInput, CommandReceiver, InputStatus
+from .configuration import CollectorConfiguration
+from .report_rules import points_of, sink_rules
+from .sinks.delivery import SinkStatus
+from .sinks.prometheus import PrometheusPage
+from .sinks.sink_thread import SinkThread
+from .store.writer import StoreWriter
+from .task_errors import log_defect
+
+
+class ConnectedSystems:
+    """The sinks, pages for Prometheus and inputs of commands of a running collector.
+
+    All methods are for the thread of the event loop.
+
+    Args:
+        page: makes a page for Prometheus from its table, which begins to listen.
+        receiver: makes the receiver of the commands from one server, by the name of its sink.
+    """
+
+    def __init__(
+        self,
+        page: Callable[[PrometheusSinkSection], PrometheusPage],
+        receiver: Callable[[str, CommandInput], CommandReceiver],
+    ) -> None:
+        self._page, self._receiver = page, receiver
+        self._keys: Mapping[str, SinkSection] = {}
+        self._input_keys: Mapping[str, SinkSection] = {}
+        self._thread: SinkThread | None = None
+        self._pages: dict[str, PrometheusPage] = {}
+        self._prepared: dict[str, PrometheusPage] = {}
+        self._receiving: dict[str, tuple[CommandReceiver, asyncio.Task[None]]] = {}
+
+    def begin(self, writer: StoreWriter, configuration: CollectorConfiguration) -> None:
+        """Begin to send samples to the sinks of the first configuration, and to listen on its pages.
+
+        Commands are received later, from `receive` on.
+
+        Raises:
+            ConfigError: a sink or page cannot be used as configured.
+            LinkDown: the port of a page is in use.
+        """
+        for name, section in configuration.pages.items():
+            self._pages[name] = self._page(section)
+        self._thread = SinkThread(writer, configuration.sinks, sink_rules(configuration), points_of(configuration))
+        self._keys = configuration.sink_keys
+
+    def receive(self, configuration: CollectorConfiguration) -> None:
+        """Begin to receive commands from the servers that are not listened to yet."""
+        self._input_keys = configuration.input_keys
+        for name, made in configuration.inputs.items():
+            if name not in self._receiving:
+                receiver = self._receiver(name, made)
+                task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
+                task.add_done_callback(log_defect)
+                self._receiving[name] = receiver, task
+
+    def prepare(self, configuration: CollectorConfiguration) -> None:
+        """Bind the ports of new pages of another configuration, and list its new sinks in the store.
+
+        Nothing that is in use changes.
+
+        Raises:
+            ConfigError: a port cannot be bound, or the store cannot be written now.
+        """
+        self._discard()
+        assert self._thread is not None
+        try:
+            for name in configuration.sinks.keys() - self._keys.keys():
+                self._thread.reserve(name)
+        except sqlite3.Error as error:
+            raise ConfigError(f"the store cannot be written now: {error}", file=configuration.name) from error
+        for name, section in configuration.pages.items():
+            if self._is_elsewhere(name, section):
+                try:
+                    self._prepared[name] = self._page(section)
+                except LinkDown as error:
+                    self._discard()
+                    raise ConfigError(error.message, file=configuration.name, key=f"sink.{name}.url") from error
+
+    def _is_elsewhere(self, name: str, section: SinkSection) -> bool:
+        known = self._keys.get(name)
+        return name not in self._pages or known is None or known.url != section.url
+
+    def _discard(self) -> None:
+        for page in self._prepared.values():
+            page.close()
+        self._prepared = {}
+
+    async def apply(self, configuration: CollectorConfiguration) -> list[str]:
+        """Put the sinks, pages and inputs of another configuration into use; `prepare` was called with it.
+
+        Returns:
+            What changed, each as a sentence.
+        """
+        assert self._thread is not None
+        new, before = configuration.sink_keys, self._keys
+        changed = {name for name in before.keys() | new.keys() if before.get(name) != new.get(name)}
+        inputs = self._input_keys.keys() | configuration.input_keys.keys()
+        await self._end_inputs(
+            {name for name in inputs if self._input_keys.get(name) != configuration.input_keys.get(name)}
+        )
+        self._change_pages(configuration)
+        running = {each.name for each in self._thread.statuses()}
+        for name in changed & running:
+            await asyncio.to_thread(self._thread.remove, name)
+        self._thread.set_points(points_of(configuration), sink_rules(configuration))
+        for name in changed & configuration.sinks.keys():
+            self._thread.add(name, *configuration.sinks[name])
+        self._keys = new
+        self.receive(configuration)
+        return [
+            f"sink {name} {'began' if name not in before else 'ended' if name not in new else 'began anew'}"
+            for name in sorted(changed)
+        ]
+
+    def _change_pages(self, configuration: CollectorConfiguration) -> None:
+        for name in list(self._pages):
+            if name not in configuration.pages or name in self._prepared:
+                self._pages.pop(name).close()
+        self._pages |= self._prepared
+        self._prepared = {}
+        for name, section in configuration.pages.items():
+            self._pages[name].configure(section.points, section.stale)
+
+    async def _end_inputs(self, names: set[str]) -> None:
+        tasks = [self._receiving.pop(name)[1] for name in names & self._receiving.keys()]
+        for task in tasks:
+            task.cancel()
+        if tasks:
+            await asyncio.wait(tasks)
+
+    async def end_inputs(self) -> None:
+        """Receive no more commands."""
+        await self._end_inputs(set(self._receiving))
+
+    def close_sinks(self) -> None:
+        """Let the sinks send what they can for a moment, and end them. For another thread: it waits."""
+        if self._thread is not None:
+            self._thread.close()
+
+    def close_pages(self) -> None:
+        """End the pages for Prometheus."""
+        self._discard()
+        for page in self._pages.values():
+            page.close()
+
+    @property
+    def urls(self) -> list[str]:
+        """The URLs of the pages for Prometheus."""
+        return [page.url for page in self._pages.values()]
+
+    def sink_statuses(self) -> Sequence[SinkStatus]:
+        """Return the status of each sink."""
+        return () if self._thread is None else self._thread.statuses()
+
+    def input_statuses(self) -> Sequence[InputStatus]:
+        """Return the status of each server that commands come from."""
+        return [receiver.status() for receiver, _ in self._receiving.values()]

@@ -1,0 +1,95 @@
+"""Whether the wall clock of the machine is kept right by a time service: what the kernel says, and what that means.
+
+Knows the kernel's call and how long the machine has run; `sample_clock` knows what follows for samples.
+
+1. The kernel knows whether a time service (chrony, ntpd, timesyncd, PTP) has set the clock: ``STA_UNSYNC`` of adjtimex.
+   It says so again when none has done that for hours. A container shares it with its host.
+2. *Synchronised* proves that the clock is right. *Unsynchronised* proves nothing: chrony without ``rtcsync`` and the
+   tools of virtual machines set the clock and leave that bit, and a plant may have no time service at all. It counts
+   while a time service may still come: for `SETTLES` after the machine has started, and `SETTLES` after one is lost.
+3. Where the kernel cannot be asked, nothing is known against the clock.
+"""
+
+import ctypes
+import time
+from enum import Enum
+from typing import Final, Literal
+
+SETTLES: Final = 600.0
+"""Seconds within which a time service sets the clock after a start, or comes back after it was restarted."""
+_UNSYNCHRONISED_BIT: Final = 0x0040
+"""``STA_UNSYNC`` of <sys/timex.h>."""
+
+ClockTrust = Literal["auto", "synchronised", "trusted"]
+
+
+class Synchronisation(Enum):
+    """What the kernel says of the wall clock."""
+
+    YES = "synchronised"
+    NO = "unsynchronised"
+    UNKNOWN = "unknown"
+
+
+class _Timex(ctypes.Structure):
+    """The beginning of ``struct timex`` of Linux, and room for the rest of it."""
+
+    _fields_ = (
+        ("modes", ctypes.c_uint),
+        ("offset", ctypes.c_long),
+        ("frequency", ctypes.c_long),
+        ("maximum_error", ctypes.c_long),
+        ("estimated_error", ctypes.c_long),
+        ("status", ctypes.c_int),
+        ("rest", ctypes.c_char * 512),
+    )
+
+
+def kernel_synchronisation() -> Synchronisation:
+    """Ask the kernel whether a time service keeps the wall clock right; changes nothing, and raises nothing."""
+    found = _Timex()  # `modes` of 0: only asks
+    try:
+        code = ctypes.CDLL(None).adjtimex(ctypes.byref(found))
+    except (OSError, AttributeError, TypeError):  # another system than Linux has no such call
+        return Synchronisation.UNKNOWN
+    if code < 0:  # a sandbox that forbids it
+        return Synchronisation.UNKNOWN
+    return Synchronisation.NO if found.status & _UNSYNCHRONISED_BIT else Synchronisation.YES
+
+
+def seconds_since_boot() -> float:
+    """Return for how many seconds the machine has run, with those in which it was suspended."""
+    boot = getattr(time, "CLOCK_BOOTTIME", None)  # Linux alone has it
+    return time.monotonic() if boot is None else time.clock_gettime(boot)
+
+
+class ClockJudge:
+    """Judges whether the wall clock is known to be right.
+
+    Args:
+        trust: ``auto`` judges by the rules of this module; ``synchronised`` believes the clock only while the kernel
+            says that a time service keeps it right; ``trusted`` always.
+    """
+
+    def __init__(self, trust: ClockTrust = "auto") -> None:
+        self._trust = trust
+        self._was_synchronised = False
+        self._lost_at: float | None = None
+
+    def is_known(self, says: Synchronisation, now: float) -> bool:
+        """Return whether the wall clock is known to be right. To be called every few seconds.
+
+        Args:
+            says: what the kernel says now.
+            now: seconds since the machine was started.
+        """
+        if self._trust != "auto":
+            return self._trust == "trusted" or says is Synchronisation.YES
+        if says is not Synchronisation.NO:
+            self._was_synchronised |= says is Synchronisation.YES
+            self._lost_at = None
+            return True
+        if not self._was_synchronised:
+            return now >= SETTLES
+        self._lost_at = now if self._lost_at is None else self._lost_at
+        return now - self._lost_at < SETTLES
