@@ -76,6 +76,47 @@ def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., An
         east.stop()
 
 
+def test_leases_hold_for_as_long_as_an_operator_says_while_no_collector_runs(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    at = ("--coordinator", f"local:{tmp_path}/zone")
+    file = written(tmp_path)
+    plant = Path(file)
+    plant.write_text(plant.read_text().replace('name = "a"', 'name = "a"\ngateway_wait = 12', 1))
+    refused = run("fleet", "apply", file, *at)
+    assert (refused.code, "12 s of it in a gateway" in refused.err) == (2, True)
+    ttl = re.search(r"busway fleet apply --ttl (\d+s)", refused.err)
+    assert ttl is not None
+    first = run("fleet", "apply", file, "--ttl", ttl[1], "--shards", "8", *at)
+    assert first.out.startswith(f"leases of the zone hold for {ttl[1][:-1]} s\n"), first.err
+    with Busway("fleet", "run", *at, "--shards", "8", "--name", "west", "--store", str(tmp_path / "west")) as west:
+        west.wait_for("west collects into")
+        while not json.loads(run("fleet", "status", "--json", *at).out)["collectors"]:
+            assert west.process.poll() is None
+        other = run("fleet", "apply", file, "--ttl", "60s", *at)
+        assert (other.code, other.err) == (
+            2,
+            f"busway: --ttl: leases of the zone hold for {ttl[1][:-1]} s, the same for all; stop all collectors first: "
+            "west still run\n",
+        )
+        assert run("fleet", "apply", file, "--ttl", ttl[1], *at).code == 0, "nothing changes"
+        west.stop()
+    assert "leases of the zone hold for 60 s\n" in run("fleet", "apply", file, "--ttl", "60s", *at).out
+    again = run("fleet", "apply", file, *at)
+    assert again.code == 0, "the zone has the time until another one is given"
+    with Busway("fleet", "run", *at, "--shards", "8", "--name", "east", "--store", str(tmp_path / "east")) as east:
+        east.wait_for("east collects into")
+        shards: dict[str, Any] = {}
+        while not shards:
+            assert east.process.poll() is None
+            shards = {
+                shard: each
+                for shard, each in json.loads(run("fleet", "status", "--json", *at).out)["shards"].items()
+                if each["owner"] == "east"
+            }
+        east.stop()
+
+
 def test_restore_raises_the_generation_and_each_time_further(run: Callable[..., Any], tmp_path: Path) -> None:
     at = ("--coordinator", f"local:{tmp_path}/zone")
     first, second = (int(run("fleet", "restore", *at).out.split()[-1]) for _ in range(2))
@@ -93,6 +134,8 @@ def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_pat
     ("words", "said"),
     [
         (["status"], "--coordinator"),
+        (["run", "--ttl", "30s", "--coordinator", "local:x"], "--ttl: is for apply"),
+        (["apply", "x.toml", "--ttl", "301s", "--coordinator", "local:x"], "--ttl: a time of 3…300 s is needed"),
         (["drain", "--coordinator", "local:x"], "drain NAME"),
         (["status", "--undo", "--coordinator", "local:x"], "--undo: is for drain"),
         (["status", "--name", "a", "--coordinator", "local:x"], "--name: is for run"),
