@@ -27,6 +27,7 @@ from ..errors import ConfigError, ModbusError
 from .arguments import JSON, QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .collect_status import open_page, print_status
 from .exits import ExitCode
+from .fleet_folder import chosen_coordinator
 from .fleet_sinks import open_stream, print_stream_status, run_sink
 from .fleet_write import write_point
 from .output import print_aligned, print_json, say, warn
@@ -56,8 +57,9 @@ Examples:
   busway fleet restore --coordinator nats://10.0.0.7 --zone hall
   busway fleet server-config hall --servers 10.0.0.1,10.0.0.2,10.0.0.3 --out servers
 
-The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
-the password of --user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS and BUSWAY_FLEET_CA those files.
+The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; without one it is a folder of
+this user, ~/.local/state/busway/fleet, for collectors of this machine. BUSWAY_FLEET_PASSWORD holds the password of
+--user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS and BUSWAY_FLEET_CA those files.
 """
 ACTIONS = {
     "demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1, "server-config": 2,
@@ -74,7 +76,7 @@ def fleet(
         help="A collector file, or the name of a sink of it, or of a collector; or a value for a point.",
     ),
     coordinator: str | None = typer.Option(
-        None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER."
+        None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER; a folder of this user."
     ),
     zone: str = typer.Option("plant", "--zone", metavar="NAME", help="The network that reaches the devices: plant."),
     name: str | None = typer.Option(None, "--name", metavar="NAME", help="run: of this collector; the host's name."),
@@ -164,9 +166,19 @@ def fleet(
         raise ConfigError("is for apply: collectors have the time of their zone", key="--ttl")
     checked_zone(zone)
     times = None if ttl is None else LeaseTimes.lasting(seconds(ttl, "--ttl", low=3.0, high=LONGEST_TTL))
-    url = coordinator or os.environ.get("BUSWAY_FLEET")
-    if not url:
-        raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
+    needs = {
+        action: True,
+        "--stream": stream,
+        "--user": user,
+        "--credentials": credentials,
+        "--system-credentials": system,
+        "--ca": ca,
+        "--certificate": certificate,
+        "--private-key": private_key,
+        "--domain": domain,
+        "--replicas": replicas != "1",
+    }
+    url = chosen_coordinator(coordinator, needs)
     options = CoordinatorOptions(
         user=user,
         password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
