@@ -216,15 +216,17 @@ class FleetCollector:
     ) -> None:
         """Stop polling, release all owned shards (groups of links) in at most `END_LIMIT` seconds, and close the store.
 
-        Leases that could not be released in time lapse: others take the shards later.
+        The limit is longer while a gateway may hold a request, but by no more than a lease lasts. Leases that could not
+        be released in time lapse: others take the shards later.
         """
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
             steps.push_async_exit(self._keys)
             steps.push_async_exit(self.collector)
             steps.push_async_callback(self._end_tasks)
-            if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
-                _log.warning("not all shards were handed back in %g s: others take them later", END_LIMIT)
+            limit = END_LIMIT + min(self._held_for(self._times_of), self.member.times.ttl)
+            if not any(task.done() for task in self._tasks) and not await self._driver.end(limit):
+                _log.warning("not all shards were handed back in %.3g s: others take them later", limit)
 
     @property
     def links(self) -> frozenset[str]:
