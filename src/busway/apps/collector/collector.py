@@ -113,7 +113,7 @@ class Collector:
         *,
         permit: Callable[[str], None] | None = None,
         may_send: Callable[[str], bool] | None = None,
-        unanswered: Callable[[str], None] = lambda _: None,
+        unanswered: Callable[[str], None] | None = None,
         claims: KeyClaims | None = None,
         plant: Callable[[], CollectorConfiguration] | None = None,
         others: OtherOwners | None = None,
@@ -128,7 +128,7 @@ class Collector:
                 on a serial line. If it returns False, nothing is sent, and the connection is reset. None if all frames
                 may leave.
             unanswered: called with the name of a link after a transaction that was permitted, of which a request may
-                have been sent and got no valid reply.
+                have been sent and got no valid reply. None if nothing has to know.
             claims: ensures that of all collectors of a fleet only one executes a write command; None for a collector
                 that works alone.
             plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this

@@ -15,11 +15,12 @@ class PermittedLink:
         name: the name of the link.
         link: the link that sends the requests.
         permit: called with the name right before requests are sent; raises `LinkDown` if they may not be sent.
-        unanswered: called with the name after requests of which one may have been sent, and got no valid reply.
+        unanswered: called with the name after requests of which one may have been sent, and got no valid reply;
+            None if nothing has to know.
     """
 
     def __init__(
-        self, name: str, link: PollLink, permit: Callable[[str], None], unanswered: Callable[[str], None]
+        self, name: str, link: PollLink, permit: Callable[[str], None], unanswered: Callable[[str], None] | None
     ) -> None:
         self._name, self._link = name, link
         self._permit, self._unanswered = permit, unanswered
@@ -38,7 +39,7 @@ class PermittedLink:
             outcomes = await self._link.run(unit, requests, call_options)
             are_answered = not any(map(_may_be_on_its_way, outcomes))
         finally:
-            if not are_answered:
+            if not are_answered and self._unanswered is not None:
                 self._unanswered(self._name)
         return outcomes
 
