@@ -44,19 +44,20 @@ THREE_AT_ONCE := --numprocesses=3 --dist=loadfile
 REAL_TIME_FILES = tests/browser tests/network $$(grep -rl --include='test_*.py' 'mark\.real_time' tests)
 ALONE_FILES = tests/load $$(grep -rl --include='test_*.py' 'mark\.alone' tests)
 
-# Runs on one Python: documentation and tools; models without IO; walks by chance; kills; commands as processes, but for
-# those that read, write, serve and collect.
+# Runs on one Python: documentation and tools; models without IO; walks by chance; kills; servers of others; commands as
+# processes, but for those that read, write, serve and collect.
 ONE_PYTHON := $(addprefix tests/, \
 	bench docs fuzz speed_guard typing testing/test_plugin.py \
 	$(addprefix test_, coroutine_tests.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
 	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
 	$(addprefix session/test_, client_stateful.py late_replies_model.py multidrop.py unit_breaker.py) \
-	$(addprefix apps/collector/test_, clock_walk.py learning.py plan.py right_values.py schedule.py) \
+	$(addprefix apps/collector/test_, clock_walk.py dashboards.py learning.py plan.py right_values.py schedule.py) \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
-	apps/collector/commands/test_crashes.py apps/collector/sinks/test_kills.py \
-	apps/collector/sinks/test_sparkplug_walk.py apps/collector/store/test_crashes.py \
-	apps/collector/store/test_power_failure.py apps/fleet/test_lease_holder.py \
-	$(addprefix cli/test_, demo.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
+	apps/collector/commands/test_crashes.py \
+	$(addprefix apps/collector/sinks/test_, hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
+	apps/collector/store/test_crashes.py apps/collector/store/test_power_failure.py \
+	$(addprefix apps/fleet/test_, chain_model.py coordinators.py lease_holder.py) \
+	$(addprefix cli/test_, demo.py fleet.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
 	simulate_sources.py status.py))
 PYTEST_FLAGS ?=
 
@@ -138,10 +139,10 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 		echo "== Python $* is not here: its unit tests are left out"; \
 	fi
 
-# What is about the system and not about Python has been tried once already.
+# What is about the system and not about Python has been tried once already, and so have most examples of properties.
 .PHONY: test-unit-quietly
 test-unit-quietly: $(VENV)/.installed-dev
-	@$(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONE_PYTHON:%=--ignore=%) $(PYTEST_FLAGS)
+	@BUSWAY_FEW_EXAMPLES=1 $(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONE_PYTHON:%=--ignore=%) $(PYTEST_FLAGS)
 
 .PHONY: explore
 explore: $(VENV)/.installed-dev ## unit tests with examples of properties drawn anew

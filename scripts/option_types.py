@@ -85,7 +85,7 @@ def link_options() -> str:
     return source.render(
         "LinkOptions",
         "The options of `busway.connect` and `busway.open`, for type checkers.",
-        "Keyword options of `busway.connect` and `busway.open`; each scheme takes a part of them.",
+        "Keyword options of `busway.connect` and `busway.open`; the scheme decides which are accepted.",
         keys,
     )
 

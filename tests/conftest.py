@@ -10,6 +10,7 @@
 6. No example of a property has a time limit: what a machine that pauses takes longer is not wrong.
 7. The examples of a property are the same in each run, so that a change is judged by what it changes. With
    BUSWAY_NEW_EXAMPLES in the environment they are drawn anew: `make explore` looks for what no run has seen yet.
+   On the second and third Python a property gets a tenth of its examples (`support.examples`).
 """
 
 import asyncio
@@ -21,6 +22,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import HealthCheck, settings
 
 # A shell that starts the tests in the background makes them, and the programs that they start, deaf to interrupts.
@@ -43,6 +45,7 @@ ALONE_FOLDERS = (f"{TESTS / 'load'}{os.sep}",)
 settings.register_profile(
     "of the tests",
     deadline=None,
+    max_examples=examples(100),
     suppress_health_check=[HealthCheck.too_slow],
     derandomize="BUSWAY_NEW_EXAMPLES" not in os.environ,
 )

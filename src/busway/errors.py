@@ -74,9 +74,9 @@ class ModbusError(Exception):
         attempt: int | None = None,
         elapsed: float | None = None,
     ) -> Self:
-        """Set those fields of this error that are still ``None`` to the arguments, and return this error.
+        """Fill in those fields of this error that are still ``None``, and return this error.
 
-        Fields with a value keep it.
+        Fields that have a value keep it.
         """
         self.endpoint = endpoint if self.endpoint is None else self.endpoint
         self.unit = unit if self.unit is None else self.unit
@@ -122,8 +122,8 @@ class ExceptionReply(ModbusError):
     Code 05 (acknowledge) is no refusal: the device has accepted the request and needs time to execute it.
 
     Attributes:
-        code: the exception code, 0…255; codes outside the specification are kept as they came.
-        from_gateway: whether the code is 0A or 0B, which a gateway sends in place of the device.
+        code: the exception code as received, 0…255, also one outside the specification.
+        from_gateway: whether the code is 0A or 0B, which a gateway sends when it cannot reach the device.
     """
 
     def __init__(
@@ -219,9 +219,9 @@ class BadReply(ModbusError):
 class NoAnswer(ModbusError):
     """Base of the errors for a device that has not answered: silence, no connection, or an unknown write outcome.
 
-    Catch this class where the difference does not matter; only its subclasses are raised. A device that refused or
-    broke the protocol has answered and raises other errors (`ExceptionReply`, `BadReply`). So does a request that this
-    program did not send for a reason of its own (`InvalidRequest`, `Overloaded`, `ConfigError`).
+    Catch this class where the difference does not matter; only its subclasses are raised. Other errors mean something
+    else: a device that refused or broke the protocol has answered (`ExceptionReply`, `BadReply`), and some requests
+    are not sent for a reason in this program (`InvalidRequest`, `Overloaded`, `ConfigError`).
 
     Code that catches this error and repeats the call repeats writes too: catch `WriteOutcomeUnknown` before.
     """
@@ -231,11 +231,11 @@ class NoReply(NoAnswer, TimeoutError):
     """Error: no usable reply came in time.
 
     Attributes:
-        kind: what came, for a program to compare. ``"nothing"``: no reply; ``"partial"``: only a part of a frame, or a
-            damaged frame; ``"late"``: no reply, but an earlier reply of this unit came after its timeout (see
-            ``observed_delay``); ``"early"``: only a frame that began too early to be the reply (on a line: before t3.5
-            had passed since the request); ``"in doubt"``: nothing was sent, because the unit owes earlier replies, and
-            one of them could be taken for the reply to this request.
+        kind: what was received, for a program to compare. ``"nothing"``: no reply; ``"partial"``: only a part of a
+            frame, or a damaged frame; ``"late"``: no reply, but an earlier reply of this unit came after its timeout
+            (see ``observed_delay``); ``"early"``: only a frame that began too early to be the reply (on a line: before
+            t3.5 had passed since the request); ``"in doubt"``: nothing was sent, because the unit owes earlier replies,
+            and one of them could be taken for the reply to this request.
         observed_delay: seconds from request to reply for the last late reply of this unit; None if none was seen.
     """
 
@@ -268,7 +268,9 @@ class NoReply(NoAnswer, TimeoutError):
 
 
 class UnitSuspended(NoReply):
-    """Error: the unit did not answer several times in a row and is not asked now. Nothing was sent.
+    """Error: this request was not sent, because the unit did not answer several requests in a row.
+
+    Nothing is sent to the unit for a while.
 
     Attributes:
         next_probe: seconds until the next request to the unit is sent, as a test whether it answers again.
@@ -289,7 +291,7 @@ class UnitSuspended(NoReply):
 
 
 class Overloaded(ModbusError):
-    """Error: a limit of this program is reached, such as calls that wait on a link. Nothing was sent."""
+    """Error: a limit of this program is reached, such as the number of calls that wait on a link. Nothing was sent."""
 
 
 class WriteOutcomeUnknown(NoAnswer):
@@ -364,9 +366,9 @@ class ConfigError(ModbusError, ValueError):
     """Error: a setting, URL or file is invalid, or a file that a setting names cannot be used.
 
     Attributes:
-        file: path of the file at fault; None if no file is.
-        line: line at fault in ``file``, 1-based; None if not known.
-        key: key or option at fault, dotted: ``server.port``; None if not known.
+        file: path of the invalid file; None if the error is in no file.
+        line: number of the invalid line in ``file``, 1-based; None if not known.
+        key: the invalid key or option, dotted: ``server.port``; None if not known.
     """
 
     def __init__(

@@ -42,7 +42,7 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
     Args:
         package: import name of the package, a key of `EXTRA_OF`.
         purpose: what needs the package, as the subject of the error message: ``a serial port``.
-        key: the option for which the package is needed, for the error; None if no option is.
+        key: name of the option that needs the package, for the error; None if it is no option.
     """
     try:
         is_there = find_spec(package) is not None
@@ -53,7 +53,7 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 
 
 def missing_extra(error: ImportError) -> MissingExtra | None:
-    """Return the error for the user if ``error`` is the failed import of an optional package; None otherwise."""
+    """Return the `MissingExtra` for ``error`` if it is the failed import of an optional package; None otherwise."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRA_OF:
         return None

@@ -243,7 +243,7 @@ def _opened(path: str | os.PathLike[str], flags: int, mode: int = 0o666) -> int:
         mode: access rights of a file that is created, before the umask.
 
     Raises:
-        ConfigError: as of `open_to_read`.
+        ConfigError: the file cannot be opened, is no regular file, or is reached through a link of another user.
     """
     name = past_links(path)
     try:

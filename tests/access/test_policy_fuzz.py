@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from authorizing import AuthorizedPipeline
+from examples import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -403,13 +404,13 @@ asked_often = st.lists(
     Policy((Rule(access=AccessKind.WRITE, limits=Limits(1, 1)),), Action.ALLOW),
     [(2, 2, bytes.fromhex("16000000000000"))],
 )
-@settings(max_examples=250, deadline=None)
+@settings(max_examples=examples(250), deadline=None)
 def test_both_paths_permit_what_the_rules_say_and_nothing_denied_reaches_a_store(policy, asked):
     check(World(policy), asked)
 
 
 @given(policies, policies, asked_often)
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 def test_a_policy_that_is_replaced_holds_from_the_next_request_on(first, second, asked):
     world = World(first)
     check(world, asked)
@@ -418,7 +419,7 @@ def test_a_policy_that_is_replaced_holds_from_the_next_request_on(first, second,
 
 
 @given(policies, asked_often)
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_a_log_changes_nothing_in_what_is_permitted(tmp_path_factory, policy, asked):
     path = tmp_path_factory.mktemp("audit") / "log"
     with AuditLog(path, schedule=lambda seconds, function: True, now=lambda: 1_772_366_400.25) as audit:
@@ -433,7 +434,7 @@ class LongRoadOnly(AuthorizedPipeline):
 
 
 @given(policies, asked_often)
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 def test_both_paths_leave_the_same_lines_to_the_byte(tmp_path_factory, policy, asked):
     folder = tmp_path_factory.mktemp("audit")
     found = []

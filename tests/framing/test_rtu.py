@@ -5,6 +5,7 @@ import random
 from pathlib import Path
 
 import pytest
+from examples import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processor_time import cpu_seconds
@@ -481,7 +482,7 @@ def test_flush_decides_at_the_response_timeout() -> None:
     assert line.receiver.flush(line.now) == []
 
 
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 @given(st.binary(max_size=400), st.integers(1, 64), st.floats(0, 0.02), st.sampled_from([22, -1]))
 def test_the_next_good_reply_is_found_within_one_transaction(noise: bytes, size: int, gap: float, length: int) -> None:
     line = master(size=length)
@@ -600,7 +601,7 @@ def test_an_observer_finds_frames_between_noise() -> None:
 # Any input.
 
 
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 @given(
     st.sampled_from(list(LineRole)),
     st.lists(

@@ -9,6 +9,7 @@ from collections.abc import Callable
 
 import pytest
 from conversations import ClientWire, read
+from examples import examples
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
@@ -53,7 +54,7 @@ CUTS = st.integers(1, 600)
 
 
 @given(PDUS)
-@settings(max_examples=600)
+@settings(max_examples=examples(600))
 def test_any_pdu_is_a_request_of_ours_with_the_same_bytes(pdu: bytes) -> None:
     if pdu[0] > 0x7F:
         return
@@ -67,7 +68,7 @@ def test_any_pdu_is_a_request_of_ours_with_the_same_bytes(pdu: bytes) -> None:
 
 @given(PDUS)
 @example(b"")
-@settings(max_examples=600)
+@settings(max_examples=examples(600))
 def test_any_pdu_is_a_reply_of_ours_or_malformed(pdu: bytes) -> None:
     try:
         reply = STANDARD.decode_reply(pdu)
@@ -79,7 +80,7 @@ def test_any_pdu_is_a_reply_of_ours_or_malformed(pdu: bytes) -> None:
 
 
 @given(st.binary(max_size=300), st.integers(0, 300))
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_the_length_rule_gives_a_length_or_says_why_not(data: bytes, at: int) -> None:
     for rule in (STANDARD.request_length, STANDARD.reply_length):
         length = rule(data, at, len(data))
@@ -87,7 +88,7 @@ def test_the_length_rule_gives_a_length_or_says_why_not(data: bytes, at: int) ->
 
 
 @given(STREAMS, CUTS)
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_a_receiver_takes_any_stream_and_keeps_at_most_a_frame(stream: bytes, cut: int) -> None:
     receiver = MbapReceiver()
     frames = []
@@ -98,7 +99,7 @@ def test_a_receiver_takes_any_stream_and_keeps_at_most_a_frame(stream: bytes, cu
 
 
 @given(STREAMS, CUTS)
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
     device = Device(
         holding_registers=100, coils=100, input_registers=10, discrete_inputs=10, files={1: 20}, fifos={3: [1, 2]}
@@ -121,7 +122,7 @@ def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
 
 
 @given(STREAMS, CUTS, st.integers(0, 4))
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_a_client_takes_any_stream(stream: bytes, cut: int, in_flight: int) -> None:
     wire = ClientWire(max_transactions=4, retries=0)
     calls = [wire.ask(read(number), WriteSingleRegister(number, 1), caller=number) for number in range(in_flight)]

@@ -13,6 +13,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from examples import examples
 from handlers import ScriptedHandler, address_of, registers
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -174,7 +175,7 @@ async def replies(reader: asyncio.StreamReader, count: int) -> list[bytes]:
 
 
 @given(asked=ASKED, hooked=st.booleans())
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=examples(25), deadline=None)
 def test_every_answered_request_is_counted_exactly_once_by_whatever_path(
     asked: list[tuple[int, str]], hooked: bool
 ) -> None:

@@ -8,6 +8,7 @@ import pickle
 from collections.abc import Iterator
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_strategies import ALL, REPLIES, REQUESTS, any_request, messages, name_of
@@ -64,7 +65,7 @@ def test_a_reply_of_the_document_answers_its_request(exchange: Exchange) -> None
 
 @pytest.mark.parametrize("kind", ALL, ids=name_of)
 @given(data=st.data())
-@settings(max_examples=40)
+@settings(max_examples=examples(40))
 def test_a_message_goes_to_bytes_and_back(kind: type[Message], data: st.DataObject) -> None:
     message = data.draw(messages(kind))
     wire = message.encode()
@@ -80,7 +81,7 @@ def test_a_message_goes_to_bytes_and_back(kind: type[Message], data: st.DataObje
 
 
 @given(any_request())
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_a_request_is_found_in_the_table_by_its_bytes(request: Message) -> None:
     assert STANDARD.decode_request(request.encode()) == request
 
@@ -122,7 +123,7 @@ def test_the_length_rule_tells_the_length_as_soon_as_the_bytes_do(exchange: Exch
 
 
 @given(st.data())
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_the_length_rule_holds_for_messages_of_every_class(data: st.DataObject) -> None:
     kind = data.draw(st.sampled_from(STANDARD_CLASSES))
     wire = data.draw(messages(kind)).encode()

@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_strategies import messages
@@ -138,7 +139,7 @@ def expect_same(first: int, count: int, pdu: bytes) -> None:
 
 
 @given(st.data())
-@settings(max_examples=400)
+@settings(max_examples=examples(400))
 def test_both_paths_say_and_do_the_same_on_every_request(data: st.DataObject) -> None:
     first = data.draw(st.sampled_from((0, 0, 1, 5, 100)))
     count = data.draw(st.sampled_from((1, 7, 8, 9, 300, 3000)))
@@ -151,7 +152,7 @@ def test_both_paths_say_and_do_the_same_on_every_request(data: st.DataObject) ->
 
 
 @given(st.sampled_from(DIRECT).flatmap(lambda kind: st.tuples(st.just(kind), st.binary(min_size=0, max_size=16))))
-@settings(max_examples=400)
+@settings(max_examples=examples(400))
 def test_both_paths_say_and_do_the_same_on_any_bytes(drawn: tuple[Any, bytes]) -> None:
     kind, rest = drawn
     expect_same(0, 300, bytes((kind.code,)) + rest)

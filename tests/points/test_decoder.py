@@ -6,6 +6,7 @@ from fractions import Fraction
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -50,7 +51,7 @@ def layouts(draw: st.DrawFn) -> tuple[list[Point], int, int, bytes, bool]:
     return (draw(st.permutations(points)) if shuffled else points), start, count, data, overlapping
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(layouts())
 def test_a_read_gives_what_an_independent_decoder_gives(drawn: tuple[list[Point], int, int, bytes, bool]) -> None:
     points, start, count, data, _ = drawn
@@ -70,7 +71,7 @@ def test_a_read_gives_what_an_independent_decoder_gives(drawn: tuple[list[Point]
 
 @pytest.mark.parametrize("name", NUMBERS)
 @given(data=st.data())
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 def test_what_was_encoded_is_decoded_in_every_order(name: str, data: st.DataObject) -> None:
     form = value_type(name, data.draw(st.sampled_from(ORDERS[int(name[-2:])])))
     if name.startswith("float"):
@@ -307,7 +308,7 @@ def conversions(draw: st.DrawFn) -> Conversion:
     return Conversion(**keys)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     given=st.lists(st.tuples(conversions(), st.sampled_from(["int16", "uint16", "float32"])), min_size=1, max_size=8),
     data=st.data(),

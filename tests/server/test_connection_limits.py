@@ -4,6 +4,7 @@ from collections import Counter
 from dataclasses import dataclass
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -201,7 +202,7 @@ LIMITS = st.builds(
 
 @pytest.mark.clause("T13")
 @pytest.mark.clause("T14")
-@settings(max_examples=400, deadline=None)
+@settings(max_examples=examples(400), deadline=None)
 @given(LIMITS, EVENTS)
 def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
     limits: PoolLimits, events: list[tuple[str, int, str]]

@@ -4,6 +4,7 @@ from typing import Any
 
 import pytest
 from conversations import ClientWire
+from examples import examples
 from hypothesis import given, settings
 from message_strategies import any_request
 
@@ -75,7 +76,7 @@ def exchange(request: Request, functions: FunctionTable = STANDARD) -> Message |
 
 
 @given(any_request())
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_whatever_is_asked_the_client_gets_the_functions_reply_or_the_devices_exception(request: Request) -> None:
     outcome = exchange(request)
     if isinstance(outcome, Message):

@@ -5,6 +5,7 @@ the requests in flight is ever lost.
 """
 
 from conversations import ClientWire, answer_to, read
+from examples import examples
 from hypothesis import HealthCheck, settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -245,7 +246,10 @@ class ForeignTransactions(Conversation):
 
 
 LIMITS = settings(
-    max_examples=120, stateful_step_count=50, deadline=None, suppress_health_check=[HealthCheck.filter_too_much]
+    max_examples=examples(120),
+    stateful_step_count=50,
+    deadline=None,
+    suppress_health_check=[HealthCheck.filter_too_much],
 )
 TestConversation = Conversation.TestCase
 TestConversation.settings = LIMITS

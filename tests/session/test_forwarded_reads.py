@@ -6,6 +6,7 @@ from itertools import pairwise
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -165,7 +166,7 @@ def test_reads_that_are_planned_and_reads_that_are_handed_on_are_answered_once_w
     assert client.session.requests == client.diagnostics.counters.server_message_count == 8
 
 
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 @given(st.lists(FRAMES, min_size=1, max_size=12), st.lists(st.integers(0, 200), max_size=5))
 def test_however_the_stream_is_cut_the_answers_are_those_of_the_generic_path(
     frames: list[tuple[int, bytes]], cuts: list[int]

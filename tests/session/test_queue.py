@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -145,7 +146,7 @@ DEMANDS = st.lists(
 
 
 @given(DEMANDS)
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(calls: list[Call]) -> None:
     order = serve(filled(*calls))
     assert len(order) == sum(len(one.requests) for one in calls)
@@ -156,7 +157,7 @@ def test_everything_is_served_once_and_no_unit_sees_a_caller_out_of_order(calls:
 
 
 @given(DEMANDS)
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 def test_nobody_is_passed_twice_while_he_waits(calls: list[Call]) -> None:
     waiting = {caller: sum(len(one.requests) for one in calls if one.caller == caller) for caller in "abc"}
     since: dict[str, set[object]] = {caller: set() for caller in "abc"}
@@ -353,7 +354,7 @@ def test_full_queue_has_places_that_priority_hosts_alone_take(limit: int) -> Non
 
 
 @given(st.lists(st.builds(call, st.sampled_from("abc"), st.integers(1, 2), write=st.booleans()), max_size=20))
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 def test_look_ahead_gives_what_is_picked_whoever_is_a_priority_host(calls: list[Call]) -> None:
     for one in calls:
         one.is_priority = one.caller in "ab"

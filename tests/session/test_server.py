@@ -7,6 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from message_strategies import any_request
@@ -454,7 +455,7 @@ def near(pdu: bytes, address: int) -> bytes:
         max_size=8,
     )
 )
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 def test_short_and_generic_path_answer_alike_count_alike_and_leave_the_same_device(pdus: list[bytes]) -> None:
     devices = [device(short=True), device(short=False)]
     peers = [Peer(DeviceResponder({1: one})) for one in devices]
@@ -471,7 +472,7 @@ def test_short_and_generic_path_answer_alike_count_alike_and_leave_the_same_devi
 
 
 @given(st.data())
-@settings(max_examples=100)
+@settings(max_examples=examples(100))
 def test_any_split_of_the_stream_gives_the_same_answers(data: st.DataObject) -> None:
     pdus = data.draw(st.lists(any_request().map(lambda request: request.encode()), min_size=1, max_size=6))
     stream = b"".join(

@@ -55,7 +55,7 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """Return the JSON text that all audit lines of one client have in common: its address, role and listener.
+    """Return the JSON text that all audit lines of one client share: its address, role and listener.
 
     Keeps it in ``client.audit_text``.
     """
@@ -89,10 +89,10 @@ def audit_line(
 
 
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
-    """Return the fixed parts of an executed write's audit line: the text between client and address, and the end.
+    """Return the prepared parts of an executed write's audit line: the text behind the client, and the line's end.
 
-    Between the two comes the text that the function's entry in `DONE` returns. The line then equals that of
-    `audit_line`, to the byte.
+    The caller puts the client's part (`who_text`) before the first, and between the two the address and items,
+    formatted by the function's entry in `DONE`. The line then equals that of `audit_line`, to the byte.
     """
     return (
         f',"unit":{unit},"function":{function:d},"address":',
@@ -139,7 +139,7 @@ def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return three JSON texts that an audit line shows about a request: function and items, old values, new values."""
+    """Return three JSON texts for a request's audit line: its function and addresses, the old and the new values."""
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
     facts = _FACTS.get(type(request), _other_facts)
@@ -178,7 +178,7 @@ def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return the JSON texts of an audit line about functions 20 and 21, with the file records of all groups."""
+    """Return the three JSON texts for an audit line about functions 20 and 21, with all groups of file records."""
     groups: Sequence[FileReference | FileData] = request.groups
     records = [[group.file, group.record, group.count] for group in groups]
     count = sum(group.count for group in groups)
@@ -196,7 +196,7 @@ def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | Non
 
 
 def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
-    """Return the JSON texts of an audit line about reads, requests without a table, and functions of the user."""
+    """Return the three JSON texts for an audit line about reads, requests without a table, and the user's functions."""
     spans = request.spans()
     span = next((span for span in spans if span.writes), spans[0] if spans else None)
     what = f'"function":{request.code:d}'

@@ -100,7 +100,10 @@ Room = Callable[[int], tuple[int, int]]
 
 
 def room_of_file(file: int) -> tuple[int, int]:
-    """Return free and total bytes of an open file's file system; enough of both if the system cannot tell."""
+    """Return free and total bytes of an open file's file system.
+
+    `MOST_RESERVED` for both if the system does not say.
+    """
     if not hasattr(os, "fstatvfs"):
         return MOST_RESERVED, MOST_RESERVED
     facts = os.fstatvfs(file)
@@ -206,11 +209,11 @@ class AuditLog:
                 self.flush()
 
     def append_denied(self, about: About, line: DenialLine) -> None:
-        """Append the audit line of a denied request now, or count the request, to be reported by a later line.
+        """Append the audit line of a denied request, or only count the request if it repeats an earlier one.
 
         Args:
-            about: host, role and rule; denials that have all three in common are counted together.
-            line: creates the line.
+            about: host, role and rule; denials that agree in all three are repetitions of each other.
+            line: function that creates the line; called with the number of repetitions that it stands for.
         """
         with self._lock:
             if self._repeated_due is not None and self._clock() > self._repeated_due + _LATE:
@@ -277,7 +280,7 @@ class AuditLog:
     # ---- denials
 
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
-        """Append the line of denied requests if there is room for it, else count them as left out.
+        """Append an audit line about denied requests if there is space for it, else count those requests as left out.
 
         ``repeated``: how many denials the line stands for; 0 for one.
         """
@@ -289,10 +292,7 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append the lines of denials that were only counted, and schedule the next call.
-
-        There is one for each client and rule.
-        """
+        """Append a line for each client and rule whose denials were only counted, and schedule the next such call."""
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():
@@ -305,10 +305,7 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def _tell_left_out(self) -> None:
-        """Append an audit line with the number of denials that were left out since the last such line.
-
-        None if there were none.
-        """
+        """If denials were left out since the last such line, append an audit line with their number."""
         if self._left_out:
             left_out, self._left_out = self._left_out, 0
             self.append(f'{{"time":"{self.timestamp()}","outcome":"denials left out","lines":{left_out}}}\n')
@@ -352,9 +349,9 @@ class AuditLog:
             self._recovered()
 
     def _keep(self, data: bytes, at: int) -> None:
-        """Count the buffered audit lines that were written, and keep the others buffered.
+        """Remove written audit lines from the buffer and count them; lines that a write has not written stay.
 
-        ``data`` is the text of all of them, of which the first ``at`` bytes were written.
+        ``data`` is the text of all buffered lines, of which the file has taken the first ``at`` bytes.
         """
         if at == len(data):
             self.written += len(self._lines) + bool(self._begun)
@@ -391,5 +388,5 @@ class AuditLog:
 
 
 def _others_line(time: str, repeated: int) -> str:
-    """Return the audit line for all denials of clients and rules beyond the limit of those counted one by one."""
+    """Return one audit line for all denials that were counted together, as their clients and rules are too many."""
     return f'{{"time":"{time}","outcome":"denied","repeated":{repeated}}}\n'

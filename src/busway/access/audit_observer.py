@@ -30,7 +30,7 @@ class AuditObserver:
         """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Do nothing for forwarded reads whose client has gone: reads are not recorded."""
+        """Do nothing for reads whose client disconnected before the reply: reads are not recorded."""
 
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float

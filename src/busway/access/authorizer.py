@@ -63,14 +63,16 @@ class PolicyRights:
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers requests with one function code from bytes.
+        """Return the function that answers requests with one function code from their bytes, within these rights.
 
-        ``kind`` is the request class of that code. None if each request needs a decision of the policy.
+        ``kind`` is the request class of that code. None if the policy has to decide about each request.
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read request is always permitted, without a rate limit: then the same read needs no check later."""
+        """Whether a read is permitted without a rate limit, so that the same read of these clients needs no check
+        later.
+        """
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
         return decision.allowed and not decision.rates and not question.writes
@@ -178,7 +180,7 @@ class PolicyAuthorizer:
         return None
 
     def _judge(self, context: RequestContext, rights: Rights, question: Question, replaced: Replaced) -> None:
-        """Decide a mask write (function 22) once the old register value is known. Raises `Refusal`."""
+        """Decide about a mask write (function 22) once the old register value is known. Raises `Refusal`."""
         current = replaced[0] if replaced else None
         if current is not None:
             question = question.with_current(int.from_bytes(current, "big"))
@@ -194,8 +196,8 @@ class PolicyAuthorizer:
     def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
         """Return the exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
-        For requests that reach several units at once. A rule with a rate counts such a request once, whatever the
-        number of units. A refusal is counted, logged and recorded like that of a request to one unit.
+        Such requests reach several units at once. A rule with a rate counts each of them once, whatever the number of
+        units. A refusal is counted, logged and recorded like that of a request to one unit.
 
         Args:
             context: the context of the request as received.
@@ -249,8 +251,8 @@ class PolicyAuthorizer:
 
         Returns its refusal if it is above one of them, else None.
 
-        ``charged`` holds the ids of rules that have counted the request already, so that a broadcast counts once; None:
-        none has.
+        ``charged`` has the ids of the rules that have counted this request already, so that a broadcast counts once,
+        and gets the ids of those that count it now; None for a request to one unit.
         """
         for rule in decision.rates:
             if charged is not None and id(rule) in charged:
@@ -266,7 +268,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """Return, from a cache, the client as access rules see it (host, role, listener), and its rights."""
+        """Return from a cache a client's host, role and listener, as rules compare them, and the client's rights."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:
@@ -280,8 +282,7 @@ class PolicyAuthorizer:
 def _denied_to_all(rights: Rights, question: Question) -> Decision | None:
     """Return the refusal of a broadcast if a rule that names unit 0 denies it; else None.
 
-    A broadcast on a line is decided for each unit that receives it; a rule that permits unit 0 permits it for none of
-    them.
+    A permission for unit 0 is not enough: a broadcast must be permitted for each unit that receives it.
     """
     decision = rights.decide(replace(question, unit=BROADCAST_UNIT, listed=_NO_UNITS))
     is_named = decision.rule is not None and decision.rule.units is not None

@@ -76,9 +76,10 @@ def bind(
 def _within(
     kind: type[Request], answer: Answer, rights: Rights, access: Callable[[Table | None, bool], UnitAccess]
 ) -> Answer | None:
-    """Return an answering function that first checks whether the touched items are permitted.
+    """Return a function that checks whether the touched items are permitted, and then calls ``answer``.
 
-    It is ``answer`` itself if all items are; None if bytes do not suffice to check that.
+    Returns ``answer`` itself if all addresses are permitted, and None if the bytes of a request are not enough to check
+    it.
     """
     if kind.spans is not Request.spans:
         return None  # it says for itself what it touches: only a request can tell
@@ -101,7 +102,7 @@ def _unlimited(zones: tuple[Zone, ...]) -> tuple[Zone, ...]:
 
 
 def _is_plain(kind: type[Request], touch: Touch) -> bool:
-    """Whether requests of a function begin with the address, followed by the count of items if there is one."""
+    """Whether requests of a function begin with an address and, unless it touches one item, the number of items."""
     names = ("address",) if touch.count is None else ("address", "count")
     fields = kind.layout.fields[: len(names)]
     return (
@@ -140,7 +141,10 @@ def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
 
 
 def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
-    """Return an answering function for requests that touch one item; it first checks the address."""
+    """Return a function that checks the address of a request for one item, and then calls ``answer``.
+
+    ``permitted`` has the permitted address ranges, ascending.
+    """
     firsts, ends = zip(*permitted, strict=True)
 
     def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -158,11 +162,11 @@ Put = Callable[[int, int, bytes], bool | None]
 
 
 class _CheckedDevice:
-    """A device whose memory blocks check writes by a policy; only for answering functions of the fast path.
+    """A device whose memory blocks check each write by a policy. Used only to build functions of the fast path.
 
     Args:
-        device: the device.
-        checked: returns the checking ``put`` for a block; None if the block cannot have one.
+        device: the device itself.
+        checked: returns for a memory block a ``put`` that checks; None if the block cannot have one.
     """
 
     __slots__ = ("_checked", "_device")
@@ -182,7 +186,7 @@ class _CheckedDevice:
 
 
 class _CheckedBlock:
-    """A device's memory block whose ``put`` checks each write against the policy. ``put`` is a closure, for speed."""
+    """A memory block of a device with a ``put`` that checks each write against the policy."""
 
     __slots__ = ("_block", "count", "first", "put")
 
@@ -223,9 +227,9 @@ def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes
 
 
 def _limited(block: Block, zones: Sequence[Zone]) -> Put:
-    """Return the ``put`` of a memory block that refuses writes outside the permitted addresses and value limits.
+    """Return a ``put`` for a memory block that refuses writes outside the permitted addresses and value limits.
 
-    A refused write changes nothing, and ``put`` returns True; then the request takes the generic path.
+    For a refused write, ``put`` changes nothing and returns True: the request then takes the generic path.
     """
     zone_of, plain_put = _zone_finder(block.first, zones), block.put
 
@@ -243,7 +247,7 @@ _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 def _audited(
     kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: "AuditLog"
 ) -> Answer | None:
-    """Return the function that answers writes from bytes: it checks addresses and limits, and appends an audit line.
+    """Return the fast path function for writes that checks addresses and values, writes, and appends an audit line.
 
     None if the device's memory cannot be used directly.
     """

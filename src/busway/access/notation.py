@@ -78,7 +78,7 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
 def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> frozenset[int]:
     """Parse function codes or names into a set of codes. Raises `ConfigError`, also for a sub-function.
 
-    ``what`` is the subject of that error: what does not accept sub-functions.
+    ``what`` is the subject of that error, such as ``a route``.
     """
     found = parse_functions(value)
     for code, sub_code in found:
@@ -212,7 +212,10 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """Complete the end of an item range from its start: ``199`` in ``holding:100-199`` becomes ``holding:199``."""
+    """Return the end of an item range with the notation of its start.
+
+    ``199`` of ``holding:100-199`` becomes ``holding:199``.
+    """
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
     if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):
         return last

@@ -144,7 +144,7 @@ class Question:
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":
-        """Return this request with the value that it would write to a register that now holds ``current``.
+        """Return this request with the value it would write, if the register now holds ``current``.
 
         Only a mask write (function 22) is changed; other requests are returned as they are.
         """

@@ -31,7 +31,10 @@ class Rates:
         return len(self._buckets)
 
     def charge(self, host: str, requests: int, now: float) -> float:
-        """Count ``requests`` of a host against its rate; return the seconds that it must wait now, 0 for none."""
+        """Count ``requests`` that a host has sent.
+
+        Returns the seconds for which it must pause now, 0 if it is within its rate.
+        """
         left = self._left(host, now) - requests
         self._buckets[host] = (left, now)
         self._buckets.move_to_end(host)

@@ -48,11 +48,11 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denied request needs an audit line of its own now.
+        """Whether a denied request is the first of its client and rule, and needs an audit line of its own now.
 
-        If not, it was counted as a repetition, or in ``others`` if `MOST_APART` combinations are known already.
+        Otherwise it was counted: as a repetition, or in ``others`` if `MOST_APART` combinations are counted already.
 
-        ``line`` is kept for repetitions, to show the latest denial later.
+        ``line`` creates the audit line of this denial; the latest one is kept for the line about the repetitions.
         """
         repeated = self._repeated.get(about)
         if repeated is not None:
@@ -66,9 +66,10 @@ class RepeatedDenials:
         return True
 
     def take(self) -> list[tuple[DenialLine, int]]:
-        """Return the functions for the audit lines of counted denials, each with its number, and set the counts to 0.
+        """Return a function for each audit line about repeated denials, with their number, and set the counts to 0.
 
-        Combinations without a repetition since the last call are forgotten: their next denial is a first one again.
+        Combinations of client and rule without a repetition since the last call are forgotten: their next denial is a
+        first one again.
         """
         again = {about: each for about, each in self._repeated.items() if each.count}
         found = [(each.line, each.count) for each in again.values() if each.line is not None]

@@ -32,11 +32,10 @@ class Repeats:
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """Return whether a message about ``name`` may be logged now: None if not, else how many were suppressed before
-        it.
+        """Decide about one more message: None if it must be suppressed, else the number of those suppressed before.
 
         Args:
-            name: what the message is about, such as a host.
+            name: what the message is about, such as a host; messages about one name repeat each other.
             now: seconds, monotonic.
         """
         said = self._said.get(name)

@@ -156,7 +156,7 @@ class Rights:
         return Decision(True, rule=first_rule, rates=tuple(rates))
 
     def _touched(self, question: Question, piece: TouchedRange) -> list[Zone]:
-        """Return the zones in which the items of a piece lie, in the order of their rules."""
+        """Return the zones in which the items of one range of a request lie, in the order of their rules."""
         access = UnitAccess(
             question.unit, question.listed, question.function, question.sub_function, piece.space, piece.writes
         )
@@ -178,9 +178,9 @@ class Rights:
         return found
 
     def _compile(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Split all addresses into zones for one kind of access: in each, the first rule that applies decides.
+        """Split all addresses into ascending zones for one kind of access.
 
-        Ascending.
+        In each zone the first rule that applies decides.
         """
         found: list[Zone] = []
         firsts, ends = [0], [END]  # what no rule has taken yet
@@ -214,7 +214,10 @@ class Rights:
         return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
 
     def _of_unit(self, unit: int, listed: frozenset[int]) -> tuple[tuple[int, Rule], ...]:
-        """Return the rules that apply to a unit, with their positions; cached, since there may be many thousands."""
+        """Return the rules that apply to a unit, each with its position in the policy. The result is cached.
+
+        ``listed``: the units under which the device is configured.
+        """
         key = unit, listed
         found = self._of_units.get(key)
         if found is None:
@@ -243,9 +246,9 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Return why the written registers from ``start`` to ``end - 1`` are outside the value limits.
+    """Return in words why the written registers from ``start`` to ``end - 1`` are outside the value limits.
 
-    Empty if they are within.
+    Empty if within.
 
     Both positions count from the first item of the written range.
     """

@@ -72,7 +72,10 @@ def main() -> None:
 
 
 def _refuse(error: ImportError) -> NoReturn:
-    """End the process with code 2 and name the command that installs a missing package; re-raise other errors."""
+    """Report an import error: for a missing package, end the process with code 2 and name the command that installs it.
+
+    Other errors are raised again.
+    """
     from ..extras import missing_extra
 
     missing = missing_extra(error)

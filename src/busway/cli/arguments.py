@@ -107,8 +107,8 @@ BEHIND_DASHES: Final[list[str]] = []
 def refuse_unknown_option(value: str) -> None:
     """Raise `ConfigError` if a value looks like a misspelt option: one or two minus signs and a letter.
 
-    Negative numbers, ``-inf``, ``-nan`` and what stands behind ``--`` are values. For commands whose parser takes
-    unknown options as values.
+    Negative numbers, ``-inf``, ``-nan`` and what stands behind ``--`` are values. Meant for commands whose
+    parser takes unknown options as values.
     """
     if value in BEHIND_DASHES:
         return
@@ -162,7 +162,7 @@ def show_traffic(verbose: int) -> None:
 
 
 def check_order(place: "Address", form: "ValueType[Any] | None", order: str) -> None:
-    """Check that ``--order`` changes something at an address.
+    """Check that the option ``--order`` has an effect on the values at an address.
 
     Args:
         place: the address.
@@ -170,7 +170,7 @@ def check_order(place: "Address", form: "ValueType[Any] | None", order: str) -> 
         order: the text of ``--order``.
 
     Raises:
-        ConfigError: it is given, and there is one bit, or one register whose bytes it leaves in their order.
+        ConfigError: an order is given for one bit, or for one register whose bytes it does not swap.
     """
     if order == "ABCD":
         return

@@ -86,7 +86,7 @@ def _make(
 
 
 def _file_name(role: str) -> str:
-    """Return the file name ``client-ROLE``, without characters that files and certificates cannot have."""
+    """Return ``client-ROLE`` for a role, without characters that are not allowed in names of files and certificates."""
     return f"client-{re.sub(r'[^A-Za-z0-9._-]+', '-', role).lower()[:50]}"
 
 

@@ -175,7 +175,7 @@ def _scratch(text: str | None) -> tuple["Items | None", "Items | None"]:
 
 
 def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]]]":
-    """Return path and form of each report that ``--report`` names.
+    """Return for each report that ``--report`` names its path, and the function that formats it.
 
     Raises:
         ConfigError: the text is not ``FORM=FILE`` with commas between, a folder is missing, or a file that is no report

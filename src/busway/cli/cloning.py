@@ -33,7 +33,7 @@ class CloneOptions:
 
     Attributes:
         url: URL of the device.
-        unit: unit identifier, 0…255; None for that of the link.
+        unit: unit identifier, 0…255; None to use the link's.
         map: path of a register map in CSV, whose points are read; None: the tables are searched.
         out: path of the simulation file; None for stdout.
         watch: how long to observe how the values change, such as ``60s``; None for not at all. Needs ``map``.
@@ -114,7 +114,10 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Yield the seconds since the first call, about once a second, and sleep in between; the last is ``duration``."""
+    """Yield the seconds since the first call, about one value a second, sleeping in between.
+
+    The last is ``duration``.
+    """
     began = time.monotonic()
     due = 0.0
     while due < duration:

@@ -71,7 +71,7 @@ def config(
 
 
 def _kind_of(file: str) -> str:
-    """Return what a file is for, by the keys that only such files have: collector, gateway, simulation or server."""
+    """Return the kind of a file, by keys that only this kind has: collector, gateway, simulation or server."""
     from ..config.files import collector, gateway, simulation, system
     from ..config.files.schema import keys_of
     from ..config.reading import read_text
@@ -95,7 +95,7 @@ def _kind_of(file: str) -> str:
 
 
 def _unit_keys(units: object) -> Iterator[str]:
-    """Yield the path of each key of parsed ``[[unit]]`` tables and their points: ``unit[0].point[2].behaviour``."""
+    """Yield the path of each key in parsed ``[[unit]]`` tables and their points: ``unit[0].point[2].behaviour``."""
     for number, unit in enumerate(units if isinstance(units, list) else []):
         for key, value in unit.items() if isinstance(unit, dict) else []:
             yield f"unit[{number}].{key}"
@@ -165,7 +165,7 @@ def _show(file: str) -> None:
 
 
 def _print_options(url: str | None) -> None:
-    """Print name, default, values and meaning of each option: of a link to a URL, or of all that files configure."""
+    """Print name, default, values and meaning of each option of a link to ``url``, or without a URL of all options."""
     from ..options.endpoints import parse_endpoint
     from ..options.offer import LINKS, Offer
 
@@ -178,7 +178,10 @@ def _print_options(url: str | None) -> None:
 
 
 def _all_options() -> Iterator[tuple[str, list["Option"]]]:
-    """Yield titles with their options: of links, of servers, and keys of sections of files; each option once."""
+    """Yield groups of options, each with a title: of links, of servers, and keys of sections of files.
+
+    No option comes twice.
+    """
     from ..config.files.schema import keys_of, sections_of
     from ..options.offer import LINKS, SERVERS, Offer
 
@@ -202,7 +205,10 @@ def _print_keys(title: str, options: Iterable["Option"]) -> None:
 
 
 def _schemas() -> dict[str, type["Section"]]:
-    """Return the schemas of files by the option that chooses each; ``""`` has that of configuration files."""
+    """Return the schema class for each option of ``busway config schema``.
+
+    Key ``""`` has that of configuration files.
+    """
     from ..config.files import collector, device, gateway, simulation, system
 
     return {

@@ -106,7 +106,7 @@ def counters(
 
 
 def _questions() -> list[tuple[str, str, Callable[["BlockingUnit"], list[Fact]]]]:
-    """Return what to ask a device: code and name of each function, and a callable that asks a unit for facts."""
+    """Return the diagnostic functions to read: code, name, and a callable that reads them from a unit as facts."""
     questions: list[tuple[str, str, Callable[[BlockingUnit], list[Fact]]]] = []
     for code, meaning in COUNTERS:
         function, name = f"08/{code:02X}", code.name.lower().removeprefix("return_")

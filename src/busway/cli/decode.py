@@ -100,7 +100,7 @@ def _joined(texts: list[str]) -> list[str]:
 
 
 def _bytes_of(text: str) -> bytes:
-    """Return the bytes of a frame given as text; those of an ASCII frame are its characters."""
+    """Return the bytes of a frame given as text in hexadecimal; of an ASCII frame, its characters as bytes."""
     if _ASCII_FRAME.fullmatch(text) and not text[1:].isspace():
         return text.replace("\\r", "\r").replace("\\n", "\n").encode("ascii", errors="replace")
     digits = _SEPARATORS.sub("", text)

@@ -57,7 +57,7 @@ def _events(file: "PacketFile", traffic: "CapturedTraffic") -> Iterator["Traffic
 
 
 class _Explaining:
-    """Prints the frames of one capture file, each with its packet, time and addresses.
+    """Prints the frames of one capture file, each below a line with its packet, time and addresses.
 
     Attributes:
         code: exit code of the command: ``BROKEN`` once something broken was printed.

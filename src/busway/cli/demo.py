@@ -150,9 +150,9 @@ async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]"
 
 
 def _line(stack: AsyncExitStack) -> tuple[str, str]:
-    """Return the URLs of the gateway's and the devices' end of a paced line.
+    """Return the URLs of both ends of a paced line: that of the gateway and that of the devices.
 
-    On a system without pseudo-terminals these are an empty text and a TCP endpoint for the devices.
+    On a system without pseudo-terminals the first is empty, and the second is a TCP endpoint for the devices.
     """
     try:
         from ..testing.line import PacedLine
@@ -164,7 +164,10 @@ def _line(stack: AsyncExitStack) -> tuple[str, str]:
 
 
 def _devices(plant: "Plant", url: str) -> "Server":
-    """Return the server of the plant's devices on their line, not started yet; one is slow, one fails and recovers."""
+    """Return the server of the plant's devices on their line, not started yet.
+
+    One of the devices answers slowly, and one stops answering from time to time.
+    """
     from ..apps.simulator.plant import METER, THERMOMETER
     from ..faults.fault import Schedule
     from ..faults.switchboard import FaultSwitchboard
@@ -203,7 +206,7 @@ async def _started(line: str, port: int) -> "Gateway":
 
 
 async def _move(plant: "Plant") -> None:
-    """Advance the plant of the demonstration in real time, for ever."""
+    """Advance the plant of the demonstration in real time, until cancelled."""
     before = time.monotonic()
     while True:
         await asyncio.sleep(TICK_SECONDS)

@@ -48,5 +48,5 @@ _CODES: tuple[tuple[type[ModbusError], ExitCode], ...] = (
 
 
 def exit_code_of(error: ModbusError) -> ExitCode:
-    """Return the exit code for an error; `NoReply`, `WriteOutcomeUnknown`, `Overloaded` and unlisted ones give 3."""
+    """Return the exit code for an error; 3 for `NoReply`, `WriteOutcomeUnknown`, `Overloaded` and unlisted errors."""
     return next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.NO_REPLY)

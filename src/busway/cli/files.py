@@ -41,7 +41,10 @@ def open_capture(name: str) -> "Capture":
 
 
 def refuse_to_replace(path: str, *, force: bool) -> None:
-    """Raise `ConfigError` if the file ``path`` exists and may not be replaced; called before other work is done."""
+    """Raise `ConfigError` if the file ``path`` exists and ``force`` is False.
+
+    Commands call it before they do anything else.
+    """
     if not force and os.path.lexists(path):
         raise _there_already(path)
 

@@ -225,7 +225,7 @@ def fleet(
 
 
 def _action(words: list[str]) -> list[str]:
-    """Return the words if they are an action and as many more as the action takes: a file, a name, or a value.
+    """Check the words of ``busway fleet``: an action, such as ``apply``, and its arguments. Returns the words.
 
     Raises:
         ConfigError: there is no such action, or it has too few or too many words.
@@ -275,9 +275,14 @@ async def _with_coordinator(
     work: Any,
     tell: "Callable[[Coordinator], Awaitable[None]] | None" = None,
 ) -> int | None:
-    """Open the coordinator of a zone, await ``work(coordinator)``, close it, and return the exit code of the work.
+    """Open the coordinator of a zone, await ``work(coordinator)``, close it, and return the result of ``work``.
 
-    None instead of an exit code means that the work is done.
+    Args:
+        url: URL of the coordinator.
+        zone: name of the zone.
+        options: options of the connection.
+        work: coroutine function that returns an exit code, or None for success.
+        tell: coroutine function that is awaited first, to print warnings about the coordinator; None for none.
     """
     from ..apps.fleet.coordinators import open_coordinator
 
@@ -294,7 +299,7 @@ async def _with_coordinator(
 async def _durability(
     table: "Coordinator", url: str, options: "CoordinatorOptions", system: str | None
 ) -> "list[ServerDurability]":
-    """Return what the servers of NATS say of themselves; nothing of another coordinator."""
+    """Return what each NATS server says about writing to its disk; an empty list for another coordinator."""
     from ..apps.fleet.coordinators.nats import NatsCoordinator
     from ..apps.fleet.durability import server_durability
 
@@ -302,7 +307,7 @@ async def _durability(
 
 
 async def _tell_durability(url: str, options: "CoordinatorOptions", system: str | None, table: "Coordinator") -> None:
-    """Print at the start which servers may lose what they have acknowledged, and an entry that too few servers keep."""
+    """Print warnings about NATS servers that may lose what they have acknowledged, or if too few keep an entry."""
     from ..apps.fleet.durability import durability_warnings
 
     try:
@@ -341,10 +346,12 @@ async def _apply(
 
 
 async def _make_streams(table: "Coordinator", zone: str, options: "CoordinatorOptions") -> None:
-    """Create the streams of a zone and its bucket for commands at NATS; warn about each that cannot be created.
+    """Create the streams of a zone, and its bucket for commands, on NATS servers.
 
-    The accounts of collectors and sinks may not have the right to create them. Another coordinator than NATS needs
-    none.
+    Warn about each that cannot be created.
+
+    They are created here because the accounts of collectors and sinks may lack the right. Nothing is done for a
+    coordinator other than NATS.
     """
     client = getattr(table, "client", None)
     if client is None:
@@ -545,7 +552,7 @@ async def _show_status(
 
 
 def _hole_texts(hole: "LeaseHole | None") -> list[str]:
-    """Return two texts about the last time in which no collector owned a shard: when and how long, and why.
+    """Return two texts about the last time in which no collector owned a shard: when and how long it was, and why.
 
     Both are ``-`` if there was no such time.
     """

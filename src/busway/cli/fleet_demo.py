@@ -210,7 +210,7 @@ class FleetDemo:
         await self._start_program(name, [sys.executable, "-m", "busway", "fleet", *words, *self._at])
 
     async def _start_program(self, name: str, words: list[str]) -> asyncio.subprocess.Process:
-        """Start a program whose output goes to the file ``NAME.log``, in a session that Ctrl-C does not reach."""
+        """Start a program that Ctrl-C does not reach; its output goes to the file ``NAME.log``."""
         with (self._folder / f"{name}.log").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, cwd=self._folder
@@ -238,7 +238,7 @@ class FleetDemo:
         say(f"after {time.monotonic() - begun:.1f} s the others poll all links (a lease holds for 15 s)")
 
     async def _until_shared(self, watch: "ZoneWatch", names: set[str]) -> None:
-        """Wait until exactly these collectors own all shards; print each change of the shares.
+        """Wait until the collectors ``names``, and no others, own all shards; print each change of their parts.
 
         Raises:
             LinkDown: one of the collectors has ended, or `START_SECONDS` have passed.
@@ -284,7 +284,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
 
 
 def _ports_of(file: Path) -> str:
-    """Return the first URL that a nats-server has written into its file of ports; empty while it is written."""
+    """Return the first URL in the file of ports that a nats-server writes; empty while the file is not complete."""
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["nats"][0])
     except (ValueError, LookupError, OSError):
@@ -292,7 +292,7 @@ def _ports_of(file: Path) -> str:
 
 
 async def _move(devices: "list[Device]") -> None:
-    """Change the values of the devices for ever, those of a fifth of the devices every 0.2 s."""
+    """Change values of the devices until cancelled: every 0.2 s those of a fifth of the devices."""
     turn = 0
     while True:
         for place in range(turn % 5, len(devices), 5):

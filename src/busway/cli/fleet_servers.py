@@ -226,7 +226,7 @@ def _make_folder(folder: Path) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace a file as a whole: a server that reads it meanwhile gets the old contents or the new."""
+    """Replace the whole contents of a file in one step: a server that reads it sees the old contents or the new."""
     try:
         write_whole(path, text)
     except OSError as error:

@@ -170,7 +170,10 @@ async def _sink_of(
 
 
 async def _newer(table: "Coordinator", revision: int) -> "SharedConfiguration | None":
-    """Return the zone's configuration if its revision is not ``revision``; None if it is, or cannot be read now."""
+    """Return the zone's configuration if it has another revision than ``revision``.
+
+    None if not, or if it cannot be read now.
+    """
     from ..apps.fleet.control_entries import read_configuration
 
     try:

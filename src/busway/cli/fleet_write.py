@@ -95,7 +95,10 @@ def link_of(text: str, device: str) -> str:
 
 
 def value_of(text: str) -> Any:  # JSON
-    """Return the value that an argument means: a bool for ``on`` and ``off``, a number or other JSON, else a text."""
+    """Return the value that an argument means: ``on`` and ``off`` as bool, a number or other JSON.
+
+    Anything else is returned as text.
+    """
     if text in _STATES:
         return _STATES[text]
     try:

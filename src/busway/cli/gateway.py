@@ -127,9 +127,9 @@ def gateway(
 def _remembering_drain(
     read: "Callable[[], GatewayConfiguration]",
 ) -> "tuple[Callable[[], GatewayConfiguration], Callable[[], float]]":
-    """Return a reader as ``read``, and a function that returns ``drain`` of the configuration it has read last.
+    """Return two functions: ``read``, changed to remember the option ``drain``; and one that returns this option.
 
-    ``drain`` is in seconds; 0.0 before the first reading.
+    It returns the seconds in the configuration that was read last; 0.0 before the first reading.
     """
     seconds = 0.0
 
@@ -150,9 +150,9 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
     """Return a function that reads the gateway's configuration; it is called at the start and at each reload.
 
     Args:
-        words: URLs of listeners and, as the last one, the upstream; or one file.
-        changes: options of listeners that replace those of the file.
-        deadline: text of ``--client-deadline``, which goes with URLs only.
+        words: URLs of listeners, followed by the URL of the upstream; or the path of one file.
+        changes: options of listeners that replace the file's.
+        deadline: text of ``--client-deadline``, which is for URLs only.
 
     Raises:
         ConfigError: the words are neither, or the deadline is invalid.
@@ -257,7 +257,7 @@ def _running(service: "Service") -> "Gateway":
 
 
 def _standing(gateway: "Gateway") -> str:
-    """Return the status of the gateway as text for the service manager: its listeners and upstreams."""
+    """Return one line about the gateway's listeners and upstreams, for the service manager (systemd)."""
     return f"{', '.join(gateway.endpoints)} to {', '.join(upstream.name for upstream in gateway.plan.upstreams)}"
 
 

@@ -27,12 +27,11 @@ class TableRow:
 
     Attributes:
         address: the address of the value.
-        value: what was read or written; None for a value that could not be read.
-        raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty for a value that could not be
-            read.
+        value: the value that was read or written; None if it could not be read.
+        raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty if it could not be read.
         type: name of its value type; ``bit`` for one bit.
         reason: why it could not be read; empty if it was read.
-        written: whether it was written, and not read.
+        written: True for a written value, False for one that was read.
         verified: whether the device held it when it was read back; None if it was not read back.
         holds: what the device holds instead, if ``verified`` is False.
     """
@@ -269,7 +268,7 @@ class LiveTableWriter:
 
 
 class LivePage:
-    """Aligned lines on a terminal that are redrawn in place."""
+    """Lines of cells on a terminal, in columns, that are redrawn in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -359,7 +358,7 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 class _Progress:
-    """The setting whether sentences about progress are printed; one for the process."""
+    """Whether `say` prints its sentences. There is one object for the process."""
 
     shown = True
 

@@ -109,7 +109,7 @@ def _access_rules(file: str) -> "AccessRules":
 
 
 def _checked_host(text: str) -> str:
-    """Return the address in ``--peer`` in the form in which a server sees the addresses of clients.
+    """Return the address given by ``--peer``, written as a server sees the addresses of clients.
 
     Raises:
         ConfigError: the text is no numeric address, or names a network.
@@ -184,7 +184,7 @@ _REQUESTS = {"read": _read_request, "write": _write_request, "mask": _mask_reque
 
 
 def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *, as_json: bool) -> bool:
-    """Print how the policy decides about a request. Returns whether it is allowed."""
+    """Print whether the policy permits a request, and why. Returns whether it does."""
     if not rules.addresses(host):
         why = rules.addresses.why(host)
         if as_json:

@@ -66,7 +66,7 @@ class Verbatim:
 
     @staticmethod
     def coerce(value: Any, param: Any, ctx: Any) -> Any:
-        """Return the text unchanged; an empty tuple if an argument for several texts was not given."""
+        """Return the text of an argument unchanged; an empty tuple for a missing argument that takes several."""
         if value is None and (param.multiple or param.nargs == -1):
             return ()
         return value
@@ -209,9 +209,9 @@ def _fail(sentence: str, code: ExitCode, *, prefix: str = "busway: ") -> ExitCod
 
 
 def _fail_unexpectedly(error: Exception) -> ExitCode:
-    """Report an error that is no `ModbusError`, and return the exit code.
+    """Report an error that is no `ModbusError` as one sentence, and return the exit code.
 
-    Such an error is a wrong usage, a missing package, a lost stream, or a defect; a defect is raised again if
+    It may be wrong usage, a missing package, a closed stream, or a defect of busway. A defect is raised again if
     BUSWAY_TRACEBACK is set.
     """
     if hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it

@@ -210,7 +210,7 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
 
 
 def _plain(table: Any) -> Any:
-    """Return a table of samples with all values as floats, so that all tables of a Parquet file have equal columns."""
+    """Return a table of samples with float values only, so that all tables of a Parquet file have equal columns."""
     for name in ("value", "minimum", "maximum"):
         if name in table.column_names:
             index = table.column_names.index(name)

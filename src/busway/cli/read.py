@@ -59,7 +59,7 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """One argument of ``busway read``: the address to read, with value type, byte order and number of values."""
+    """One argument of ``busway read``: the address, with the value type, byte order and number of values there."""
 
     place: Address
     form: ValueType[Any] | None

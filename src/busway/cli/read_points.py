@@ -34,7 +34,7 @@ _REFUSED: Final = (ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DAT
 
 @dataclass(frozen=True, slots=True)
 class PointRecord:
-    """One point that was read: its value, quality and bytes.
+    """The result of reading one point: its value, quality and bytes.
 
     Attributes:
         point: the point.
@@ -48,7 +48,7 @@ class PointRecord:
 
     @property
     def value(self) -> Any:  # what its type says
-        """The value of the point, floats with only as many digits as registers distinguish; None without a value."""
+        """The value of the point, or None; a float has no more digits than its registers can hold."""
         value, point = self.reading.value, self.point
         if isinstance(value, float) and point.type.startswith("float") and not point.conversion.changes:
             return fewest_digits(value, 2 * point.width)
@@ -172,7 +172,7 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """Return the names of the points that say how large a repeated group is, and of those they depend on."""
+        """Return the names of the points that give the size of a repeated group, and of those they depend on."""
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
@@ -244,9 +244,10 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a point exists: a member of a repeated group does up to the group's size that the device has reported.
+    """Whether a point exists in the device.
 
-    Every point of a group exists as long as the size is not known.
+    A member of a repeated group does if its number is within the group's size, which is a value of the device. While
+    the size is not known, all members exist.
     """
     for name, place in point.exists:
         record = records.get(name)

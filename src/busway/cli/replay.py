@@ -96,7 +96,7 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """What ``busway replay --simulate`` is to write: path, server, which values, delays, and whether to overwrite."""
+    """The options of ``busway replay --simulate``: path, server, which values, delays, and whether to overwrite."""
 
     path: str | None
     server: str | None

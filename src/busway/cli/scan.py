@@ -1,6 +1,7 @@
 """``busway scan``: finds the units that answer on a serial line, or behind an address.
 
-The asking is `busway.client.scanning`; ``--baud`` and ``--parity`` try several settings of a line, one after the other.
+`busway.client.scanning` does the asking; ``--baud`` and ``--parity`` try several settings of a line, one after the
+other.
 """
 
 import re
@@ -73,7 +74,7 @@ def scan(
 
 
 def _units(text: str | None, endpoint: Endpoint) -> list[int]:
-    """Return the unit identifiers that ``--units`` names, ascending; without it those that a scan asks by default.
+    """Return the unit identifiers that ``--units`` names, ascending; without the option, those of a usual scan.
 
     Raises:
         ConfigError: a unit is out of range, such as unit 0, the broadcast, on a serial line.
@@ -131,12 +132,15 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 
 def _identity(found: FoundUnit) -> tuple[object, ...]:
-    """Return a key that is equal for two units of one device: answer, identification and server id."""
+    """Return a key to compare found units: it is equal for two units that belong to one device.
+
+    It has the kind of answer, the identification and the server id.
+    """
     return found.answer, tuple(found.identification.items()), found.server_id
 
 
 def _who(found: FoundUnit) -> str:
-    """Return a found unit's identification as text."""
+    """Return how a found unit identifies itself, as text."""
     said = [_text(value) for value in found.identification.values()]
     if found.server_id:
         said.append(f"server id {found.server_id.hex(' ')}" + _printable(found.server_id))

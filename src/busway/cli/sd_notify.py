@@ -87,7 +87,10 @@ async def _keep_telling(manager: Manager, seconds: float) -> None:
 
 
 def _address(name: str) -> str:
-    """Return the address of the service manager's socket: a path, or an abstract name with ``@``; else empty."""
+    """Return the address of the service manager's socket from ``NOTIFY_SOCKET``, a path or ``@NAME`` (abstract).
+
+    Empty if the variable has neither form.
+    """
     if not hasattr(socket, "AF_UNIX"):
         return ""
     if name.startswith("@"):

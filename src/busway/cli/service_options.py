@@ -35,7 +35,10 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Return the checked address that ``--metrics`` gives; None if it is not given. Raises `ConfigError`."""
+    """Return the host and port of ``--metrics`` as text, checked; None if the option is not given.
+
+    Raises `ConfigError`.
+    """
     if text is not None:
         from ..options.text import host_and_port
 
@@ -76,7 +79,7 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Return the listener options given on the command line, by name; they replace those of the file.
+    """Return the listener options given on the command line, by name; they replace the file's.
 
     Args:
         priority: hosts and networks of ``--priority``.

@@ -12,7 +12,7 @@ from typing import Any
 def stop_event() -> Iterator[asyncio.Event]:
     """Context manager that yields an event set by Ctrl-C or SIGTERM; a second Ctrl-C interrupts as usual.
 
-    To be entered in the running event loop. Outside the main thread, which alone has signals, the event is never set.
+    Enter it in the running event loop. Outside the main thread, which alone has signals, the event is never set.
     """
     loop = asyncio.get_running_loop()
     event = asyncio.Event()

@@ -289,7 +289,7 @@ def _print_units(simulation: "Simulation") -> None:
 
 
 def _announce_fault(status: "FaultStatus") -> None:
-    """Say what a fault that is switched on does, with its parameters, and when it begins if that is later."""
+    """Print on stderr what a fault that is switched on does, with its parameters and, if later, the time it begins."""
     from ..apps.simulator.added_faults import fault_details
 
     details, after = fault_details(status), status.selection.schedule.after

@@ -169,7 +169,7 @@ class _Sniffing:
 
 
 def _describe(event: "Heard") -> "Description":
-    """Return the description of a frame that was heard; a reply is described with the help of its request."""
+    """Return the description of a frame in words; a reply is described with the help of its request."""
     from ..framing.received import Direction
     from ..observe.pairing import Kind
     from ..observe.wording import described

@@ -54,7 +54,7 @@ UNIT = typer.Option(None, "-u", "--unit", metavar="U", help="With --clone or --m
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The source of a simulation that the arguments choose.
+    """The file or ready-made device that ``busway simulate`` simulates.
 
     Attributes:
         name: the name of the file or device.
@@ -75,7 +75,7 @@ def chosen_source(
         device: name of a ready-made device.
         map_file: path of a register map.
         unit: the unit number for the register map.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
 
     Raises:
         ConfigError: none is named or more than one, there is no such device, or ``unit`` is given without a register

@@ -52,7 +52,7 @@ def status(
 
 
 def _ask(where: str | None) -> list[dict[str, Any]]:
-    """Return the status of running programs: of the one that ``where`` names, or of all that this user has started.
+    """Return the status of the program that ``where`` names, or of all running programs of this user.
 
     Raises:
         LinkDown: there is no such program.
@@ -73,7 +73,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
-    """Yield the status of each running program; print a warning for one that does not answer, and leave it out."""
+    """Yield the status of each running program that answers; print a warning for each one that does not."""
     from ..apps.control.client import ask
 
     for one in running:

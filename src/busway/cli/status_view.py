@@ -169,7 +169,7 @@ def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
 
 
 def _when(pause: float | None) -> str:
-    """Return when the next attempt is made, as text; ``pause`` is in seconds, None for the next request."""
+    """Return in words when to connect again: in ``pause`` seconds; None means at the next request."""
     return f"in {duration(pause)}" if pause else "with the next request"
 
 
@@ -278,7 +278,7 @@ def shown(name: str, value: Any) -> str:
 
 
 def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> StatusSection:
-    """Return a section made of rows with headings, the known columns first."""
+    """Return a section with a row for each object and a column for each of their keys, those in ``known`` first."""
     names = list(dict.fromkeys([*known, *(name for row in rows for name in row)]))
     names = [
         name
@@ -291,14 +291,14 @@ def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Stat
 
 
 def _flat(listener: JsonObject) -> JsonObject:
-    """Return a listener's status as one row, with its indicators and fault counters as columns."""
+    """Return a listener's status without nesting, as one row of a table: its indicators and counters become columns."""
     counters = listener.get("counters") or {}
     wrong = {name: count for name, count in counters.items() if "error" in name or "overrun" in name}
     return {**listener, **(listener.get("indicators") or {}), **wrong}
 
 
 def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
-    """Yield rows for counters that are not zero; those of a class of hosts begin with its name."""
+    """Yield name and value of each counter that is not zero; ``prefix`` is put before the names of nested counters."""
     for name, count in counters.items():
         label = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(count, dict):

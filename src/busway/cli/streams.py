@@ -5,7 +5,7 @@ Knows streams; knows no command.
 1. A text that stdout does not take ends the command: `OutputLostError`, or `ReaderGoneError` if the reader has gone.
 2. A text that stderr does not take is lost: there is no other place to report it.
 3. A character that the encoding of a stream does not have is written as ``\\xe4`` or ``\\u2026``.
-4. A stream that is closed (``>&-``) is as the null device, so that no socket gets its number.
+4. A stream that is closed (``>&-``) is replaced by the null device, so that no socket gets its number.
 """
 
 import contextlib
@@ -27,11 +27,12 @@ class ReaderGoneError(Exception):
 
 
 class Guarded:
-    """A text stream whose failures raise `ReaderGoneError` or `OutputLostError`, or nothing if it is not needed.
+    """A text stream for stdout or stderr, whose failures to write are turned into errors of this module.
 
     Args:
         stream: the stream that it writes to.
-        is_needed: True for stdout. False for stderr: what it does not take is lost without an error.
+        is_needed: True for stdout: a failure raises `ReaderGoneError` or `OutputLostError`. False for stderr: text that
+            cannot be written is lost without an error.
     """
 
     def __init__(self, stream: TextIO, *, is_needed: bool) -> None:
@@ -78,7 +79,7 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Context manager that replaces stdin, stdout and stderr of this process by streams that keep the rules above."""
+    """Context manager that replaces stdin, stdout and stderr of this process by streams that keep these rules."""
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)
@@ -111,7 +112,7 @@ def discard(stream: TextIO) -> None:
 
 
 def _there(stream: TextIO | None, mode: str, opened: list[TextIO]) -> TextIO:
-    """Return the given stream; if it is None, the null device, which is added to ``opened``."""
+    """Return the given stream; for None (a closed stream) open the null device and add it to ``opened``."""
     if stream is None:
         stream = cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - it lasts
         opened.append(stream)

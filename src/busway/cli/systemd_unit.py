@@ -25,7 +25,7 @@ _RUNTIME_DIRECTORY: Final = "busway"
 
 @dataclass(frozen=True, slots=True)
 class ServiceUnit:
-    """What a systemd unit file says about a gateway: command, rights and paths.
+    """The contents of a systemd unit file for a gateway: command, rights and paths.
 
     Attributes:
         command: the program and its arguments, the first an absolute path.

@@ -121,7 +121,7 @@ def write(
 
 
 def _read_back(read: Callable[[], _Found]) -> _Found | None:
-    """Return what ``read`` returns after a write; None, with a message on stderr, if the read fails."""
+    """Call ``read``, which reads back what was written, and return its result; on an error print it and return None."""
     try:
         return read()
     except ModbusError as error:
@@ -130,7 +130,7 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
 
 
 def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
-    """Return values and bytes that the device now has at the addresses where ``raw`` was written."""
+    """Read the values and bytes that the device has now at the addresses where ``raw`` was written."""
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
         states = found if isinstance(found, list) else [found]
@@ -140,7 +140,7 @@ def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw
 
 
 def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[TableRow]:
-    """Return the written values as rows to print, each beside the value that the device has now."""
+    """Return rows to print for written values, each with the value that was read back in its place."""
     compared = []
     for row, found in zip(written, held, strict=True):
         is_there = row.raw == found.raw
@@ -156,9 +156,9 @@ def _masks(place: Address, mask: tuple[str, str], texts: list[str] | None) -> tu
     """Return the AND mask and the OR mask that ``--mask`` gives. Raises `ConfigError`.
 
     Args:
-        place: must be a holding register.
+        place: the address; it must be a holding register.
         mask: the texts of both masks, 0…0xFFFF.
-        texts: values on the command line, which must be missing.
+        texts: the values on the command line; with a mask there must be none.
     """
     if texts:
         raise ConfigError(f"takes the place of values, but there is {texts[0]!r}", key="--mask")

@@ -76,7 +76,7 @@ class BlockingUnit:
     """One unit (device) reached through a link; has the methods that read and write it.
 
     Every method sends one request (`read`, `write` and `read_device_identification` may send several) and returns plain
-    Python values. Every method raises:
+    Python values. Every method may raise:
 
     * `InvalidRequest`: an argument is out of range; nothing was sent.
     * `ExceptionReply`: the device refused the request.
@@ -129,9 +129,10 @@ class BlockingUnit:
 
         Args:
             requests: any number of requests.
-            return_errors: True: the list has an error in the place of each reply that failed; if nothing could be sent
-                (`LinkDown`, `Overloaded`, `UnitSuspended`), every request has that error. False: the first error in the
-                list is raised, after all requests have ended. `InvalidRequest` for invalid arguments is always raised.
+            return_errors: what happens if requests fail. True: the list has an error in place of each missing reply; if
+                nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`), each request has that error. False:
+                after all requests have ended, the first error is raised. `InvalidRequest` for invalid arguments is
+                always raised.
             call_options: `CallOptions`; the deadline is for all requests together.
         """
         if not requests:
@@ -151,7 +152,7 @@ class BlockingUnit:
         return outcomes
 
     def _tell_assumed(self, error: ModbusError) -> None:
-        """Add to an error what was assumed, if that may be the cause: the unit, or settings of the serial port."""
+        """Add to an error a hint at what the user did not give, if that may be the cause: unit, baud rate or parity."""
         if self._is_assumed:
             with_assumed_unit(error, self._number)
         with_assumed_line(error, self._link._settings, self._link.counters)
@@ -620,7 +621,7 @@ class BlockingUnit:
     def _perform(self, operation: Operation, call_options: CallOptions) -> Any:
         """Run a generator of `busway.client.operations`, and return its result.
 
-        The requests that the generator yields are sent, and it is sent the list of their replies.
+        The requests that the generator yields are sent; the list of their replies is passed back into the generator.
         """
         try:
             requests = next(operation)
@@ -659,10 +660,9 @@ class BlockingLink:
         return BLOCKING_POOL.choose(self._settings, self._rule or LinkSelection.FIRST)
 
     def _looked_at(self) -> BlockingLinkDriver | None:
-        """Return the driver whose status this link shows; None if there is none.
+        """Return the driver whose status this link shows: its own, even after `close`.
 
-        It is the link's own one, even after `close`. A link opened with ``select`` has none of its own: it is the one
-        that the next request would use, None if no other link to the endpoint is open or this one is closed.
+        A link opened with ``select`` shows the driver that the next request would use; None if there is none.
         """
         try:
             return self._link or self._bound()
@@ -723,7 +723,8 @@ class BlockingLink:
         """Close the connection, for all links that share it; the next request opens another one.
 
         Use it if a connection is open but useless, such as one to a gateway that answers nothing. Requests in flight
-        are treated as after a loss: reads are repeated as ``retries`` says, writes fail with `WriteOutcomeUnknown`.
+        are treated as after a lost connection: reads are repeated as ``retries`` says, writes fail with
+        `WriteOutcomeUnknown`.
 
         Raises:
             InvalidRequest: the link was opened with ``select``, and has no connection of its own.
@@ -748,7 +749,10 @@ class BlockingLink:
         return self._bound().on_state(callback)
 
     def close(self) -> None:
-        """Close this link, and its connection if no other link uses that; calls under way fail with `LinkDown` then."""
+        """Close this link, and its connection if no other link uses that.
+
+        Its unfinished calls then fail with `LinkDown`.
+        """
         if not self._closed:
             self._closed = True
             if self._link is not None:
@@ -799,13 +803,13 @@ def connect(
         shared: use one connection for all links of this process to the endpoint; False gives this link its own
             connection (explicit connection management), at most ``max_connections`` for one endpoint.
         select: open no connection, but send each request on a connection that another link has open to the endpoint:
-            ``first``: that of the link made first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
+            ``first``: that of the link created first; ``oldest``: the one open longest (Messaging on TCP/IP V1.0b
             §4.2.1.2). That connection has its settings already, so only ``timeout``, ``retries``, ``deadline`` and
             ``register_width`` may be given as well. None: the link has its own or a shared connection.
         ssl_context: for ``tls://``, the program's own context, such as ``ssl.create_default_context()`` for the
             authorities that the system trusts. It decides what is verified, which certificate the client sends, and
             the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
-            as well. None: the context is made from the TLS options.
+            as well. None: the context is created from the TLS options.
         options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
             `ManagementParameters`; with RTU or ASCII framing, also of `SerialClientParameters`, `BreakerParameters` and
             `FramingParameters`; for a serial port, also of `SerialSettings` and `OpeningParameters`. An option that has

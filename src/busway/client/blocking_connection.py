@@ -2,8 +2,8 @@
 
 Knows a channel; knows no session and no thread. It is used under the lock of its link, except for `wait`.
 
-1. Unsent frames are dropped with their connection. A link makes another object for its next connection, so no byte can
-   leave on the wrong connection.
+1. Unsent frames are dropped with their connection. A link creates another object for its next connection, so no byte
+   can leave on the wrong connection.
 2. Frames are sent one by one, in order: a datagram holds one frame, and a half-sent frame is completed first.
 """
 
@@ -22,8 +22,9 @@ class BlockingConnection:
 
     Attributes:
         channel: the socket or port.
-        unsent: frames that the system has not accepted yet, in order; of a half-sent one the rest.
-        frame_leaves: tells the session if the serial port still holds characters of a sent frame; None for others.
+        unsent: frames that the system has not accepted yet, in order; the first may be the rest of a frame.
+        frame_leaves: function that tells the session if the serial port still holds characters of a sent frame; None
+            for other connections.
     """
 
     __slots__ = ("_poll", "channel", "frame_leaves", "unsent")
@@ -35,7 +36,7 @@ class BlockingConnection:
         self._poll = poll
 
     def send(self, frame: bytes) -> None:
-        """Send a frame; what the system does not accept now is kept for `flush`.
+        """Send a frame; bytes that the system does not accept now are sent later by `flush`.
 
         Raises `OSError` if the connection has ended; a part of the frame may have gone out.
         """
@@ -50,7 +51,7 @@ class BlockingConnection:
         self.unsent.append(frame)
 
     def flush(self) -> None:
-        """Send the kept frames as far as the system accepts them. Raises `OSError` if the connection has ended."""
+        """Send the unsent frames, as far as the system accepts them. Raises `OSError` if the connection has ended."""
         unsent = self.unsent
         while unsent:
             frame = unsent[0]
@@ -64,7 +65,7 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until bytes can be received, or kept frames sent. Returns False if the time is over before.
+        """Wait until bytes can be received, or unsent frames can be sent. Returns False if the time is over first.
 
         Call it without the lock of the link. At a serial port it may return early.
         """

@@ -1,22 +1,22 @@
 """The blocking driver of a link: one client session, one socket, any number of threads, and no thread of its own.
 
-Knows when to connect, write, wait and look at the clock; knows no functions or values.
+Knows when to connect, send, wait and check timeouts; knows no functions or values.
 
 1. The session is used only under the lock of the link; no wait at a socket and no connecting happens under the lock.
 2. One of the threads that wait for replies is the leader: it connects, waits at the socket and passes received bytes to
    the session. When the leader's own call is complete, the next waiting thread becomes the leader.
 3. Every waiting thread watches the timeouts of the link itself, so it does not depend on how long the leader waits.
 4. Before the first request after a pause the socket is checked: if the peer closed the idle connection, a new one is
-   opened without an error. On a line, bytes that came since the last call are read before each request: they are late
+   opened without an error. On a line, bytes received since the last call are read before each request: they are late
    replies, or traffic of others.
-5. Nothing runs between calls, so a connection with a limited hold time is closed at the next call, which opens another
-   one; with ``hold=request`` it is closed at the end of the call.
-6. An exception from outside (``KeyboardInterrupt``) may end a thread under the lock, in the midst of a change: a value
-   half-received, a slot taken. `LinkLock.is_torn` tells the next thread that takes the lock. It closes the connection
-   and lets session and driver begin again (`BlockingLinkDriver.begin_again`); threads that wait see that their calls
-   are not among ``_calls``, and give them to the session again, as after any lost connection.
-7. No wait depends on another thread for longer than `_LOOK`. The leader holds ``_lead``, and gives it back whatever
-   ends it: CPython raises no interrupt between an exception and the first call of a ``finally`` block.
+5. Nothing runs between calls. So a connection that has been unused for the time of ``hold`` is closed only at the next
+   call, which opens another one; with ``hold=request`` it is closed at the end of the call.
+6. An exception such as ``KeyboardInterrupt`` may end a thread while it holds the lock and has changed only a part of
+   the state. `LinkLock.is_torn` shows that to the next thread that takes the lock. That thread closes the connection
+   and resets session and driver (`BlockingLinkDriver.begin_again`). Each waiting thread then finds that its call is
+   missing in ``_calls``, and gives it to the session again, as after any lost connection.
+7. No wait depends on another thread for longer than `_LOOK`. The leader holds the lock ``_lead``, and always releases
+   it: CPython raises no KeyboardInterrupt between an exception and the first call of a ``finally`` block.
 """
 
 import contextlib
@@ -57,13 +57,13 @@ _IDLE_SECONDS = 0.05
 _BLOCKED: Final = 0.01
 """Seconds until a waiting thread checks again whether the connection accepts more bytes."""
 _STARVED: Final = 0.02
-"""Longest wait at a socket, in seconds, while requests wait and the links of the client have one common limit."""
+"""Longest wait at a socket, in seconds, while requests wait because of the common limit of the client's links."""
 _LOOK: Final = 0.25
-"""Longest wait of a thread, in seconds, until it looks whether the leader is still there, and the link in order."""
+"""Longest wait of a thread, in seconds, until it checks whether there is still a leader and the link was not reset."""
 _DIALLING: Final = 0.01
-"""Seconds until `BlockingLinkDriver.connect` looks again whether another thread has made the connection."""
+"""Seconds until `BlockingLinkDriver.connect` checks again whether another thread has opened the connection."""
 _SPIN: Final = 0.0003
-"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes about that late."""
+"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping thread wakes up about that much late."""
 
 
 class BlockingLinkDriver:
@@ -136,7 +136,7 @@ class BlockingLinkDriver:
         return self._connection is not None
 
     def run(self, call: Call) -> None:
-        """Run a call; return when all its requests have a reply or an error, which are in the call then.
+        """Run a call; return when each of its requests has a reply or an error, stored in ``call.outcomes``.
 
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
@@ -219,7 +219,7 @@ class BlockingLinkDriver:
     def disconnect(self) -> None:
         """Close the connection; the next request opens another one.
 
-        Requests in flight are repeated or fail, as after a loss of the connection.
+        Requests in flight are repeated or fail, as after a lost connection.
         """
         with self._lock:
             self._begin_section()
@@ -277,7 +277,7 @@ class BlockingLinkDriver:
         return status_of(self, self.session, self._life, time.monotonic(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if no call uses it, to make room for another link's. Returns whether it was closed."""
+        """Close the connection if no call uses it, so that another link may open one. Returns whether it was closed."""
         if self._lock.locked():
             return False  # a thread is using it
         with self._lock:
@@ -289,14 +289,14 @@ class BlockingLinkDriver:
             return is_free
 
     def enter(self, scope: ClientScope) -> None:
-        """Count the requests of the link towards the limit of a scope, from now on."""
+        """Count the requests in flight of this link towards the limit of ``scope``, from now on."""
         with self._lock:
             self._begin_section()
             scope.enter(self)
             self._guard.is_torn = False
 
     def serve(self, now: float) -> None:
-        """Send waiting requests, because other links of the client have put slots for requests in flight back.
+        """Send waiting requests: another link of the client has ended requests, so the common limit has room.
 
         Call it with the lock held.
         """
@@ -306,17 +306,17 @@ class BlockingLinkDriver:
     # After an interrupt.
 
     def _begin_section(self) -> None:
-        """Begin a section under the lock, after what an interrupt may have left was put in order (rule 6).
+        """Begin a change of the state under the lock: set ``is_torn``, which the caller clears at the end (rule 6).
 
-        The section ends with ``is_torn`` False. The sections of every call, `run`, `_follow` and `_head`, do the same
-        in place.
+        If it is set already, a thread was interrupted during its change, and the link is reset first. The hot methods
+        `run`, `_follow` and `_head` have this code inline.
         """
         if self._guard.is_torn:
             self._repair()
         self._guard.is_torn = True
 
     def _repair(self) -> None:
-        """Let the link, or all links of its scope, begin again: a thread was interrupted under the lock (rule 6)."""
+        """Reset the link, or all links of its scope: a thread was interrupted while it held the lock (rule 6)."""
         if self._scope is None:
             self.begin_again()
             return
@@ -326,7 +326,7 @@ class BlockingLinkDriver:
         self._scope.refill()
 
     def begin_again(self) -> None:
-        """Close the connection and forget all calls; threads that wait give theirs to the session again.
+        """Close the connection and forget all calls; each waiting thread gives its call to the session again (rule 6).
 
         Call it with the lock held.
         """
@@ -341,7 +341,7 @@ class BlockingLinkDriver:
         self._waiters.clear()
 
     def _resume(self, call: Call, now: float) -> None:
-        """Give a call to the session again, because the link has begun again."""
+        """Give the call of this thread to the session again, because the link was reset (rule 6)."""
         self.session.resume(call, now)
         self._calls.add(call)
         if self._life.closed:
@@ -352,7 +352,7 @@ class BlockingLinkDriver:
     # Turns.
 
     def _begin(self, call: Call) -> None:
-        """Give a new call to the session, send what need not wait, and become the leader if there is none."""
+        """Give a new call to the session, send what can be sent at once, and become the leader if there is none."""
         if self._given_up:
             self._cancel_given_up()
         now = time.monotonic()
@@ -383,7 +383,10 @@ class BlockingLinkDriver:
             call.owner = self._lead
 
     def _follow(self, call: Call) -> None:
-        """Wait until the call is complete, or this thread is the leader: then ``call.owner`` is the lock it holds."""
+        """Wait until the call is complete, or this thread becomes the leader.
+
+        ``call.owner`` is then the leader's lock.
+        """
         guard = self._guard
         is_late = False  # whether this thread has waited, so that something may be due
         while True:
@@ -418,8 +421,8 @@ class BlockingLinkDriver:
     def _head(self, call: Call, connected: BlockingConnection | None = None, pause: float = 0.0) -> None:
         """Be the leader of the link: connect, send and receive for all threads, until ``call`` is complete.
 
-        Returns early if the link has begun again: then this thread is no longer the leader. The arguments ``connected``
-        and ``pause`` say where to wait first, and for how many seconds.
+        Returns early if the link was reset: then this thread is no longer the leader. First it waits at ``connected``
+        for at most ``pause`` seconds; without it, it looks at once what is to be done.
         """
         guard = self._guard
         ready: bool | None = None  # how the last wait at the connection ended: False by time; None: there was none
@@ -472,7 +475,10 @@ class BlockingLinkDriver:
                 self._make_connection(call.owner)
 
     def _stand_down(self, call: Call) -> None:
-        """End this thread's time as the leader, if it is, and wake another waiting thread. Call it with the lock."""
+        """Release the leader's lock if this thread holds it, and wake the next waiting thread.
+
+        Call it with the lock held.
+        """
         lead = call.owner
         if lead is not None:
             call.owner = None
@@ -486,7 +492,7 @@ class BlockingLinkDriver:
                 break
 
     def _waiter(self, call: Call) -> threading.Lock:
-        """Return the lock at which the thread of a call waits; it is released when that thread has to look."""
+        """Return the lock at which the thread of a call waits; it is released to wake that thread."""
         waiter = self._waiters.get(call)
         if waiter is None:
             waiter = threading.Lock()
@@ -524,7 +530,10 @@ class BlockingLinkDriver:
         return self._lead.locked() or bool(self._waiters)
 
     def _used(self) -> None:
-        """Let other links of the client use free slots; with ``hold=request``, close the connection if it is unused."""
+        """Let other links of the client send if the common limit has room.
+
+        With ``hold=request`` close an unused connection.
+        """
         if self._scope is not None:
             self._scope.serve(time.monotonic())
         if not self._hold:
@@ -538,7 +547,7 @@ class BlockingLinkDriver:
                 self._release(now, reason)
 
     def _transmit(self, now: float) -> None:
-        """Send all requests that are due at ``now``, which may lie shortly ahead with ``precise_timing``."""
+        """Send all requests that are due at ``now``. With ``precise_timing`` ``now`` may be shortly in the future."""
         if self.session.recycle:
             self._recycle(now)
         connection = self._connection
@@ -557,7 +566,10 @@ class BlockingLinkDriver:
             self.last_used = now
 
     def _send(self, connection: BlockingConnection, frame: bytes, now: float) -> bool:
-        """Send one frame. Returns False if the connection had ended: then it is dropped, with its requests."""
+        """Send one frame. Returns False if the connection has ended.
+
+        It is closed then, and its requests are repeated or fail.
+        """
         self.sent_bytes += len(frame)
         if TRACE.level:
             self._traced().sent(frame)
@@ -569,7 +581,7 @@ class BlockingLinkDriver:
         return True
 
     def _flush(self, now: float) -> None:
-        """Send the frames that the system did not accept before; drop the connection if it has ended."""
+        """Send the frames that the system did not accept before; close the connection if it has ended."""
         connection = self._connection
         if connection is not None and connection.unsent:
             try:
@@ -578,7 +590,10 @@ class BlockingLinkDriver:
                 self._drop(now, network_reason(error))
 
     def _cancel(self, call: Call) -> None:
-        """Cancel the call of this thread, which was interrupted; the next waiting thread becomes the leader."""
+        """Cancel the call of this thread, which an exception has interrupted.
+
+        The next waiting thread becomes the leader.
+        """
         with self._lock:
             self._begin_section()
             self._cancel_given_up()
@@ -587,7 +602,7 @@ class BlockingLinkDriver:
             self._guard.is_torn = False
 
     def _cancel_given_up(self) -> None:
-        """Cancel the calls of interrupted threads, if the session has them. Call it with the lock held."""
+        """Cancel the calls of interrupted threads that the session still has. Call it with the lock held."""
         while self._given_up:
             call = self._given_up[0]
             if call in self._calls:
@@ -598,7 +613,7 @@ class BlockingLinkDriver:
             del self._given_up[0]
 
     def _end_if_stuck(self, now: float) -> None:
-        """Drop the connection if bytes are unsent after a call has ended, because they would be sent later."""
+        """Close the connection if a call has ended and bytes of it are still unsent: they would be sent later."""
         if self._connection is not None and self._connection.unsent:
             self._drop(now, "a call ended before the connection had taken its request")
 
@@ -650,7 +665,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _tick_others(self, scope: ClientScope, now: float) -> None:
-        """End what has timed out on other links of the scope, and requests there for which no thread waits."""
+        """Handle the timeouts of other links of the scope, and close those with requests for which no thread waits."""
         for link in scope.links():
             if link is not self and isinstance(link, BlockingLinkDriver) and link.session.in_flight:
                 link._tick(now)
@@ -659,7 +674,7 @@ class BlockingLinkDriver:
         scope.serve(now)
 
     def _done(self) -> None:
-        """Let go of the calls that have ended, and wake their threads."""
+        """Remove the calls that have ended from ``_calls``, and wake their threads."""
         if self._line is not None and self._line.notes:
             self._tell_notes(self._line.notes)
         finished = self.session.finished
@@ -672,7 +687,7 @@ class BlockingLinkDriver:
             finished.clear()
 
     def _look_at_line(self) -> None:
-        """Process the bytes that came on a serial line since the last call, and the silence after them."""
+        """Process the bytes received on a serial line since the last call, and the silence after them."""
         if not self._lead.locked() and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
@@ -743,8 +758,8 @@ class BlockingLinkDriver:
     def _make_connection(self, lead: "threading.Lock | None") -> LinkDown | None:
         """Open a connection and send what is due. Returns None, or the error if that failed or the link was closed.
 
-        With that error all waiting calls have ended. ``lead`` is the lock that the leader holds: if the link has begun
-        again meanwhile, this thread is the leader no more, the connection is closed, and the result is None.
+        With an error all waiting calls have ended. ``lead`` is the leader's lock: if the link was reset meanwhile (rule
+        6), this thread is no longer the leader; then the new connection is closed, and the result is None.
         """
         guard = self._guard
         failure: LinkDown | None = None
@@ -786,7 +801,7 @@ class BlockingLinkDriver:
         return failure
 
     def _use(self, connection: BlockingConnection, now: float) -> None:
-        """Send on a new connection what is due."""
+        """Make a new connection the one of this link, and send on it what is due."""
         self._connection = connection
         self.opened = self.last_used = now
         self._trace = None

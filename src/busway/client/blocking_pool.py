@@ -1,4 +1,4 @@
-"""Blocking links by endpoint: one shared connection for all users in a process (`shared_links` has the rules)."""
+"""Blocking links by endpoint: one shared connection for all users in a process (the rules are in `shared_links`)."""
 
 import threading
 
@@ -24,7 +24,7 @@ class BlockingPool:
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
         """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
 
-        Give it back with `release`.
+        The caller is a user of the link until it calls `release`.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -36,14 +36,14 @@ class BlockingPool:
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
         """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
 
-        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
-        connected, it is the link made first.
+        ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
+        connected, it is the link created first.
         """
         with self._lock:
             return self._links.choose(settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """Give back a link that `acquire` returned; it is closed when its last user gives it back."""
+        """Stop using a link that `acquire` returned; it is closed when its last user has released it."""
         with self._lock:
             is_last = self._links.release(settings, link)
         if is_last:

@@ -7,7 +7,10 @@ from typing import Protocol
 
 
 class LinkEnd(Protocol):
-    """Interface of the object that a serial port or UDP socket of an asyncio link tells what happens."""
+    """Interface of the object to which a serial port or UDP socket of an asyncio link reports events.
+
+    The events are received bytes and the end of the connection.
+    """
 
     def arrived(self, data: bytes) -> None:
         """Process bytes that were received without errors."""
@@ -15,7 +18,7 @@ class LinkEnd(Protocol):
     def arrived_damaged(self, data: bytes, overrun: bool) -> None:
         """Process received bytes of which some have parity or framing errors, or between which some were lost.
 
-        ``overrun``: the driver of the port says that characters were lost.
+        ``overrun``: whether the driver of the port reported lost characters.
         """
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -32,7 +35,7 @@ class Channel(Protocol):
         """Receive bytes into ``buffer`` and return their number; 0: the peer closed the connection.
 
         Raises:
-            BlockingIOError: nothing has come yet.
+            BlockingIOError: no bytes have been received.
             OSError: the connection failed.
         """
 

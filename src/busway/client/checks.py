@@ -41,10 +41,10 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 
 
 def with_assumed_unit(outcome: object, unit: int) -> None:
-    """Add to an error that ``unit`` was assumed because none was given, if naming another unit may help.
+    """Add to an error the hint that ``unit`` was assumed, because the user gave none, if another unit may help.
 
-    That may help if a gateway answered, if nothing answered, and if the function was refused (exception 01): the
-    default unit may be the gateway itself, which has no registers. Other outcomes, and replies, stay as they are.
+    That is so for errors of a gateway (0A, 0B), for no reply, and for exception 01: the default unit may be the gateway
+    itself, which has no registers. Other errors, and replies, stay unchanged.
     """
     if isinstance(outcome, ExceptionReply):
         may_help = outcome.from_gateway or outcome.code == ExceptionCode.ILLEGAL_FUNCTION
@@ -56,10 +56,10 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
 
 
 def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientCounters) -> None:
-    """Add to an error which settings of the serial port were assumed because they were not given.
+    """Add to an error which settings of the serial port were assumed because the user did not give them.
 
     Only if nothing was received, or only damaged bytes, and no unit has answered with these settings so far. Other
-    outcomes, and replies, stay as they are.
+    errors, and replies, stay unchanged.
     """
     assumed = "" if settings.line is None else settings.line.assumed
     if not assumed or counters.replies or counters.exceptions or counters.late_replies:
@@ -70,9 +70,9 @@ def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientC
 
 
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
-    """Return one error for each request, in order: copies of ``refusal`` with the request's function and address.
+    """Return one error for each request of a call that was refused before anything was sent, in order.
 
-    ``refusal`` is the error of a call that was refused before anything was sent.
+    Each is a copy of ``refusal``, the error of the call, with the request's function and address.
     """
     errors = []
     for request in requests:
@@ -87,19 +87,19 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
 
 
 def closed_error(settings: LinkSettings) -> LinkClosed:
-    """Return the error for a call on a link that the program has closed."""
+    """Create the error for a call on a link that the program has closed."""
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 
 def no_connection_of_its_own(settings: LinkSettings) -> InvalidRequest:
-    """Return the error for an attempt to manage the connection of a link opened with ``select``, which has none."""
+    """Create the error for managing the connection of a link opened with ``select``, which has none of its own."""
     return InvalidRequest("a link opened with select has no connection of its own", endpoint=settings.endpoint.url)
 
 
 def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
-    """Raise `ConfigError` if a further user of a shared link asks for other connection settings than it has.
+    """Raise `ConfigError` if a further user of a shared link asks for connection settings that the link does not have.
 
-    ``held``: the settings that the link has; ``wanted``: those of the further user.
+    ``held``: the settings of the link; ``wanted``: those of the further user.
     """
     different = held.differs(wanted)
     if different:
@@ -110,9 +110,9 @@ def check_same(held: LinkSettings, wanted: LinkSettings) -> None:
 
 
 def check_selected(settings: LinkSettings, options: Mapping[str, object]) -> None:
-    """Raise `ConfigError` if a link opened with ``select`` is given options of a connection, which have no effect.
+    """Raise `ConfigError` if a link with ``select`` gets options of a connection, which would have no effect.
 
-    ``options`` are those given by keyword; the ones in the URL are in ``settings``.
+    ``options`` are those given by keyword; the options in the URL are in ``settings``.
     """
     context = () if settings.ssl_context is None else ("ssl_context",)
     for name in (*settings.endpoint.options, *options, *context):

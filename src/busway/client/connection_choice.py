@@ -12,7 +12,7 @@ from .settings import LinkSettings
 
 
 class Choosable(Protocol):
-    """Interface of one of several links to an endpoint, among which the option ``select`` chooses.
+    """Interface of a link to an endpoint, for the option ``select``, which chooses one of several.
 
     Attributes:
         shared: whether all users of the endpoint share the link.
@@ -33,7 +33,7 @@ AnyLink = TypeVar("AnyLink", bound=Choosable)
 def check_room(links: Iterable[Choosable], settings: LinkSettings) -> None:
     """Raise `Overloaded` if no further link with ``shared=False`` to the endpoint is allowed (``max_connections``).
 
-    ``links`` are all links to the endpoint; those that are shared do not count.
+    ``links`` are all links to the endpoint; shared links do not count.
     """
     limit = settings.management.max_connections
     held = sum(not link.shared for link in links)
@@ -49,8 +49,8 @@ def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection
     """Return the link that a request uses. Raises `LinkDown` if ``links`` is empty; nothing was sent.
 
     Args:
-        links: all links to the endpoint, in the order they were made.
-        settings: those of the caller; only the endpoint is used, for the error.
+        links: all links to the endpoint, in the order in which they were created.
+        settings: settings of the calling link; only the endpoint is used, for the error.
         rule: chooses among the connected links. If none is connected, the first one is returned; it connects then.
     """
     if not links:

@@ -1,6 +1,6 @@
 """Connectors: objects that open the connections of a link, over TCP, UDP, TLS or a serial port.
 
-Knows the transports; knows a session only to pass it on.
+Knows the transports; passes the session on to them.
 """
 
 import contextlib
@@ -108,7 +108,7 @@ class TcpConnector:
 class UdpConnector:
     """Opens the UDP sockets of a link; each frame is one datagram.
 
-    ``session`` is the session of the link: it counts received datagrams that are not one whole frame as damaged.
+    Received datagrams that are not one whole frame are counted as damaged by ``session``, the session of the link.
     """
 
     def __init__(

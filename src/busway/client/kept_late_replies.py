@@ -4,8 +4,7 @@ A late reply reaches the serial port or the converter even if the link that sent
 opens and closes a link for each reading would take the late reply for the answer to its next request. Knows links by
 URL; knows no frame.
 
-1. What is known about late replies of a closed link is kept, and passed to the next link to the same URL when that
-   connects.
+1. What is known about late replies of a closed link is kept. The next link to the same URL gets it when it connects.
 2. It is forgotten at the end of the process.
 """
 
@@ -20,14 +19,14 @@ KEPT_AT_MOST: Final = 1024
 
 
 class KeptDoubts:
-    """What is known about late replies on serial lines whose links were closed, by URL; thread-safe."""
+    """The records of late replies that closed serial links may still get, by URL of the link; thread-safe."""
 
     def __init__(self) -> None:
         self._by_url: OrderedDict[str, Doubts] = OrderedDict()
         self._lock = threading.Lock()
 
     def keep(self, url: str, doubts: Doubts) -> None:
-        """Store what a closed link to ``url`` knows of late replies that may still come; nothing if none may come."""
+        """Store the record of a closed link to ``url``, unless no late reply may come any more."""
         if not doubts.is_owed:
             return
         with self._lock:
@@ -43,7 +42,7 @@ class KeptDoubts:
                 self._by_url.popitem(last=False)
 
     def hand_over(self, url: str, doubts: Doubts) -> None:
-        """Move what is stored for ``url`` to ``doubts``, the record of late replies of a new link to the same URL."""
+        """Move what is stored for ``url`` to ``doubts``, the record of a new link to the same URL."""
         if not self._by_url:
             return
         with self._lock:
@@ -53,7 +52,7 @@ class KeptDoubts:
                 del self._by_url[url]
 
     def clear(self) -> None:
-        """Forget everything that is stored; for tests that reuse a URL for another line."""
+        """Forget everything that is stored; for tests, which use the same URL for another line."""
         with self._lock:
             self._by_url.clear()
 

@@ -1,6 +1,6 @@
 """The asyncio driver of a link: one client session and its current connection, on an event loop.
 
-Knows when to connect, write and look at the clock; knows no functions or values.
+Knows when to connect, send and check timeouts; knows no functions or values.
 
 1. The driver connects at the first request, and reconnects at the next request after the connection was lost.
 2. It has one timer, set to the earliest time at which something is due. Over TCP it is moved only to an earlier time.
@@ -47,7 +47,7 @@ _log = logging.getLogger("busway.client")
 CLOSING_SECONDS: Final = 2.0
 """Most seconds that closing a link waits until its serial port is closed."""
 SPIN: Final = 0.0003
-"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping processor wakes about that late."""
+"""Seconds of busy loop before a frame, with ``precise_timing``: a sleeping processor wakes up about that much late."""
 COARSE_SPIN: Final = 0.0015
 """The same as `SPIN` on systems without exact timers: those of the event loop are up to one millisecond late."""
 
@@ -55,7 +55,8 @@ COARSE_SPIN: Final = 0.0015
 class _LinkProtocol(asyncio.BufferedProtocol):
     """The asyncio protocol of one connection of a link.
 
-    Each connection has its own object, by which the link recognises late events of an earlier connection.
+    Each connection has its own object: if the link gets an event from the object of an earlier connection, it ignores
+    it.
     """
 
     __slots__ = ("_buffer", "_link")
@@ -100,8 +101,8 @@ class AsyncLinkDriver:
         shared: whether all users of the endpoint share the link.
         home: the event loop that the link belongs to.
         watch: called after received bytes or a timer were handled and the callers of completed calls were woken; a
-            gateway looks at its incomplete calls then. None: nothing is called.
-        told: called with each event of the connection and its reason, after the state has changed. None: nothing is
+            gateway looks at its incomplete calls then. None: no function is called.
+        told: called with each event of the connection and its reason, after the state has changed. None: no function is
             called.
         observers: callbacks of the program for new states of the connection; None before the first is added.
         opened: when the present connection was opened, by the clock `now`.
@@ -212,7 +213,7 @@ class AsyncLinkDriver:
     # Calls of the public interface.
 
     def send_only_while(self, may_send: Callable[[], bool]) -> None:
-        """Open connections, from the next one on, that send only while a function permits it."""
+        """Let the link send only while ``may_send`` returns True; takes effect with its next connection."""
         self._connector = PermittedConnector(self._connector, may_send)
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
@@ -231,7 +232,7 @@ class AsyncLinkDriver:
     def begin(self, call: Call, now: float) -> None:
         """Begin a call; its end is reported to ``call.owner``: a future, or an object with ``done`` and ``set_result``.
 
-        ``set_result`` is called as soon as the last request has its reply or error, not in a later turn of the loop.
+        ``set_result`` of ``call.owner`` is called at once when the last request has its reply or error.
 
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
@@ -269,7 +270,7 @@ class AsyncLinkDriver:
     def give_up(self, call: Call) -> None:
         """Cancel a call, because its caller no longer waits: no more of its requests are sent.
 
-        Closes the connection if a request of the call is partly sent.
+        If one of its requests is only partly sent, the connection is closed.
         """
         self._write_outgoing()
         now = self._clock()
@@ -327,7 +328,7 @@ class AsyncLinkDriver:
     async def disconnect(self) -> None:
         """Close the connection; the next request opens another one.
 
-        Requests in flight are repeated or fail, as after a loss of the connection.
+        Requests in flight are repeated or fail, as after a lost connection.
         """
         if self._connecting is not None:
             self._connecting.cancel()
@@ -390,14 +391,14 @@ class AsyncLinkDriver:
         return status_of(self, self.session, self._life, self._clock(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if no call uses it, to make room for another link's. Returns whether it was closed."""
+        """Close the connection if no call uses it, so that another link may open one. Returns whether it was closed."""
         if self._transport is None or self._is_used():
             return False
         self._release(self._clock(), "another connection needed the place")
         return True
 
     def serve(self, now: float) -> None:
-        """Send waiting requests, because other links of the client have put slots for requests in flight back."""
+        """Send waiting requests: another link of the client has ended requests, so the common limit has room."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
@@ -405,7 +406,7 @@ class AsyncLinkDriver:
     # Events of the connection.
 
     def received(self, protocol: _LinkProtocol, buffer: bytes | bytearray, size: int) -> None:
-        """Process the first ``size`` bytes of ``buffer``, unless they came on an earlier connection."""
+        """Process the first ``size`` bytes of ``buffer``; ignored if ``protocol`` is that of an earlier connection."""
         if protocol is not self._protocol:
             return
         now = self.last_used = self._clock()
@@ -426,9 +427,9 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def received_damaged(self, protocol: _LinkProtocol, data: bytes, *, overrun: bool) -> None:
-        """Process received bytes of which some are damaged, unless they came on an earlier connection.
+        """Process received bytes of which some are damaged; ignored if ``protocol`` is that of an earlier connection.
 
-        ``overrun``: characters were lost between them, beside errors of parity and framing.
+        ``overrun``: whether characters were lost between them, besides errors of parity and framing.
         """
         if protocol is not self._protocol or self._line is None:
             return
@@ -438,12 +439,12 @@ class AsyncLinkDriver:
         self._rearm()
 
     def peer_ended(self, protocol: _LinkProtocol) -> None:
-        """Handle the end of the peer's stream: drop unsent bytes, because no reply to them can come."""
+        """Handle the end of the peer's stream: drop unsent bytes, because they can no longer be answered."""
         if protocol is self._protocol and self._held is not None and self._held():
             self._abort()
 
     def lost(self, protocol: _LinkProtocol, reason: str) -> None:
-        """Handle the end of the connection, unless ``protocol`` is of an earlier one; ``reason`` is in words."""
+        """Handle the end of the connection for ``reason``; ignored if ``protocol`` is that of an earlier connection."""
         if protocol is not self._protocol:
             return
         self._forget_connection()
@@ -457,7 +458,7 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """Stop sending because the transport's write buffer is full; with ``paused`` False resume."""
+        """Stop sending because the transport's write buffer is full; resume if ``paused`` is False."""
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -473,7 +474,7 @@ class AsyncLinkDriver:
             self._pump(self._clock())
 
     def _write_outgoing(self) -> None:
-        """Write the frames collected during this turn of the event loop, in one piece."""
+        """Write all frames that were collected during this turn of the event loop with one call."""
         outgoing = self._outgoing
         if outgoing:
             self._transport.write(b"".join(outgoing))
@@ -482,8 +483,8 @@ class AsyncLinkDriver:
     def _pump(self, now: float) -> None:
         """Send all requests that are due; without a connection, open one if requests wait.
 
-        Closes the connection instead if the session asks for a new one. ``now`` may lie shortly ahead, with
-        ``precise_timing``: the frame is prepared at once, and sent at that time.
+        Closes the connection instead if the session asks for a new one. With ``precise_timing`` ``now`` may be shortly
+        in the future: the frame is prepared at once, and sent at that time.
         """
         session = self.session
         if self._transport is None:
@@ -515,13 +516,16 @@ class AsyncLinkDriver:
                 self._rearm()
 
     def _recycle(self, now: float) -> None:
-        """Close the connection, because the session asks for a new one (``recycle``); waiting calls open that."""
+        """Close the connection, because the session asks for a new one (``recycle``).
+
+        Waiting calls then open another one.
+        """
         if self._protocol is not None:
             self._abort()
             self.lost(self._protocol, f"reconnecting after {self.session.recycle}")
 
     def _end_if_stuck(self) -> None:
-        """Close the connection if bytes are unsent after a call has ended, because they would be sent later."""
+        """Close the connection if a call has ended and bytes of it are still unsent: they would be sent later."""
         if self._held is None or not self._held() or self._protocol is None:
             return
         if self._writes_late and takes_bytes(self._transport.get_extra_info("socket")):
@@ -530,7 +534,7 @@ class AsyncLinkDriver:
         self.lost(self._protocol, "a call ended before the connection had taken its request")
 
     def _close_transport(self) -> None:
-        """Close the connection of the link; bytes not sent by now are dropped."""
+        """Close the connection of the link; bytes that are not sent yet are dropped."""
         transport = self._transport
         if self._held is not None and self._held():
             self._abort()
@@ -551,7 +555,7 @@ class AsyncLinkDriver:
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Let other links of the client use free slots; close the connection if it was unused for its hold time."""
+        """Let other links of the client send if the common limit has room; close the connection after its hold time."""
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -693,9 +697,9 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Do what the timer is for on a line: with ``precise_timing``, send a frame exactly when it is due.
+        """Handle the timer of a link on a line: with ``precise_timing``, send a frame exactly when it is due.
 
-        Also tells the session if the port still holds characters of the last frame. Returns the time after that.
+        Also tells the session if the port still holds characters of the last frame. Returns the time afterwards.
         """
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond

@@ -1,8 +1,9 @@
-"""Operations of a unit, such as reading values, as generators that yield requests and take replies, without IO.
+"""Operations of a unit, such as reading values, as generators that yield requests and receive replies, without IO.
 
-Knows which requests an operation needs and how its result is made; knows no link. The asyncio and the blocking
-interface both run these generators. A generator yields a list of requests to send together, is sent the list of their
-replies, in the same order, and may yield again; its return value is the result of the operation.
+Knows which requests an operation needs and how its result is computed; knows no link. The asyncio and the blocking
+interface both run these generators. A generator yields a list of requests to send together. The caller passes the list
+of their replies back into it with ``send``, in the same order. The generator may yield again; its return value is the
+result of the operation.
 """
 
 import contextlib
@@ -148,12 +149,12 @@ def read_identification(level: str, object_id: int | None) -> Operation:
     """Read identification objects (43/14), as a generator of requests. Its result is a dict of bytes by object number.
 
     Args:
-        level: ``basic``, ``regular`` or ``extended``: the objects to read; without effect if ``object_id`` is given.
+        level: ``basic``, ``regular`` or ``extended``: the objects to read; ignored if ``object_id`` is given.
         object_id: the only object to read, 0…255; None for all of the level.
 
     Raises:
         InvalidRequest: ``level`` is none of the three. Nothing was sent.
-        BadReply: the device announces further objects, but not ones after those it has sent.
+        BadReply: the device says that more objects follow, but names no later one than those it has sent.
     """
     if object_id is not None:
         code, start = INDIVIDUAL, object_id
@@ -186,7 +187,7 @@ def place_of(address: int | str | Address) -> Address:
 
 
 def _hint_of_number(place: Address) -> str:
-    """Return a suggestion, for an error message, how to write an address that is only a number (such as 40001)."""
+    """Return a text for an error message: how to write an address that was given as a bare number, such as 40001."""
     offset = place.offset
     with contextlib.suppress(InvalidRequest):
         meant = parse_address(str(offset))
@@ -204,7 +205,7 @@ READ: dict[Table, type[ReadBits] | type[ReadRegisters]] = {
 
 
 def _natural_type(place: Address, width: int) -> str:
-    """Return the type used if none is given: an unsigned integer of one register, which has ``width`` bytes.
+    """Return the type that is used if the user gives none: an unsigned integer of one register of ``width`` bytes.
 
     Raises `InvalidRequest` unless ``width`` is 2, 4 or 8.
     """
@@ -254,6 +255,6 @@ def diagnostic_request(sub_function: int, data: bytes) -> Request:
 
 
 def diagnostic_data(reply: Message) -> bytes:
-    """Return the data of a reply to function 08: what follows the sub-function."""
+    """Return the data of a reply to function 08: the bytes after the sub-function."""
     data: bytes = reply.values()["data"]
     return data[2:] if isinstance(reply, OpaqueReply) else data

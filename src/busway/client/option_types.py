@@ -14,7 +14,7 @@ from ..options.tls import Curve, TlsVersion, Verify
 
 
 class LinkOptions(TypedDict, total=False):
-    """Keyword options of `busway.connect` and `busway.open`; each scheme takes a part of them."""
+    """Keyword options of `busway.connect` and `busway.open`; the scheme decides which are accepted."""
 
     timeout: float
     retries: int

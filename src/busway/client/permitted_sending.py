@@ -1,7 +1,7 @@
 """Connections that send only while a function permits it, for links that other programs may take over.
 
-Knows transports by their methods; knows no lease. A link keeps requests back: for a pause, for a reply that is still
-owed, for a marker before them. So permission is asked when bytes leave, whatever they are and why they waited.
+Knows transports by their methods. A link holds requests back: for a pause, for a late reply, for a marker. So
+permission is asked for when bytes leave, and not when a request is made.
 """
 
 import asyncio
@@ -16,18 +16,18 @@ NOT_PERMITTED: Final = "sending is not permitted now; this request was not sent"
 
 
 class PermittedConnector:
-    """Opens the connections of a link that may not always send.
+    """Opens the connections of a link that may send only at times.
 
     Args:
-        connector: opens them.
-        may_send: whether bytes may leave now; called before each connection and each frame.
+        connector: opens the connections.
+        may_send: returns whether bytes may leave now; called before each connection and each frame.
     """
 
     def __init__(self, connector: Connector, may_send: Callable[[], bool]) -> None:
         self._connector, self._may_send = connector, may_send
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # Any: of whatever transport
-        """Open a connection and return its transport, which is reset instead of sending while that is not permitted.
+        """Open a connection and return its transport, which resets the connection where sending is not permitted.
 
         ``protocol`` returns the object that gets the events of the transport.
 
@@ -46,21 +46,21 @@ class PermittedConnector:
         return PermittedTransport(transport, made[-1], self._may_send)
 
     def dial(self) -> Channel:
-        """Open a connection of a blocking link, which always may send. Raises `LinkDown`."""
+        """Open a connection of a blocking link; ``may_send`` does not apply to it. Raises `LinkDown`."""
         return self._connector.dial()
 
     def release(self) -> None:
-        """Free what the inner connector holds."""
+        """Release the connector that opens the connections."""
         self._connector.release()
 
 
 class PermittedTransport:
-    """The transport of an open connection, which is reset instead of sending what is not permitted.
+    """The transport of an open connection; resets the connection instead of sending while sending is not permitted.
 
     Args:
-        transport: the transport.
-        protocol: gets its events.
-        may_send: whether bytes may leave now.
+        transport: the transport that sends.
+        protocol: gets the events of the transport.
+        may_send: returns whether bytes may leave now.
     """
 
     __slots__ = ("_may_send", "_protocol", "_transport")
@@ -72,7 +72,10 @@ class PermittedTransport:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Send bytes if that is permitted now; else reset the connection, and tell the link in the loop's next turn."""
+        """Send bytes if that is permitted now; otherwise reset the connection.
+
+        Then ``connection_lost`` of the protocol is called in the event loop's next turn.
+        """
         if self._may_send():
             self._transport.write(data)
             return

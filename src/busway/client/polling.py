@@ -10,13 +10,13 @@ from ..transport.serial.waiting import wait_ready
 from .channel import Channel
 
 _LONGEST_WAIT: Final = 0.25
-"""Longest single wait at a serial port, in seconds: closing the port does not wake a thread that waits at it."""
+"""Longest single wait at a serial port, in seconds: closing the port does not wake up a thread that waits at it."""
 
 
 class ExactPoll:
     """Waits until a serial port is ready, for a caller that needs exact timing.
 
-    A wait that ends by time ends ``spin`` seconds early; the caller spends the rest in a busy loop.
+    A wait for a time ends ``spin`` seconds early; the caller waits for the rest in a busy loop.
     """
 
     def __init__(self, spin: float) -> None:
@@ -25,8 +25,9 @@ class ExactPoll:
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
         """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
 
-        Returns True also if the port was lost: the next call on it says so. Returns False if the time was over first,
-        or if another thread closed the port. A single wait is at most 0.25 seconds long, even if ``seconds`` is more.
+        Returns True also if the port was lost: then the next call on it raises. Returns False if the time was over
+        first, or if another thread closed the port. A single wait is at most 0.25 seconds long, even if ``seconds`` is
+        more.
         """
         if seconds > self._spin:
             seconds -= self._spin
@@ -52,7 +53,7 @@ class Poll:
     def wait(self, connection: Channel, seconds: float, writes: bool) -> bool:
         """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
 
-        Returns True also if the connection has ended or failed: the next call on it says so. Returns False if
+        Returns True also if the connection has ended or failed: then the next call on it raises. Returns False if
         ``seconds`` were over first, or if another thread closed the socket.
         """
         if self._poll is None:

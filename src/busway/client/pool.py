@@ -1,4 +1,4 @@
-"""The links of an event loop: one shared connection for all users of an endpoint (`shared_links` has the rules)."""
+"""The links of an event loop: one shared connection for all users of an endpoint (the rules are in `shared_links`)."""
 
 import asyncio
 from weakref import WeakKeyDictionary
@@ -22,7 +22,7 @@ class LinkPool:
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
         """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
 
-        Give it back with `release`.
+        The caller is a user of the link until it calls `release`.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -33,13 +33,13 @@ class LinkPool:
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
         """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
 
-        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
-        connected, it is the link made first.
+        ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
+        connected, it is the link created first.
         """
         return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """Give back a link that `acquire` returned; it is closed when its last user gives it back."""
+        """Stop using a link that `acquire` returned; it is closed when its last user has released it."""
         if self._links.release(settings, link):
             await link.close()
 
@@ -60,7 +60,7 @@ def pool_of_running_loop() -> LinkPool:
     """Return the pool of links of the running event loop, created at the first call.
 
     Raises:
-        ConfigError: no event loop is running: the link is not used in a coroutine.
+        ConfigError: no event loop is running, because the link is used outside a coroutine.
     """
     try:
         loop = asyncio.get_running_loop()

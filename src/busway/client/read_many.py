@@ -4,9 +4,8 @@ Knows addresses, value types and requests; knows no link.
 
 1. Ranges that touch or overlap become one request, as far as the limit of one request allows. Nothing else is read
    with them, because a device may refuse a range in which registers are missing.
-2. A program that polls asks for the same names again and again. The requests, and how their replies are decoded, are
-   worked out once for equal names, addresses and types, and kept for `_MOST_PLANS` different questions; then all are
-   forgotten.
+2. A program that polls asks for the same names again and again. So the requests, and how their replies are decoded, are
+   kept as a plan for equal names, addresses and types. When there are more than `_MOST_PLANS` plans, all are dropped.
 3. All values of one type in a reply are decoded by one call: that is three times as fast as one by one.
 """
 
@@ -81,7 +80,7 @@ def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW)
 
     Raises:
         InvalidRequest: an address, type, count or the width is invalid. Nothing was sent.
-        BadReply: bytes of a reply mean nothing in their type.
+        BadReply: bytes of a reply are no value of their type.
     """
     if width != NARROW:
         raise InvalidRequest(f"read_many needs registers of 2 bytes, not of {width}; read each value by itself")
@@ -190,7 +189,7 @@ class _Decoder:
     def decode(self, reply: object, found: dict[str, Any]) -> None:
         """Decode a reply and add its values to ``found``, by name.
 
-        Raises `BadReply` if bytes mean nothing in their type.
+        Raises `BadReply` if bytes are no value of their type.
         """
         if isinstance(reply, ReadBits.Reply):
             wanted, size = self._bits
@@ -215,7 +214,7 @@ def _bytes_of(item: _Item, one: _Range) -> slice:
 
 
 def _joined(parts: Iterable[slice]) -> list[slice]:
-    """Return the slices of a reply with neighbours joined: those that begin where the slice before them ends."""
+    """Return slices of a reply, with each joined to the slice before it if it begins where that one ends."""
     found: list[slice] = []
     for part in parts:
         if found and found[-1].stop == part.start:
@@ -227,13 +226,13 @@ def _joined(parts: Iterable[slice]) -> list[slice]:
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """How the values of one `read_together` are read; kept for the next call with equal arguments.
+    """How the values of one `read_together` are read; cached for the next call with equal arguments.
 
     Attributes:
         wanted: the argument of that call.
         names: the names, in the order of the result.
         requests: the requests to send together.
-        ranges: for each request, what decodes its reply.
+        ranges: for each request, the decoder of its reply.
     """
 
     wanted: dict[str, Wanted]

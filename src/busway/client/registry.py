@@ -1,11 +1,11 @@
 """Registry of the client connections of this process: shows their status and limits their number.
 
-Holds links weakly, and gets all it knows from them; sends nothing.
+Holds weak references to links; sends nothing.
 
 1. A local connection is one that this process has opened (Messaging on TCP/IP V1.0b §4.2.1), by an asyncio or a
    blocking link.
 2. At the limit the unused shared connection whose last use is longest ago is closed; its link reconnects at the next
-   request. The connection of a link with ``shared=False`` is never closed to make room.
+   request. The connection of a link with ``shared=False`` is never closed for another one.
 3. A connection of an asyncio link is closed only on its own event loop.
 """
 
@@ -46,9 +46,9 @@ class LocalConnectionStatus:
         in_flight: number of requests whose reply is awaited.
         queued: number of calls that have requests left to send.
         reason: why the last attempt to connect failed; empty while connected, and before the first failure.
-        late_replies: number of replies that came after their timeout; all were dropped.
+        late_replies: number of replies received after their timeout; all were dropped.
         in_doubt: units that may still send late replies, ascending; always empty with Modbus TCP framing, where
-            transaction identifiers tell late replies from others.
+            transaction identifiers show which replies are late.
     """
 
     endpoint: str
@@ -98,7 +98,7 @@ class LocalLink(Protocol):
     def make_room(self) -> bool:
         """Close the link's connection if no call uses it. Returns whether it was closed.
 
-        An asyncio link is asked only on its own event loop.
+        For an asyncio link it is called only on its own event loop.
         """
 
 
@@ -106,7 +106,7 @@ class LocalConnections:
     """The registry of all links of a process; safe to use from any thread.
 
     Attributes:
-        supported: the most connections that may be open at once.
+        supported: how many connections may be open at once.
     """
 
     def __init__(self, supported: int = DEFAULT_LIMIT) -> None:
@@ -135,7 +135,7 @@ class LocalConnections:
         return sum(link.is_connected for link in self.links())
 
     def limit(self, supported: int) -> None:
-        """Set the most client connections that may be open at once. Raises `ConfigError` if it is not 1…65535."""
+        """Set how many client connections may be open at once. Raises `ConfigError` if the number is not 1…65535."""
         if not 1 <= supported <= 65_535:
             raise ConfigError(f"must be 1…65535, not {supported}", key="supported")
         self.supported = supported
@@ -231,7 +231,7 @@ def status_of(
 
 
 def _address(name: object) -> str:
-    """Return a socket address as ``host:port``, IPv6 in brackets; empty if it is not a tuple of host and port."""
+    """Return a socket address (host, port) as ``host:port``, IPv6 in brackets; empty for any other value."""
     if not isinstance(name, tuple) or len(name) < 2:
         return ""
     host = f"[{name[0]}]" if ":" in str(name[0]) else name[0]

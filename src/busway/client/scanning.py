@@ -1,8 +1,8 @@
-"""Finding the units that answer on a line, or behind an address.
+"""Finding the units that answer on a line, or behind a server such as a gateway.
 
-1. Each unit is asked for one holding register. A unit that answers in any way is there, also with an exception or a
-   damaged reply; the exceptions 0A and 0B of a gateway say that the unit is absent. Nothing is ever written.
-2. A line is listened to first, and nothing is sent if others talk there: two masters disturb each other.
+1. Each unit is asked for one holding register. A unit that answers in any way is present, also with an exception or a
+   damaged reply; the exceptions 0A and 0B of a gateway mean that the unit is absent. Nothing is ever written.
+2. A line is listened to first, and nothing is sent if there is traffic: two masters disturb each other.
 3. The time to wait for a unit is learnt from the answers (`session.adaptive_timeout`). If an answer comes late, silent
    units that were given less than the full time are asked again.
 4. A unit that answers is asked for its identification (43/14, 17).
@@ -27,7 +27,7 @@ from .sessions import timing_of
 from .settings import link_settings
 
 LISTEN_SECONDS: Final = 2.0
-"""How long a scan listens to a line before it sends anything, unless told otherwise."""
+"""Seconds that a scan listens to a line before it sends anything, by default."""
 
 
 @dataclass(slots=True)
@@ -37,9 +37,9 @@ class FoundUnit:
     Attributes:
         unit: unit identifier, 0…255.
         answer: how the unit answered, in words, such as ``answers`` or ``answers with exception 02``.
-        seconds: from the request to the answer.
-        identification: identification objects (43/14, level basic) by number; empty if not asked for, or not given.
-        server_id: data of the reply to function 17; empty if not asked for, or not given.
+        seconds: seconds from the request to the answer.
+        identification: identification objects (43/14, level basic) by number; empty if not asked for, or not answered.
+        server_id: data of the reply to function 17; empty if not asked for, or not answered.
     """
 
     unit: int
@@ -59,9 +59,9 @@ def scan(
     listen: float | None = LISTEN_SECONDS,
     **options: Any,  # those of `LinkOptions`, of which the timeout stands above
 ) -> list[FoundUnit]:
-    """Find the units that answer on a line, or behind an address. Writes nothing.
+    """Find the units that answer on a line, or behind a server such as a gateway. Writes nothing.
 
-    Each absent unit costs up to ``timeout``; less after some have answered, if ``learn`` is on.
+    Each absent unit takes up to ``timeout`` seconds; with ``learn``, less after some units have answered.
 
     Args:
         url: the endpoint, as in `connect`.
@@ -119,10 +119,9 @@ def refuse_busy_line(
     """Listen to a line before a scan, and raise `ConfigError` if there is traffic. Sends nothing.
 
     Args:
-        endpoint: what is about to be scanned. Returns at once if that is no line (Modbus TCP framing), or a line over
-            UDP.
+        endpoint: the endpoint to be scanned. Modbus TCP framing and lines over UDP are not listened to.
         listen: seconds to listen.
-        hint: the end of the error message: how to scan all the same.
+        hint: the end of the error message, which says how to scan in spite of it.
         begun: called when the line is open and listening begins.
 
     Raises:
@@ -146,7 +145,7 @@ def refuse_busy_line(
 
 
 def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """Return the endpoint without those options that listening to a line does not accept."""
+    """Return the endpoint without the options that listening to a line does not accept."""
     taken = Offer.at(endpoint, "monitor", MONITORS).options
     kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
     return replace(endpoint, options=kept)
@@ -156,7 +155,7 @@ class UnitScan:
     """A scan of the units behind one endpoint. Creating it sends nothing; `found` sends the requests.
 
     Args:
-        endpoint: the line, or the server in front of the units.
+        endpoint: the line, or the server through which the units are reached.
         units: the units to ask, in this order.
         longest: the longest wait for the answer of a unit, in seconds.
         learn: whether the wait is shortened to a multiple of the slowest answer so far.
@@ -195,7 +194,7 @@ class UnitScan:
         self._link: BlockingLink = connect(endpoint, shared=False, **chosen)
 
     def found(self) -> Iterator[FoundUnit]:
-        """Ask the units one after the other, and yield each that answers as soon as it does. Raises `LinkDown`.
+        """Ask the units one after the other, and yield each unit that answers at once. Raises `LinkDown`.
 
         If an answer came late, silent units that were given less than the full time are asked a second time. Can be
         used once: the link is closed at the end.
@@ -219,10 +218,10 @@ class UnitScan:
             yield found
 
     def _probe(self, unit: int) -> FoundUnit | None:
-        """Ask a unit for one holding register. Returns how it answered, be it broken, damaged or an exception.
+        """Ask a unit for one holding register; return it if it answered, even with an exception or a damaged reply.
 
-        Returns None if nothing came, if a gateway answered in its place (exceptions 0A and 0B), or if the connection
-        was closed instead. Raises `LinkDown` if then a new one cannot be opened.
+        Returns None if there was no answer, if a gateway answered instead (exceptions 0A and 0B), or if the connection
+        was closed. Raises `LinkDown` if then a new one cannot be opened.
         """
         counters, timeout = self._link.counters, self.adaptive_timeout.timeout
         late_before = counters.late_replies

@@ -1,13 +1,13 @@
 """One limit of requests in flight for all links of a client: NumberMaxOfClientTransaction with ``scope=client``.
 
-Knows links that wait for a slot, and serves them in turn; knows nothing of what they send.
+Knows links that wait for a slot, and lets them send in turn; knows nothing of what they send.
 
 1. "Client" means all links of one event loop, or all blocking links of the process
    (Messaging on TCP/IP V1.0b §4.4.1.1 counts per client).
-2. The sessions take their slots for requests in flight from one shared list; a link that frees a slot lets the others
-   go first.
-3. Blocking links of one client share a lock, so that no slot is taken twice. A thread that is interrupted under it
-   may have taken slots for good, so all these links begin again.
+2. The sessions take their slots for requests in flight from one shared list. A link that frees a slot first lets the
+   other links send.
+3. Blocking links of one client share a lock, so that no slot is taken twice. If a thread is interrupted while it holds
+   the lock, slots may be lost, so all these links are reset.
 """
 
 import threading
@@ -20,10 +20,10 @@ from ..session.call import FreeSlots, free_slots
 
 
 class LinkLock:
-    """The lock of a blocking link, or of all links of a scope, and whether a thread was interrupted under it.
+    """The lock of a blocking link, or of all links of a scope, and whether a thread was interrupted while it held it.
 
-    A section takes ``lock``, repairs the links if ``is_torn``, sets it, and clears it as its last act. So it stays set
-    if an exception from outside (``KeyboardInterrupt``) ends the section before.
+    A thread that takes ``lock`` sets ``is_torn`` and clears it before it releases the lock. If an exception such as
+    ``KeyboardInterrupt`` ends it between, ``is_torn`` stays set, and the next thread resets the links.
     """
 
     __slots__ = ("is_torn", "lock")
@@ -46,7 +46,7 @@ class ClientScope:
     Attributes:
         limit: the most requests in flight on all connections of the client together, 1…16.
         slots: one entry for each further request that may be sent; the sessions take entries and put them back.
-        guard: the lock that all blocking links of the client use in place of their own.
+        guard: the lock that all blocking links of the client use instead of one of their own.
     """
 
     def __init__(self, limit: int) -> None:
@@ -73,7 +73,7 @@ class ClientScope:
         return [link for one in self._links if (link := one()) is not None]
 
     def refill(self) -> None:
-        """Put all slots back, because no link has a request in flight any more."""
+        """Restore all slots, because no link has a request in flight any more."""
         self.slots[:] = free_slots(self.limit)
 
     def serve(self, now: float) -> None:
@@ -88,7 +88,9 @@ class ClientScope:
 
 
 def same_scope(scope: ClientScope | None, limit: int) -> ClientScope:
-    """Return the common limit for one more link of a client: ``scope``, or a new object if that has no open links.
+    """Return the limit that a new link of a client shares with its other links.
+
+    It is ``scope``, or a new object if that has no open links.
 
     Args:
         scope: the common limit of the client's links so far; None before the first link.

@@ -2,7 +2,7 @@
 
 Knows ports, and tells the session when the last character of its frame has left; knows no request.
 
-1. A missing port is waited for, up to ``port_wait`` seconds.
+1. If the port is missing, it is waited for, up to ``port_wait`` seconds.
 2. The response timeout counts from the last character of a request: the session is told when that is expected to
    leave, and again if the system turns out to hold it longer.
 3. If the driver of the port reports lost characters, the bytes read with that report are treated as damaged.
@@ -92,11 +92,11 @@ class SerialConnector:
             time.sleep(pause)
 
     def release(self) -> None:
-        """Let other users in this process open the port; called when the link is closed for good."""
+        """Allow other users in this process to open the port; called when the link is closed for good."""
         self._claim.release()
 
     def _named(self, error: LinkDown | ConfigError) -> LinkDown:
-        """Return a `LinkDown` that names the endpoint, with ``error``, raised by opening the port, as its cause."""
+        """Return a `LinkDown` that names the endpoint; its cause is ``error``, raised while opening the port."""
         kind = error.kind if isinstance(error, LinkDown) else "other"
         down = LinkDown(error.message, kind=kind, endpoint=self._endpoint.url)
         down.__cause__ = error
@@ -104,7 +104,7 @@ class SerialConnector:
 
 
 class _Waited:
-    """One wait for a missing serial port, from its creation: how long to pause, and when to give up."""
+    """One wait for a missing serial port, which begins with its creation: how long to pause, and when to give up."""
 
     def __init__(self, opening: OpeningParameters) -> None:
         self._policy = reopen_policy(opening)
@@ -126,7 +126,7 @@ class _Waited:
 class SerialStream:
     """An open serial port of an asyncio link, with those methods of an asyncio transport that the link uses.
 
-    ``end`` is the protocol of the link, which gets received bytes and the loss of the port.
+    ``end`` is the protocol of the link; it gets received bytes, and is told if the port is lost.
     """
 
     def __init__(self, session: SerialClientSession, end: LinkEnd) -> None:
@@ -138,9 +138,9 @@ class SerialStream:
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
-        """Use ``connection`` from now on, and tell the session whether its characters take time.
+        """Use ``connection`` from now on, and tell the session whether sending takes the time of its characters.
 
-        They take none on a pseudo-terminal.
+        On a pseudo-terminal it does not.
         """
         self._connection = connection
         self._session.characters_take_time = not connection.pseudo_terminal
@@ -149,7 +149,10 @@ class SerialStream:
     # What the port tells.
 
     def received(self, data: bytes, errors: int) -> None:
-        """Pass received bytes to the link, as damaged if some are; ``errors``: how many the port marked as damaged."""
+        """Pass received bytes to the link.
+
+        ``errors`` is how many of them the port marked as damaged; if it is not 0, they are passed on as damaged.
+        """
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:
             self._end.arrived_damaged(data, overrun=overrun)
@@ -166,8 +169,8 @@ class SerialStream:
     def write(self, data: bytes) -> None:
         """Send a frame, and tell the session when its last character will have left.
 
-        Does nothing after the port was closed or lost. If sending fails, the link is told so in the next turn of the
-        event loop.
+        Does nothing after the port was closed or lost. If sending fails, ``connection_lost`` of the link's protocol is
+        called in the next turn of the event loop.
         """
         connection = self._connection
         if connection is None:
@@ -201,7 +204,7 @@ class SerialStream:
             connection.close()
 
     async def wait_closed(self) -> None:
-        """Wait until the port is really closed; call it after `close`."""
+        """Wait until the descriptor of the port is closed; call it after `close`."""
         if self._closing is not None:
             await self._closing.wait_closed()
 
@@ -232,7 +235,7 @@ class SerialChannel:
         """Receive bytes into ``buffer`` and return their number, which is never 0.
 
         Raises:
-            BlockingIOError: nothing has come, or only damaged bytes, which go to the session directly.
+            BlockingIOError: no bytes were received, or only damaged ones, which were passed to the session.
             LinkDown: the port is lost.
         """
         data, errors = self._port.read(0)

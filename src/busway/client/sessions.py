@@ -47,7 +47,7 @@ class ClientSession(Protocol):
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests wait only for the end of a prescribed pause (``request_gap``, ``connect_delay``)."""
+        """Whether requests wait only for the end of a required pause (``request_gap``, ``connect_delay``)."""
 
     @property
     def in_flight(self) -> int:
@@ -67,10 +67,10 @@ class ClientSession(Protocol):
         """
 
     def serve_units_in_turn(self) -> None:
-        """Serve units in turn from now on, not in the order of calls, so that a slow unit does not hold up others."""
+        """From now on, take requests unit by unit in rotation, so that a slow unit does not delay the others."""
 
     def cancel(self, call: Call) -> bool:
-        """Cancel a call: no more of its requests are sent. Returns whether some were sent and are unanswered."""
+        """Cancel a call: no more of its requests are sent. Returns whether any of them is in flight."""
 
     def connected(self, now: float) -> None:
         """Tell the session that the link has an open connection."""
@@ -82,15 +82,15 @@ class ClientSession(Protocol):
         """
 
     def begin_again(self) -> None:
-        """Forget all calls and the closed connection, because an interrupt may have ended a change half-way."""
+        """Forget all calls and the connection, which is closed: an exception may have left them inconsistent."""
 
     def resume(self, call: Call, now: float) -> None:
-        """Take a call back after `begin_again`: what was sent is repeated or fails as after a lost connection."""
+        """Queue a call again after `begin_again`: what was sent is repeated or fails as after a lost connection."""
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with ``error``, because no connection could be opened.
 
-        With ``keep_repeated`` a call with a request that is about to be repeated keeps waiting.
+        If ``keep_repeated``, a call of which a request is about to be repeated keeps waiting.
         """
 
     def transmit(self, now: float) -> list[bytes]:
@@ -116,8 +116,8 @@ def client_session_for(
 
     Args:
         settings: the settings of the link.
-        shared_slots: the free places for requests in flight that all links of a client take from one list, with the
-            option ``scope=client``; None if the session has its own limit.
+        shared_slots: with the option ``scope=client``, the list from which all links of a client take the slots for
+            their requests in flight; None if the session has its own limit.
     """
     name = settings.endpoint.url
     if settings.line is None:

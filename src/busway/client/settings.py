@@ -31,14 +31,14 @@ class LineSettings:
     """Settings of a link that only RTU and ASCII framing have.
 
     Attributes:
-        conversation: pauses between requests, and how late replies are dealt with.
+        conversation: pauses between requests, and how late replies are treated.
         breaker: after how many timeouts requests to a unit fail at once, and for how long.
         framing: how frames are found in the received bytes.
         port: baud rate, parity and other settings of the serial port; None over a network.
         opening: how long to wait for a missing port, the pauses between attempts to open it, and whether frames are
-            timed exactly; without effect over a network.
-        assumed: baud rate and parity as text for errors, as far as the user did not give them, such as
-            ``19200 baud and parity even``; empty if both were given, and over a network.
+            timed exactly; ignored over a network.
+        assumed: baud rate and parity that the user did not give, as text for errors, such as ``19200 baud and parity
+            even``; empty if both were given, and over a network.
     """
 
     conversation: SerialClientParameters
@@ -56,13 +56,13 @@ class LinkSettings:
     Attributes:
         endpoint: the device, line or server that the link connects to.
         parameters: options of the client session, such as timeouts and retries.
-        sockets: socket options of the connection; without effect on a serial port.
+        sockets: socket options of the connection; ignored on a serial port.
         management: how long connections are kept, when lost ones are replaced, and how many there may be.
         line: settings of the line with RTU or ASCII framing; None with Modbus TCP framing.
         breaker: with Modbus TCP framing, after how many timeouts requests to a unit fail at once; None: that is off.
             With RTU and ASCII framing `LineSettings.breaker` is used, and this is None.
         security: certificates and other settings of TLS; None if the endpoint does not use TLS.
-        ssl_context: a context that the program made itself; None to make one from ``security``.
+        ssl_context: a context that the program created itself; None to create one from ``security``.
     """
 
     endpoint: Endpoint
@@ -75,7 +75,7 @@ class LinkSettings:
     ssl_context: "ssl.SSLContext | None" = None
 
     def differs(self, other: "LinkSettings") -> str:
-        """Return the name of the first setting of the connection that differs from ``other``; empty if none does."""
+        """Return the name of the first connection setting with another value than in ``other``; empty if none has."""
         for mine, theirs in zip(self._parts(), other._parts(), strict=False):
             for name, option in declared(type(mine)).items():
                 if Mark.PER_CALL not in option.marks and getattr(mine, name) != getattr(theirs, name):
@@ -151,7 +151,7 @@ def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:
 
 
 def _check_context(endpoint: Endpoint, options: Mapping[str, object]) -> None:
-    """Raise `ConfigError` if ``ssl_context`` has no effect here, or another option has none because of it."""
+    """Raise `ConfigError` if ``ssl_context`` has no effect for the endpoint, or makes another option ineffective."""
     if endpoint.carrier != "tls":
         raise ConfigError(f"has no effect on {endpoint.scheme}://; it is for tls://", key="ssl_context")
     for name in canonical(options):

@@ -1,12 +1,12 @@
 """Links by endpoint: who shares one, how many there are, and which link a request takes.
 
-Knows links as the selection rules see them; knows no event loop, lock or request (Messaging on TCP/IP V1.0b §4.2.1).
+Knows of links only what the rules need; knows no event loop, lock or request (Messaging on TCP/IP V1.0b §4.2.1).
 
-1. Automatic management: users of one endpoint share its link; the last user to give it back closes it.
+1. Automatic management: users of one endpoint share its link; when the last of them releases it, it is closed.
 2. Explicit management: a link that is not shared belongs to its user alone; an endpoint may have ``max_connections``
    such links.
 3. Users with different connection settings cannot share a link: the second gets an error that names the setting.
-4. If several links lead to one endpoint, a rule chooses one for each request (§4.2.1.2).
+4. If there are several links to one endpoint, a rule chooses one for each request (§4.2.1.2).
 """
 
 from collections.abc import Callable
@@ -27,7 +27,7 @@ class _Shared(Generic[AnyLink]):
 
     Attributes:
         settings: those of the first user; the others must ask for the same.
-        users: how many users have the link now.
+        users: number of present users of the link.
     """
 
     settings: LinkSettings
@@ -36,7 +36,7 @@ class _Shared(Generic[AnyLink]):
 
 
 class SharedLinks(Generic[AnyLink]):
-    """The links of one client: for each endpoint at most one that its users share, and any that have one user.
+    """The links of one client: for each endpoint at most one shared link, and any number of links with one user.
 
     Args:
         make: creates a link; called as ``make(settings, shared, scope)``. ``shared``: whether the link may have several
@@ -53,7 +53,7 @@ class SharedLinks(Generic[AnyLink]):
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AnyLink:
         """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
 
-        Each return counts as one user, until `release`.
+        The caller counts as a user of the link until it calls `release`.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -73,13 +73,13 @@ class SharedLinks(Generic[AnyLink]):
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AnyLink:
         """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
 
-        ``rule`` chooses among the connected ones: the link made first, or the one connected longest. If none is
-        connected, it is the link made first.
+        ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
+        connected, it is the link created first.
         """
         return chosen(list(self._links.get(settings.endpoint.url, ())), settings, rule)
 
     def release(self, settings: LinkSettings, link: AnyLink) -> bool:
-        """Count one user of a link less. Returns whether that was the last one; then the caller must close the link.
+        """Remove one user from a link. Returns True if no user is left; then the caller must close the link.
 
         A link that is not shared has one user.
         """

@@ -4,12 +4,12 @@ Knows TCP, TLS and the meaning of their failures; knows no session.
 
 1. The certificate of the server is verified: its chain, its dates, and its name against the host of the URL or
    ``server_name``. Nothing is sent to a server that fails; with ``verify=off-insecure`` each connection logs a warning.
-2. Certificates are read when the link is made, and again when their files have changed. If ``cryptography`` is
+2. Certificates are read when the link is created, and again when their files have changed. If ``cryptography`` is
    installed, the dates of the client's own certificate are checked then: a warning is logged before servers refuse it.
-3. With TLS 1.3 a client is connected before the server has checked the client's certificate: a refusal comes with the
-   first read, and ends the connection with the same message.
+3. With TLS 1.3 a client is connected before the server has checked the client's certificate: a refusal is received with
+   the first read, and ends the connection with the same message.
 4. If a server's certificate is refused for its dates, they are read over a second connection, over which nothing is
-   sent: an operator who reads the date knows whether the certificate or the clock is wrong.
+   sent, and put into the error: the date shows an operator whether the certificate or the clock is wrong.
 """
 
 import contextlib
@@ -47,7 +47,7 @@ class TlsConnector:
         endpoint: host and port of the server.
         sockets: options of the TCP connection under TLS.
         security: certificates and other settings of TLS; with ``context`` only server name and handshake timeout.
-        context: a context that the program made itself; None to make one from ``security``.
+        context: a context that the program created itself; None to create one from ``security``.
 
     Raises:
         ConfigError: a file cannot be used, or the authority is missing.
@@ -130,13 +130,11 @@ class TlsConnector:
         return layer
 
     async def _look_at_date(self, failure: TlsFailure) -> TlsFailure:
-        """Return a failure that tells what is wrong with the dates, for one because a certificate is out of date.
+        """Return a failure whose text says which certificate is out of date, and its date; for an asyncio link.
 
-        The dates of the server's certificate are read over a second connection, which accepts any dates and over which
-        nothing is sent (rule 4 of the module). If they are good, the failure names the certificate of an authority
-        above.
-
-        Returns ``failure`` unchanged if that connection fails.
+        The server's certificate is read over a second connection, which accepts any dates and over which nothing is
+        sent (rule 4). If its dates are good, the text names the certificate of an authority above it. If that
+        connection fails, ``failure`` is returned unchanged.
         """
         try:
             layer = await self._agree(timeless_context(self._security), _silent_protocol)
@@ -170,7 +168,10 @@ class TlsConnector:
         return TlsSocket(connection, context, server_name=self._server_name, timeout=self._security.handshake_timeout)
 
     def _look_at_date_now(self, failure: TlsFailure) -> TlsFailure:
-        """Do the same as `_look_at_date`, blocking."""
+        """Return a failure whose text says which certificate is out of date, and its date; for a blocking link.
+
+        The date is found out as by `_look_at_date`.
+        """
         try:
             connection = self._agree_now(timeless_context(self._security))
         except (OSError, ValueError):
@@ -197,9 +198,9 @@ class TlsConnector:
         return context
 
     def _look_at_own(self) -> None:
-        """Log a warning if the client's own certificate is not valid now or expires soon; once per version of its file.
+        """Log a warning if the client's own certificate is not valid now or expires soon.
 
-        Does nothing if the program brought its own context.
+        It is logged once for each version of the file; never if the program created the context itself.
         """
         name = self._security.certificate
         if name is None or self._context is None or self._looked_at == self._context.generation:

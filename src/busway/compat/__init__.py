@@ -1,7 +1,7 @@
 """Compatibility: the names of other Modbus libraries, on top of busway's own clients and servers.
 
 `pymodbus` and `minimalmodbus` have the interfaces of the libraries of those names. Programs import them from here, or
-call `install` before they import a library that needs the original, which then gets these modules in its place.
+call `install` before they import a library that needs the original, which then gets these modules instead.
 
 1. The protocol is busway's: each call becomes a request of `busway.pdu` on a link of `busway.client`, each server one
    of `busway.server`.
@@ -15,13 +15,13 @@ from types import ModuleType
 from ..errors import ConfigError
 
 LIBRARIES = ("pymodbus", "minimalmodbus")
-"""The names that `install` takes."""
+"""The names that `install` accepts."""
 
 
 def install(name: str) -> ModuleType:
     """Make ``import NAME``, and imports of its submodules, give busway's compatible modules. Returns the package.
 
-    Holds for the whole process, from the call on.
+    Applies to the whole process, from the call on.
 
     Args:
         name: ``pymodbus`` or ``minimalmodbus``.

@@ -1,6 +1,7 @@
 """The interface of minimalmodbus on busway's links: instruments on serial ports, their 14 methods and 9 exceptions.
 
-Knows how values become registers by minimalmodbus' rules, and a port's settings; the line itself is a link of busway.
+Knows how values become registers by minimalmodbus' rules, and a port's settings; a link of busway does the
+communication.
 
 1. Settings are attributes of ``instrument.serial`` and of the instrument. Each call checks them: after a change the
    link is closed and another one opened.
@@ -69,14 +70,14 @@ class NoResponseError(MasterReportedException):
 
 
 class LocalEchoError(MasterReportedException):
-    """minimalmodbus' exception for a damaged echo; never raised here.
+    """minimalmodbus' exception for an echo that differs from the request; never raised here.
 
-    Bytes that differ from the echo are received as a reply or as noise.
+    Such bytes are treated as a reply or as noise.
     """
 
 
 class InvalidResponseError(MasterReportedException):
-    """The reply breaks the protocol, or only a part of it came."""
+    """The reply breaks the protocol, or only a part of it was received."""
 
 
 InstrumentError.__name__ = InstrumentError.__qualname__ = "ModbusException"
@@ -94,7 +95,7 @@ REFUSALS: dict[int, type[SlaveReportedException]] = {
 
 
 def exception_for(error: ModbusError) -> InstrumentError:
-    """Return the exception of this module that stands for an error of busway; the caller raises it."""
+    """Create the exception of this module for an error of busway; the caller raises it."""
     cause = error.__cause__ if isinstance(error.__cause__, ModbusError) else error
     if isinstance(cause, ExceptionReply):
         return REFUSALS.get(cause.code, SlaveReportedException)(str(error))
@@ -159,11 +160,11 @@ class InstrumentPort:
             link.close()
 
     def link(self, mode: str, local_echo: bool) -> BlockingLink:
-        """Return the link with the current settings; one with other settings is closed first.
+        """Return the link with the current settings; if they have changed, the link with the old ones is closed first.
 
         Args:
             mode: ``rtu`` or ``ascii``.
-            local_echo: whether the line gives back what is sent.
+            local_echo: whether the port receives what it sends.
         """
         # `Any`: the options of a link, chosen by name
         options: dict[str, Any] = {
@@ -186,9 +187,9 @@ _ports: dict[str, InstrumentPort] = {}
 
 
 def _port_for(port: Any) -> InstrumentPort:
-    """Return the settings of a port by its name; instruments on one port share them.
+    """Return the settings of a port, by its name; instruments on one port share them.
 
-    An object of pyserial gives its settings, and is closed: a port has one user.
+    If ``port`` is an object of pyserial, its settings are copied, and it is closed, because a port has one user.
     """
     if isinstance(port, str):
         return _ports.setdefault(port, InstrumentPort(port))
@@ -213,7 +214,7 @@ class Instrument:
     Attributes:
         address, mode, close_port_after_each_call: as given; may be changed at any time.
         serial: settings of the port; may be changed at any time.
-        handle_local_echo: whether the line gives back what is sent; False by default.
+        handle_local_echo: whether the port receives what it sends; False by default.
         debug, precalculate_read_size, clear_buffers_before_each_transaction: have no effect.
 
     Each method raises ``TypeError`` or ``ValueError`` for arguments that cannot be sent, and otherwise an
@@ -254,7 +255,7 @@ class Instrument:
         return self._roundtrip
 
     def _ask(self, request: Any) -> Any:  # a request of any class, and its reply
-        """Send a request of `busway.pdu` and return its reply, with the settings of the port and the instrument."""
+        """Send a request of `busway.pdu`, with the present settings of port and instrument, and return its reply."""
         _whole("slaveaddress", self.address, 0, LAST_UNIT)
         timeout = LONGEST_TIMEOUT if self.serial.timeout is None else max(self.serial.timeout, SHORTEST_TIMEOUT)
         began = time.monotonic()
@@ -314,9 +315,9 @@ class Instrument:
     def read_register(
         self, registeraddress: int, number_of_decimals: int = 0, functioncode: int = 3, signed: bool = False
     ) -> int | float:
-        """Return the number in one register, divided by 10 once for each decimal; an int if it is whole.
+        """Return the number in one register, divided by 10 to the power of ``number_of_decimals``.
 
-        ``signed``: whether registers above 32767 are negative numbers.
+        It is an int if it is whole. ``signed``: whether registers above 32767 are negative numbers.
         """
         _whole("number_of_decimals", number_of_decimals, 0, MOST_DECIMALS)
         number = _decoded(self.read_registers(registeraddress, 1, functioncode), _integer_code(1, signed))
@@ -331,9 +332,10 @@ class Instrument:
         functioncode: int = 16,
         signed: bool = False,
     ) -> None:
-        """Write a number to one holding register, multiplied by 10 once for each decimal, by function code 16 or 6.
+        """Write a number to one holding register, by function code 16 or 6.
 
-        Further decimals are cut off. ``signed``: whether the number may be negative.
+        It is multiplied by 10 to the power of ``number_of_decimals``; decimals left after that are cut off. ``signed``:
+        whether the number may be negative.
         """
         _one_of("functioncode", functioncode, (6, 16))
         _whole("number_of_decimals", number_of_decimals, 0, MOST_DECIMALS)
@@ -354,7 +356,7 @@ class Instrument:
     ) -> int:
         """Return the whole number in two or four registers; holding registers by default.
 
-        ``byteorder`` is one of the ``BYTEORDER_…`` constants, here and below.
+        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
         """
         _one_of("number_of_registers", number_of_registers, (2, 4))
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
@@ -368,7 +370,10 @@ class Instrument:
         byteorder: int = BYTEORDER_BIG,
         number_of_registers: int = 2,
     ) -> None:
-        """Write a whole number to two or four holding registers, by function code 16."""
+        """Write a whole number to two or four holding registers, by function code 16.
+
+        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
+        """
         _one_of("number_of_registers", number_of_registers, (2, 4))
         number = _whole("value", value, -(1 << 63), (1 << 64) - 1)
         self.write_registers(registeraddress, _encoded(number, _integer_code(number_of_registers, signed), byteorder))
@@ -380,7 +385,10 @@ class Instrument:
         number_of_registers: int = 2,
         byteorder: int = BYTEORDER_BIG,
     ) -> float:
-        """Return the float in two or four registers; holding registers by default."""
+        """Return the float in two or four registers; holding registers by default.
+
+        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
+        """
         _one_of("number_of_registers", number_of_registers, tuple(FLOATS))
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
         return float(_decoded(registers, FLOATS[number_of_registers], byteorder))
@@ -388,7 +396,10 @@ class Instrument:
     def write_float(
         self, registeraddress: int, value: float, number_of_registers: int = 2, byteorder: int = BYTEORDER_BIG
     ) -> None:
-        """Write a float to two or four holding registers, by function code 16."""
+        """Write a float to two or four holding registers, by function code 16.
+
+        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
+        """
         _one_of("number_of_registers", number_of_registers, tuple(FLOATS))
         self.write_registers(
             registeraddress, _encoded(float(_number("value", value)), FLOATS[number_of_registers], byteorder)
@@ -400,7 +411,9 @@ class Instrument:
         return struct.pack(f">{len(registers)}H", *registers).decode("ascii")
 
     def write_string(self, registeraddress: int, textstring: str, number_of_registers: int = 16) -> None:
-        """Write an ASCII text to holding registers, by function code 16; it is filled up with spaces.
+        """Write an ASCII text to holding registers, by function code 16.
+
+        The rest of the registers is filled with spaces.
 
         Raises:
             ValueError: the text has more than two characters for each register, or is not ASCII.
@@ -426,7 +439,7 @@ def _integer_code(registers: int, signed: bool) -> str:
 
 
 def _mark(byteorder: int) -> tuple[str, bool]:
-    """Return the struct mark of a byte order, and whether the bytes of each register are swapped afterwards."""
+    """Return ``<`` or ``>`` of `struct` for a byte order, and whether the bytes of each register are also swapped."""
     _whole("byteorder", byteorder, BYTEORDER_BIG, BYTEORDER_LITTLE_SWAP)
     is_little = byteorder in (BYTEORDER_LITTLE, BYTEORDER_LITTLE_SWAP)
     return "<" if is_little else ">", byteorder in (BYTEORDER_BIG_SWAP, BYTEORDER_LITTLE_SWAP)

@@ -7,7 +7,10 @@ from ..server.listener_settings import listener_settings
 
 
 def tls_of(listener: Listener) -> TlsParameters | None:
-    """Return the TLS options of a listener; None for a listener without TLS. Raises `ConfigError`."""
+    """Return the TLS options of a listener: those of its `TlsParameters`, overridden by those of its URL.
+
+    None for a listener without TLS. Raises `ConfigError`.
+    """
     return listener_settings(listener, limits=ListenerParameters()).tls
 
 

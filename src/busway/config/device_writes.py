@@ -67,7 +67,7 @@ def _is_limited(point: PointSection) -> bool:
 
 
 class _Limits:
-    """The points of one table that do not accept every value, and the check of writes to them."""
+    """The points of one table that have a range or named numbers, and the check of Modbus writes to them."""
 
     def __init__(self, device: Device, points: Sequence[PointSection]) -> None:
         self._device = device
@@ -87,7 +87,7 @@ class _Limits:
                 raise Refusal(reason=f"{point.name}: {error.message}") from error
 
     def _after(self, point: PointSection, change: Change) -> Any:  # what the point's type says
-        """Return the raw number that a point would have after a write."""
+        """Return the number that a point's registers would hold after a write, which may change only some of them."""
         form, start = point.form, point.place.offset
         assert form is not None  # only numbers have ranges and names
         registers = list(change.new)

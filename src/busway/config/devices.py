@@ -61,9 +61,9 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """Return the items of a table: those that the file declares, or else those of its points and of gaps between.
+    """Return the items of a table: those that the file declares, else those of its points and of the gaps between.
 
-    None if the table has neither. ``hole`` is the value in the gaps; with None there are no gaps.
+    None if the table has neither. ``hole`` is the value that is read in the gaps; with None the gaps have no items.
     """
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable
@@ -81,7 +81,7 @@ def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: 
 
 
 def _ranges(offsets: Sequence[int]) -> list[list[int]]:
-    """Return ascending offsets joined to ranges, each as first and count."""
+    """Join consecutive offsets to ranges: ``1, 2, 3, 7`` gives ``[1, 3], [7, 1]``, each first offset and count."""
     found: list[list[int]] = []
     for offset in offsets:
         if found and offset == sum(found[-1]):

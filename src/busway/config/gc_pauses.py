@@ -17,7 +17,7 @@ _AT_ONCE: Final = 256
 
 @contextmanager
 def collecting_paused() -> Iterator[None]:
-    """Context manager that switches the garbage collector off while many objects are created or freed."""
+    """Context manager that switches the garbage collector off, for code that creates or frees many objects."""
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -39,8 +39,9 @@ def let_go(lists: list[list[Any]]) -> None:  # Any: nothing is asked of them
 
 
 def keep_uncollected() -> None:
-    """Exclude all existing objects from garbage collection: reference counting still frees them, but no cycles.
+    """Exclude all existing objects from the garbage collector's work: they are freed by reference counting only.
 
-    For a program that has read much data which stays. Cycles that exist now are never freed.
+    Meant for a program that has read much data which stays in memory. Reference cycles among the existing
+    objects are never freed.
     """
     gc.freeze()

@@ -50,7 +50,7 @@ def named_links(
         file: the file.
         root: joins the paths among options to the file's folder.
         report: collects problems.
-        defaults: options of the program that uses the links, where they differ from those of links.
+        defaults: options for which the program that uses the links has other defaults.
     """
     offered = options_for("client", TlsParameters)
     security = {name: value for name, value in file.security.options().items() if name in offered}
@@ -71,11 +71,12 @@ def _named_link(
     at: Path,
     report: ConfigurationReport,
 ) -> NamedLink | None:
-    """Return the link that a section declares; None, with a problem in the report, if it is invalid.
+    """Return the link that a section declares; None if it is invalid, with a problem added to the report.
 
     Args:
         section: the link's section in the file.
-        general, security: options for all links, and certificates for all.
+        general: options of ``[client]`` for all links.
+        security: certificates of ``[security]`` for all links.
         root: joins the paths among options to the file's folder.
         at: the path of the section in the file.
         report: collects problems.

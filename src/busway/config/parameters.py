@@ -33,7 +33,7 @@ def declared_parameters(
 ) -> dict[str, Parameter]:
     """Return the parameters of a file with their values: its defaults, overridden by the given values.
 
-    Only the given values if ``parameters`` or ``required`` has a wrong type, which the file's schema reports.
+    Returns only the given values if ``parameters`` or ``required`` has a wrong type, which the file's schema reports.
 
     Args:
         source: the file.
@@ -174,9 +174,10 @@ def _written(value: Parameter) -> str:
 
 
 def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
-    """Return all data of a file, with parameters replaced by their values, while its units keep their numbers.
+    """Return all data of a file that is not included with ``units``: its units keep their own numbers.
 
-    In a ``[[unit]]`` with one number, the parameter ``unit`` is that number and ``index`` is 0.
+    Parameters are replaced by their values. In a ``[[unit]]`` with one number, ``unit`` is that number and ``index`` is
+    0.
 
     Raises:
         FileError: an expression is invalid, or a parameter does not exist.

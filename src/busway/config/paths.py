@@ -25,5 +25,5 @@ def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: opt
 
 
 def within(name: str, path: str) -> str:
-    """Return ``path``, as written in the file ``name``, joined to the folder of that file; an absolute one as it is."""
+    """Return a path that the file ``name`` contains, joined to the folder of that file; an absolute one unchanged."""
     return str(Path(name).parent / path)

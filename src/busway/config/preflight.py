@@ -23,7 +23,7 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
-    """Add a warning to the report for each access rule for roles that no client can have, for want of TLS."""
+    """Add a warning to the report for each access rule for roles if no listener uses TLS: then no client has a role."""
     if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
         return
     for index, rule in enumerate(file.policy.rule):
@@ -44,10 +44,10 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether ``wanted`` in an access rule may mean a listener: as configured, as bound, or on port 502 beside it.
+    """Whether the text ``wanted`` of an access rule may mean a listener, as it is configured or will be bound.
 
-    The scheme alone, as in ``tcp://``, means all listeners that have it. A host name may be bound to any address. True
-    also for a text that is no URL: another check reports it.
+    ``tcp://`` alone means all listeners of the scheme. A host name may be bound to any address, and a listener may be
+    added on port 502. True also for a text that is no URL: another check reports that.
     """
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
@@ -88,7 +88,7 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """Function that returns where the file sets an option of a listener's certificates: own section or ``[security]``.
+    """Returns the path in the file at which a TLS option of a listener is set: its own section, or ``[security]``.
 
     Args:
         file: the configuration.
@@ -128,7 +128,7 @@ def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
 
 
 def _usable(listener: Listener, place: Callable[[str | None], Place], report: ConfigurationReport) -> None:
-    """Add a problem to the report if the certificate and key of a listener cannot be used together."""
+    """Add a problem to the report if the certificate and key of a listener do not fit together or cannot be loaded."""
     try:
         try_certificates(listener)
     except ConfigError as error:

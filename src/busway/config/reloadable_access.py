@@ -22,7 +22,7 @@ _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 
 class ReloadableAllowList:
-    """Decides whether a host may connect, by lists that can be replaced; given to a server as ``authorize``.
+    """Decides by address lists whether a host may connect; the lists can be replaced. Used as a server's ``authorize``.
 
     Args:
         lists: the first lists.
@@ -39,12 +39,15 @@ class ReloadableAllowList:
 
 
 def reaches_network(url: str) -> bool:
-    """Whether other hosts can reach a listener on a URL: not on ``localhost``, loopback addresses and serial lines."""
+    """Whether other hosts can reach a listener with this URL.
+
+    False for ``localhost``, loopback addresses and serial lines.
+    """
     endpoint = parse_endpoint(url)
     return endpoint.carrier != "serial" and endpoint.host not in _LOCAL_NAMES and not is_loopback(endpoint.url)
 
 
 def read_only_for(listeners: Sequence[str]) -> Policy:
-    """Return a policy that allows everything, except that these listeners (URLs or schemes) are read-only."""
+    """Return a policy that makes some listeners (URLs or schemes) read-only and allows everything else."""
     rules = (Rule(name=UNASKED, action=Action.READ_ONLY, listeners=tuple(listeners)),) if listeners else ()
     return Policy(rules, Action.ALLOW)

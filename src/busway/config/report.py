@@ -61,14 +61,16 @@ class ConfigurationReport:
 
 
 def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
-    """Return the path at which an error of a key is reported.
+    """Return the path in a file at which an error about a key is reported.
+
+    A listener, for example, has a section of its own, and ``[security]`` holds for all listeners.
 
     Args:
         key: the key; None for an error without one.
-        own: keys that the part's own section sets.
-        at: path of that section, for keys that no section sets too.
-        general: keys that the section for all parts sets.
-        elsewhere: path of that section.
+        own: keys that the component's own section sets.
+        at: path of that section; the result for a key that neither section sets.
+        general: keys that the common section sets.
+        elsewhere: path of the common section.
     """
     if key is not None and key in own:
         return (*at, key)

@@ -20,7 +20,7 @@ class ClientFaultProfile:
         name: name of the profile, as in the documentation.
         happens: what the client does, in words.
         seen_in: where it was reported, repository and issue.
-        answer: the right reaction of a server.
+        answer: the right reaction of a server, in words.
         make: function that returns the bytes sent before the silence; its keyword arguments are the parameters.
     """
 
@@ -52,7 +52,7 @@ CLIENT_FAULT_PROFILES: Final = {one.name: one for one in (SLOW_LORIS,)}
 def misbehaving_client(
     endpoint: str, fault_profile: ClientFaultProfile, **options: Any
 ) -> Iterator[socket.socket]:  # Any: what the fault profile takes
-    """Connect to a server and send the bytes of a client fault profile; yields the socket, open during the block.
+    """Context manager that connects to a server and sends the bytes of a client fault profile; yields the open socket.
 
     Args:
         endpoint: URL of the server, with host and port.

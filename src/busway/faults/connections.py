@@ -3,9 +3,9 @@
 Knows tapped connections, an event loop and a clock; which bytes are sent, and when, is decided by `FaultyConversation`.
 
 1. A connection has one timer, for its next action, and none while it has nothing to do.
-2. All actions run in the thread of the server's event loop, whichever thread moves the clock or a switch.
-3. Faults know nothing of requests that came while they were off: a connection that is open when the first fault is
-   switched on counts as used at that moment.
+2. All actions run in the thread of the server's event loop, also if another thread moves the clock or switches a fault.
+3. While all faults are off, requests are not recorded. When the first fault is switched on, each open connection counts
+   as used at that moment.
 """
 
 import asyncio
@@ -54,7 +54,7 @@ class FaultyTap:
         return iter(list(self._faulty.values()))
 
     def find(self, listener: str, peer: str) -> "FaultyConnection | None":
-        """Return the open connection on which a request came, by listener and client; None if it is not known."""
+        """Return the open connection of a request, by listener and client; None if it is not known."""
         return self._faulty.get((listener, peer))
 
     @property
@@ -65,7 +65,7 @@ class FaultyTap:
     # What the server tells.
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """Record a newly opened connection, and close it if a fault does not admit it; called by the server."""
+        """Record a newly opened connection, or close it if a fault refuses it; called by the server."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
         faulty = FaultyConnection(connection, self._faults, clock, loop, others=len(self._faulty), moved=self._moved)
@@ -88,7 +88,7 @@ class FaultyTap:
         self._changed()
 
     def _moved(self, faulty: "FaultyConnection") -> None:
-        """Update the set of connections that have delayed replies to send, after a change of ``faulty``."""
+        """Add ``faulty`` to the connections with delayed replies, or remove it, after its replies have changed."""
         if faulty.has_unsent:
             self._with_unsent.add(faulty)
         elif faulty in self._with_unsent:
@@ -112,7 +112,7 @@ class FaultyConnection:
         faults: the faults to apply.
         clock: clock of delays.
         loop: the event loop of the connection.
-        others: number of connections that were open when this one was made.
+        others: number of connections that were open when this one was opened.
         moved: called when replies may have been planned or sent.
 
     Attributes:
@@ -156,7 +156,7 @@ class FaultyConnection:
             self._loop.call_soon(self.pump)
 
     def pump(self) -> None:
-        """Send the replies that are due, and set the timer for the next reply or for closing."""
+        """Send the replies that are due, and set the timer for the next action: a reply, or closing the connection."""
         self._is_due = False
         if self._has_ended:
             return
@@ -176,9 +176,9 @@ class FaultyConnection:
             self._timer = self.clock.call_at(deadline, self.ask_to_pump)
 
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
-        """Let the event loop send due replies soon; may be called from any thread.
+        """Make the event loop send due replies soon; may be called from any thread.
 
-        With ``is_used_now``, a connection without a request so far counts as used from this moment.
+        With ``is_used_now``, a connection without a recorded request counts as used from this moment.
         """
 
         def pump() -> None:
@@ -211,7 +211,7 @@ def _carriers(connection: TappedConnection) -> frozenset[Carrier]:
 
 
 def carriers_of(framing: str, carrier: str) -> frozenset[Carrier]:
-    """Return the kinds of transport that a connection with this framing over this carrier belongs to."""
+    """Return the kinds of transport of a connection, from its framing and its carrier (``tcp``, ``serial`` …)."""
     found = {Carrier.TCP if framing == "mbap" else Carrier.SERIAL}
     if carrier in _CONNECTED:
         found.add(Carrier.CONNECTION)

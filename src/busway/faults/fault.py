@@ -53,8 +53,8 @@ class Contact:
     """Facts about one connection that decide which faults apply. Times are seconds in the clock of ``now``.
 
     Attributes:
-        opened: when the connection was made.
-        others: number of connections that were open when it was made.
+        opened: when the connection was opened.
+        others: number of connections that were open then.
         last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
         carriers: the kinds of transport that the connection belongs to.
     """
@@ -77,7 +77,7 @@ class Exchange:
         pdu: the PDU of the request as received.
         request: the decoded request.
         now: the time at which the request was complete, in seconds.
-        random: source of random choices.
+        random: random number generator of the faults.
         adu: the frame of the request.
         is_broadcast: whether the request went to all units of a line, so that no unit may answer.
     """
@@ -104,7 +104,7 @@ class Exchange:
 
     @property
     def is_write(self) -> bool:
-        """Whether the request may change data of the device, as declared; False if it is malformed or unknown."""
+        """Whether the request may change data of the device; False if it is malformed or unknown."""
         return (isinstance(self.request, Request) and self.request.is_write) or any(one.writes for one in self.spans)
 
 
@@ -117,7 +117,7 @@ class Emission:
         before, after: bytes before and after the frame, which belong to no frame.
         length: length field of the header; None for the true one. Frames of serial lines have none.
         delay: seconds from the reply of the device until the frame is sent.
-        piece: bytes per write; 0 for all at once.
+        piece: bytes per write; 0 to send the whole frame with one write.
         pause: seconds between pieces.
         glued: whether the frame leaves in one write with other glued frames that are due at the same moment.
         closes: whether the connection is closed after the frame.
@@ -144,17 +144,17 @@ ClosesAt = Callable[[Contact], float | None]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fault:
-    """One way to misbehave: functions that replace parts of a device's behaviour; None leaves a part as it is.
+    """One way to misbehave: functions that replace parts of a device's behaviour; None leaves a part unchanged.
 
     Args:
         name: the name of the fault profile.
         admits: returns whether a new connection may stay.
         asked: returns the PDU that answers a request instead of the device; `SILENCE` for no reply; None to let the
             device answer.
-        answered: takes the frames that are to be sent as the reply, and returns those that are sent instead.
+        answered: is called with the frames that are to be sent as the reply, and returns those to send instead.
         closes_at: returns when an idle connection is closed, in the clock of ``now``; None for never.
         carriers: the kinds of transport on which the fault can occur.
-        options: the parameters of its fault profile, with the values that it was made with.
+        options: the parameters of its fault profile, with the values that it was created with.
     """
 
     name: str = ""
@@ -166,7 +166,7 @@ class Fault:
     options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares
 
     def is_met(self, contact: Contact) -> bool:
-        """Whether the fault can occur on this connection, by its kinds of transport."""
+        """Whether the fault can occur on this connection: one of its kinds of transport is in ``carriers``."""
         return not self.carriers.isdisjoint(contact.carriers)
 
 
@@ -178,8 +178,8 @@ class Schedule:
         after: seconds until it becomes active.
         lasts: seconds for which it is active; None for ever.
         every: seconds from one activation to the next, at least ``lasts``; None for one activation.
-        skip: number of selected requests that pass unchanged first.
-        times: number of requests that it applies to after them; None for any number.
+        skip: number of selected requests that are answered normally first.
+        times: number of requests after these that it applies to; None for any number.
 
     Raises:
         ConfigError: a negative value, or ``every`` without ``lasts`` or below it.
@@ -200,7 +200,7 @@ class Schedule:
             raise ConfigError("must be at least as long as lasts, which it needs", key="every")
 
     def is_time(self, elapsed: float) -> bool:
-        """Whether a fault is active ``elapsed`` seconds after it was switched on."""
+        """Whether a fault with this schedule is active ``elapsed`` seconds after it was switched on."""
         elapsed -= self.after
         if elapsed < 0:
             return False
@@ -210,11 +210,11 @@ class Schedule:
 
     @property
     def is_timed(self) -> bool:
-        """Whether a fault begins later than it is switched on, or ends by itself after a time."""
+        """Whether the schedule depends on the time: the fault begins with a delay, or ends after a time."""
         return self.after > 0 or self.lasts is not None
 
     def next_change(self, elapsed: float) -> float | None:
-        """Return when a fault begins or ends next, in seconds after it was switched on; None if it stays as it is."""
+        """Return when the fault begins or ends next, in seconds after it was switched on; None if it does neither."""
         if elapsed < self.after:
             return self.after
         if self.lasts is None:
@@ -226,7 +226,7 @@ class Schedule:
         return begun + self.lasts if elapsed < begun + self.lasts else begun + self.every
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether a fault applies to the next request, after ``chosen`` requests to which it could have applied."""
+        """Whether ``skip`` and ``times`` let a fault apply to a selected request, after ``chosen`` earlier ones."""
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
@@ -237,8 +237,8 @@ class Selection:
     Args:
         units: unit identifiers, 0…255.
         functions: function codes, 1…127.
-        addresses: range of items, 0-based, in every table; a request that touches one of them is selected.
-        probability: part of the selected requests that the fault applies to, 0…1.
+        addresses: range of items, 0-based, in every table; a request that reads or writes one of them is selected.
+        probability: share of the selected requests that the fault applies to, 0…1.
         schedule: when the fault is active.
         items: items by table, as ranges: the first item, and the one after the last.
 
@@ -262,7 +262,7 @@ class Selection:
         _refuse_numbers_outside("functions", self.functions, 1, 127)
 
     def means(self, exchange: Exchange) -> bool:
-        """Whether unit, function and items of a request are selected; probability and schedule are not checked."""
+        """Whether a request is selected by its unit, function and items; probability and schedule are not checked."""
         if self.units is not None and exchange.unit not in self.units:
             return False
         if self.functions is not None and exchange.function not in self.functions:
@@ -321,7 +321,7 @@ class AppliedFault:
 
     @property
     def name(self) -> str:
-        """Name of the fault profile that the fault was made from."""
+        """Name of the fault profile that the fault was created from."""
         return self.fault.name
 
     def on(self) -> None:
@@ -366,7 +366,7 @@ class AppliedFault:
         fault then applies to it or not.
 
         Returns:
-            The request with the fault's own source of random choices; None if the fault does not apply.
+            The request with the fault's own random number generator; None if the fault does not apply.
         """
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
@@ -406,7 +406,7 @@ class Faults:
     def add(
         self, fault: Fault, selection: Selection | None = None, *, enabled: bool = True, label: str = ""
     ) -> AppliedFault:
-        """Add a fault to the server, behind the existing ones; returns the added fault, which can be switched.
+        """Add a fault to the server, after the existing ones; returns the added fault, which can be switched.
 
         Args:
             fault: the fault.
@@ -491,7 +491,7 @@ class Faults:
         return True
 
     def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
-        """Return the faults that apply to a request, in order, each with the request as that fault sees it."""
+        """Return the faults that apply to a request, in order, each with the request and its own random numbers."""
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)

@@ -2,8 +2,8 @@
 
 Knows frames, the faults and ``now``; knows no socket, no clock and no device: its driver asks the device.
 
-1. For each request: `strike` decides which faults apply; `asked` gives the reply that replaces the device's, if any;
-   `answered` takes the reply and plans what is sent.
+1. For each request: `strike` decides which faults apply; `asked` returns the reply of a fault that replaces the
+   device's, if any; `answered` gets the reply and plans what is sent.
 2. Replies are sent in the order of their requests, however late one is. While any is unsent (`has_unsent`), replies
    without a fault wait for it.
 3. `FaultyConversation.tick` returns the bytes that are due, one item per write; `deadline` says when more will be.
@@ -34,13 +34,13 @@ ENCODERS: Final[Mapping[str, Callable[[int, int, bytes, int | None], bytes]]] = 
 }
 """By framing, the function that returns a frame: from transaction, unit, PDU and length field.
 
-The length field may be false; None for the true one. The checks of serial frames are always right.
+The length field may be a wrong one; None for the right one. CRC and LRC of serial frames are always right.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class _Due:
-    """Bytes of one write that wait until the time ``when``."""
+    """The bytes of one write, to be sent at the time ``when``."""
 
     when: float
     data: bytes
@@ -53,7 +53,7 @@ class FaultyConversation:
 
     Args:
         faults: the faults to apply.
-        contact: the connection, as faults see it.
+        contact: the facts about the connection that faults depend on.
         framing: ``mbap``, ``rtu`` or ``ascii``.
         gap: seconds of silence before each reply.
 
@@ -148,7 +148,7 @@ class FaultyConversation:
         return writes
 
     def deadline(self, now: float) -> float | None:
-        """Return when `tick` has bytes to send or must close the connection; None until the next request."""
+        """Return when `tick` has bytes to send or must close the connection; None if it has nothing to do."""
         closes_at = self._faults.closes_at(self.contact, now)
         due = self._outbox[0].when if self._outbox else None
         return min((when for when in (closes_at, due) if when is not None), default=None)

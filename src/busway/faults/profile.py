@@ -1,11 +1,11 @@
 """The class of fault profiles (named ways in which real devices misbehave), and the check of their parameters.
 
-Knows the description of a profile and how to make its fault; knows no connection.
+Knows the description of a profile and how to create its fault; knows no connection.
 
 1. A name means the same in tests, in the simulator, in the command line and in the documentation; the
    documentation's table is generated from these objects.
-2. A table is immutable; `FaultProfileTable.with_fault_profiles` makes a larger one.
-3. A parameter is declared once, in the signature of the function that makes the fault (`profiles`), with the marks of
+2. A table is immutable; `FaultProfileTable.with_fault_profiles` creates a larger one.
+3. A parameter is declared once, in the signature of the function that creates the fault (`profiles`), with the marks of
    `busway.options.declaration`. Checks, documentation and the HTTP API are derived from it.
 """
 
@@ -32,7 +32,7 @@ class FaultProfile:
         name: name of the profile, as in the documentation.
         happens: what the device does, in words.
         seen_in: where it was reported, repository and issue.
-        answer: the right reaction of a client.
+        answer: the right reaction of a client, in words.
         make: function that creates the fault; its keyword arguments are the parameters, each with a default.
         carriers: the kinds of transport on which the fault can occur.
     """
@@ -98,7 +98,7 @@ class FaultProfileTable(Mapping[str, FaultProfile]):
             self._by_name[one.name] = one
 
     def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultProfileTable":
-        """Return a new table: the profiles of this one and further ones."""
+        """Return a new table with the profiles of this one and further ones."""
         return FaultProfileTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:

@@ -2,12 +2,12 @@
 
 Knows requests, faults and faulty connections; knows no socket.
 
-1. While no fault is on, requests take the fast path as without faults, at no cost. Switching changes ``generation``,
-   and sessions ask again before their next request.
-2. A request that no fault strikes is answered by the wrapped responder directly, unless earlier replies on the same
+1. While no fault is on, requests take the fast path as without faults, at no cost. Switching a fault changes
+   ``generation``, and sessions then ask the responder again before their next request.
+2. A request to which no fault applies is answered by the wrapped responder directly, unless earlier replies on the same
    connection are delayed: then its reply waits for them.
-3. The reply to a request that a fault strikes is sent by its `FaultyConnection`. The session is told `SILENCE`, so its
-   counters count no answer. Observers are told the reply, unless a fault swallows it.
+3. The reply to a request to which a fault applies is sent by its `FaultyConnection`. The session gets `SILENCE`, so its
+   counters count no answer. Observers get the reply, unless a fault suppresses it.
 """
 
 from collections.abc import Awaitable, Callable
@@ -39,7 +39,7 @@ class FaultyResponder:
     Args:
         inner: the wrapped responder, which answers correctly.
         faults: the faults to apply.
-        tap: sends the changed replies; the server needs the same tap.
+        tap: sends the changed replies; the same object has to be the ``tap`` of the server.
         heard: called with every request. If it is given, no request takes the fast path.
     """
 
@@ -66,7 +66,7 @@ class FaultyResponder:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the wrapped responder's unit, or None; while a fault is on, with the fast path switched off."""
+        """Return what the wrapped responder returns; while a fault is on, with ``is_direct`` False: no fast path."""
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
@@ -97,7 +97,7 @@ class FaultyResponder:
 
 
 class _Turn:
-    """One request to a faulty device, whose reply its `FaultyConnection` plans and sends."""
+    """One request to a faulty device; its reply is planned and sent by the `FaultyConnection`."""
 
     def __init__(self, faulty: FaultyConnection, exchange: Exchange, struck: Struck) -> None:
         self._faulty = faulty
@@ -105,7 +105,7 @@ class _Turn:
         self._struck = struck
 
     def say(self, context: RequestContext, answer: bytes, outcome: Message | None) -> None:
-        """Plan the bytes to send for a reply PDU, and tell observers the outcome; an empty PDU means no reply."""
+        """Plan the bytes to send for a reply PDU (empty for no reply), and report the outcome to the observers."""
         faulty = self._faulty
         is_sent = faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
         context.end(outcome if is_sent and outcome is not None else SILENCE)
@@ -114,7 +114,7 @@ class _Turn:
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
         """Let the wrapped responder answer a request, now or later, and send its reply through the faulty connection.
 
-        ``perform`` asks that responder.
+        ``perform`` calls that responder.
         """
         inside = context.inside(lambda _, reply: self._later(context, reply))
         try:

@@ -9,7 +9,7 @@ Knows fault profiles, names and the server's side of faults; knows no file and n
     board.attach(server)
     board.switch("late", on=False)
 
-1. A switchboard serves one server: its faults act on the connections of that server.
+1. A switchboard serves one server: its faults apply to the connections of that server.
 2. All methods may be called from any thread. Changes apply from the next request on.
 """
 
@@ -63,7 +63,7 @@ class FaultSwitchboard:
 
     Attributes:
         faults: the faults as objects.
-        tap: the connection tap that carries the faults out; the server needs it.
+        tap: the connection tap that carries the faults out; it has to be the ``tap`` of the server.
         fault_profiles: as given.
     """
 
@@ -80,7 +80,7 @@ class FaultSwitchboard:
         server.use_tap(self.tap)
 
     def around(self, responder: Responder) -> FaultyResponder:
-        """Return a responder that applies these faults to another one's replies; its server needs ``tap`` too."""
+        """Return a responder that applies these faults to the replies of another; its server must use ``tap`` too."""
         return FaultyResponder(responder, self.faults, self.tap)
 
     def add(
@@ -104,9 +104,9 @@ class FaultSwitchboard:
             name: name of the fault; by default that of its profile, with a number if it is taken.
             units: unit identifiers of the requests that it applies to, 0…255; None for all.
             functions: function codes of those requests, 1…127; None for all.
-            addresses: range of items, 0-based, in every table; those requests touch one of them. None for all.
+            addresses: range of items, 0-based, in every table: requests that read or write one of them. None for all.
             items: items by table, as ranges: the first item, and the one after the last. None for all.
-            probability: part of those requests that it changes, 0…1.
+            probability: share of those requests that it changes, 0…1.
             schedule: when it is active; None for always.
             on: whether it is switched on.
             parameters: values for the parameters of the fault profile; the others have their defaults.
@@ -122,7 +122,11 @@ class FaultSwitchboard:
         return self.faults.add(fault, selection, enabled=on, label=name).label
 
     def switch(self, name: str, *, on: bool) -> None:
-        """Switch a fault on or off; a fault that is on keeps its schedule. Raises `ConfigError` for an unknown name."""
+        """Switch a fault on or off. Switching on a fault that is on does not restart its schedule.
+
+        Raises:
+            ConfigError: there is no fault with this name.
+        """
         applied = self.faults.find(name)
         if on != applied.enabled:
             applied.on() if on else applied.off()

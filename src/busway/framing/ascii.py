@@ -2,13 +2,13 @@
 
 Knows characters and the times at which they were read; knows no port and no function's length.
 
-1. ``:`` begins a frame, wherever it comes, also behind CR. An unfinished frame before the colon is discarded, and
-   reported when the frame that follows ends: several of them in a row are one disturbance. CR and the delimiter end a
-   frame; the delimiter is LF until function 08/03 changes it.
+1. ``:`` begins a frame wherever it is received, also after CR. An unfinished frame before the colon is discarded. It is
+   reported when the next frame ends, together with other unfinished frames before that one, as one disturbance. CR and
+   the delimiter end a frame; the delimiter is LF until function 08/03 changes it.
 2. Between two characters of a frame at most ``character_timeout`` may pass, 1 s by default.
 3. A frame has at most 513 characters. Characters between frames are skipped; they are no error.
 4. Frames are sent in upper case. Lower case is received too, unless ``upper_case_only`` is set: devices send it, and
-   the LRC guards the content. With ``strip_parity`` the eighth bit is ignored: ports without 7 data bits deliver it.
+   the LRC protects the content. With ``strip_parity`` the eighth bit is ignored: ports without 7 data bits deliver it.
 """
 
 from collections.abc import Container
@@ -44,7 +44,7 @@ def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
     Args:
         unit: unit identifier, 0…255.
         pdu: function code and data, 1…253 bytes.
-        delimiter: character that ends the frame behind CR, 0…127; LF by default.
+        delimiter: character that ends the frame after CR, 0…127; LF by default.
     """
     body = bytes((unit,)) + pdu
     return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
@@ -64,8 +64,8 @@ class AsciiReceiver:
     All times are seconds of the caller's clock.
 
     Attributes:
-        state: which part of a frame comes next.
-        delimiter: the character that ends a frame behind CR; may be changed at any time (function 08/03).
+        state: which part of a frame is expected next.
+        delimiter: the character that ends a frame after CR; may be changed at any time (function 08/03).
         conversation: role, own units and the expected reply; they tell requests from replies.
         echo: the filter that removes the echo of what this station sends.
         timing: the times of the line; used only for the times of frames, because ASCII needs no silence.
@@ -112,12 +112,12 @@ class AsciiReceiver:
             timing: the times of the line.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes may be given.
-            delimiter: the character that ends a frame behind CR, 0…127.
+            delimiter: the character that ends a frame after CR, 0…127.
             character_timeout: seconds that may pass between two characters of a frame, above 0.
             upper_case_only: whether a frame with lower-case digits is damaged.
             strip_parity: whether the eighth bit of each character is ignored.
-            reply_window: seconds for which a server or observer expects the reply to a foreign request.
-            echo: whether the port gives back what is sent.
+            reply_window: seconds for which a server or observer expects the reply to a request to another unit.
+            echo: whether this station receives what it sends.
 
         Raises:
             ValueError: a delimiter outside 0…127 or a timeout that is not above 0.
@@ -154,10 +154,10 @@ class AsciiReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Return the unfinished frame as damaged once ``character_timeout`` has passed since its last character.
+        """Return the unfinished frame as damaged if ``character_timeout`` has passed since its last character.
 
-        ``now`` is the time in seconds. Bytes that were held back as a possible echo and are none may complete frames
-        too.
+        Also releases bytes that were held back as a possible echo, when they turn out to be none; they may complete
+        frames. ``now`` is the time in seconds.
         """
         found: list[Received] = []
         released = self.echo.tick(now)
@@ -168,9 +168,9 @@ class AsciiReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`: an unfinished frame, or bytes held as a possible echo, expire then.
+        """Return the time at which to call `tick`, because an unfinished frame or a possible echo expires.
 
-        None between frames, if no bytes are held.
+        None if there is neither.
         """
         echo = self.echo.deadline()
         if self.state is AsciiState.IDLE:
@@ -199,13 +199,13 @@ class AsciiReceiver:
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Discard the unfinished frame, because the port reports a parity or framing error or lost characters (S14).
+        """Discard the unfinished frame, because the port reports a parity or framing error or lost characters.
 
-        Returns the discarded frame as damaged bytes; without an unfinished frame, `Damaged` of no characters.
+        Returns the discarded frame as damaged bytes; without an unfinished frame, a `Damaged` without bytes.
 
         Args:
             now: time of the report, in seconds.
-            overrun: whether characters were lost; otherwise one was received with an error.
+            overrun: True for lost characters, False for a parity or framing error.
         """
         found = self.tick(now)
         self._discard(Damage.OVERRUN if overrun else Damage.CHARACTER, now, found, overrun=overrun)
@@ -213,9 +213,9 @@ class AsciiReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return the unfinished frame as damaged, without waiting for its rest: at a response timeout, or at the end.
+        """Return the unfinished frame as damaged, without waiting for its rest: at a response timeout, or when closing.
 
-        Frames in bytes that were held back as a possible echo come before it.
+        Frames in bytes that were held back as a possible echo are returned before it.
         """
         found: list[Received] = []
         released = self.echo.release()
@@ -259,7 +259,7 @@ class AsciiReceiver:
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
-        """Process the characters ``part`` of a frame, whose first began at ``began``; there is no colon among them."""
+        """Process characters of a frame, none of which is a colon; the first of them began at the time ``began``."""
         if self.state is AsciiState.RECEIVING:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
@@ -322,7 +322,10 @@ class AsciiReceiver:
         self._text.clear()
 
     def _report_interrupted(self, ended: float, found: list[Received]) -> None:
-        """Report the frames that colons cut off as one `Damaged`; called before the good frame that follows them."""
+        """Report the unfinished frames that colons ended, as one `Damaged`.
+
+        Called before the next frame is reported.
+        """
         if self._interrupted_size:
             raw = bytes(self._interrupted[:ASCII_ADU_LIMIT])
             found.append(Damaged(raw, Damage.RESTARTED, self._interrupted_size, self._interrupted_began, ended))

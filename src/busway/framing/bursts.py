@@ -13,7 +13,7 @@ NEVER: Final = float("-inf")
 
 @dataclass(frozen=True, slots=True)
 class _Burst:
-    """The bytes that one read returned: position of the first in the stream, its time, and seconds per byte."""
+    """The bytes that one read returned: position of the first one, when it began on the line, and seconds per byte."""
 
     place: int
     began: float
@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """When each kept byte of a received stream was on the line; positions count from the first byte kept."""
+    """The times at which the bytes in a buffer were on the line; positions count from the first byte in the buffer."""
 
     __slots__ = ("_bursts", "_forgotten")
 
@@ -34,21 +34,21 @@ class Bursts:
 
     @property
     def latest(self) -> float:
-        """The time in seconds at which the first byte of the latest read was on the line; -inf before a read."""
+        """The time in seconds at which the first byte of the latest read was on the line; -inf before any read."""
         return self._bursts[-1].began
 
     def add(self, place: int, began: float, each: float) -> None:
-        """Record one read of bytes.
+        """Record that a read has added bytes to the buffer.
 
         Args:
-            place: position of its first byte, counted from the first byte kept.
+            place: position of the first of them in the buffer.
             began: time at which that byte began on the line, in seconds.
             each: seconds per byte.
         """
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 
     def forget(self, count: int) -> None:
-        """Forget the first ``count`` bytes; from now on positions count from the byte after them."""
+        """Forget the first ``count`` bytes of the buffer; positions then count from the byte after them."""
         self._forgotten += count
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 

@@ -34,9 +34,9 @@ def _zero_byte(state: int) -> int:
 
 
 def _word_table() -> "array[int]":
-    """Return for each of the 65 536 values of the CRC register its value two zero bytes later.
+    """Return a table: for each of the 65 536 values of the CRC register, its value after two zero bytes.
 
-    256 entries are computed in one step, as one large number.
+    256 entries at a time are computed as one large integer, for speed.
     """
     low = [_zero_byte(_zero_byte(byte)) for byte in range(256)]
     high = [_zero_byte(_zero_byte(byte << 8)) for byte in range(256)]
@@ -54,7 +54,7 @@ _WORD_TABLE: Final = _word_table()
 def crc16(data: bytes | bytearray, state: int = PRESET) -> int:
     """Return the CRC-16 of ``data``, 0…65535; 0 for a whole frame that ends with its CRC (Serial Line V1.02 §6.2.2).
 
-    ``state`` is the CRC of the bytes before ``data``, if they were checked separately.
+    ``state`` is the CRC of the bytes before ``data``, to continue a computation.
     """
     count = len(data) >> 1
     for word in struct.unpack_from(f"<{count}H", data):
@@ -80,7 +80,7 @@ class SpanCheck:
 
     Attributes:
         low, high: tables of 256 values. The CRC is right if ``low[before & 0xFF] ^ high[before >> 8] == after``, where
-            ``before`` and ``after`` are running states (`running_states`). The preset is folded into the tables.
+            ``before`` and ``after`` are running states (`running_states`). The tables allow for the preset.
     """
 
     __slots__ = ("high", "low")
@@ -103,7 +103,7 @@ def span_check(length: int) -> SpanCheck:
 
 @cache
 def _images(length: int) -> list[int]:
-    """Return, for each single bit set in the CRC register, the register's value after ``length`` zero bytes."""
+    """Return what the CRC register becomes after ``length`` zero bytes, for each start with a single bit set."""
     if length == 0:
         return [1 << bit for bit in range(16)]
     if length > 1:
@@ -121,7 +121,7 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """Return 256 CRC registers, one for each byte 0…255, from the registers ``images`` of its eight single bits."""
+    """Return a table of 256 CRC registers, one for each byte, from ``images``, those for its eight single bits."""
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

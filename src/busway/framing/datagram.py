@@ -1,6 +1,6 @@
 """Checks whether a datagram is exactly one whole frame.
 
-Knows bytes; knows no socket. Over UDP the rest of a frame never follows, so the caller drops any other datagram.
+Knows bytes; knows no socket. A frame is never continued in a second datagram, so the caller drops any other datagram.
 """
 
 from collections.abc import Callable
@@ -28,8 +28,7 @@ def is_whole_mbap(data: bytes) -> bool:
 def is_whole_rtu(data: bytes) -> bool:
     """Whether a datagram is exactly one RTU frame: the CRC over all of it is right (Serial Line V1.02 §2.5.1).
 
-    False also if a shorter beginning is a frame by its function code and CRC: zero bytes after a frame leave the CRC
-    right.
+    False if a shorter frame, judged by function code and CRC, is followed by zero bytes: these leave the CRC right.
     """
     if not SHORTEST <= len(data) <= RTU_ADU_LIMIT or crc16(data):
         return False

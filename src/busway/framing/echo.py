@@ -7,8 +7,8 @@ Knows bytes and times; knows no frame.
 2. ``AUTOMATIC``: the first sent frames decide. A copy proves the echo; other bytes first, or none within the window
    after the end of the frame, prove that there is none. A later frame that behaves otherwise changes the decision.
 3. A reply may be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
-   copy is held back: bytes after it prove that it was the echo, `release` (the response timeout) that it was the
-   reply. Once it is known, no copy is held.
+   copy is held back. If more bytes follow, it was the echo; if the response timeout passes first (`release`), it was
+   the reply. Once it is known whether the line echoes, no copy is held.
 """
 
 from typing import Final
@@ -20,7 +20,10 @@ ECHO_WINDOW: Final = 0.050
 
 
 class Echo(Word):
-    """Option whether the line gives back to this station what it sends. AUTOMATIC: learnt from the first exchange."""
+    """Values of the option ``echo``: whether this station receives what it sends itself.
+
+    AUTOMATIC: found out from the first exchange.
+    """
 
     OFF = "off"
     ON = "on"
@@ -53,7 +56,7 @@ class EchoFilter:
         return bool(self._held)
 
     def deadline(self) -> float | None:
-        """Return the time at which `tick` releases held bytes; None if none are held, or if they are a whole copy."""
+        """Return the time at which `tick` releases held bytes; None if none are held or they are a complete copy."""
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
@@ -70,9 +73,9 @@ class EchoFilter:
         self._may_be_reply = may_be_reply
 
     def receive(self, data: bytes, now: float) -> bytes:
-        """Return received bytes without the echo, preceded by bytes held earlier that turn out to be no echo.
+        """Return received bytes without the echo; bytes held earlier that turn out to be no echo come first.
 
-        Empty if all of them are echo, or are held because they may be.
+        Empty if all bytes are echo, or are held because they may be.
 
         Args:
             data: the received bytes.
@@ -98,12 +101,15 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Return the held bytes if the rest of the echo has not come in time (``now``, seconds); otherwise nothing."""
+        """Return the held bytes if the rest of the echo has not been received in time; nothing otherwise.
+
+        ``now`` is the time in seconds.
+        """
         deadline = self.deadline()
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)
 
     def release(self) -> bytes:
-        """Return all held bytes as received, and stop waiting for the echo: at a response timeout, or at the end."""
+        """Return all held bytes as received, and stop waiting for the echo: at a response timeout, or when closing."""
         if not self._held:
             self._awaited = b""
             return b""

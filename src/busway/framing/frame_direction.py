@@ -3,8 +3,8 @@
 Knows units, functions and the request that was seen last; knows no bytes of a frame beyond its first two.
 
 1. A master hears replies; a frame that looks like a request is its own echo, or another master's.
-2. A server hears requests for its own units. On a shared bus it also hears foreign requests and foreign replies:
-   after a foreign request the reply to it is expected first; anything else is taken as a request first.
+2. A server hears requests for its own units. On a shared bus it also hears requests to other units and their replies:
+   after such a request a frame is first taken for the reply to it; any other frame is first taken for a request.
 3. An observer hears both, and follows the pairs in the same way.
 4. A reply is expected for `REPLY_WINDOW` seconds; after that a frame of the same unit and function is another request:
    requests and replies of functions that echo (05, 06, 08, 22) look alike, and a dead unit that is asked again and
@@ -21,7 +21,7 @@ from ..pdu.message import UNKNOWN_LENGTH
 from .received import Direction
 
 REPLY_WINDOW: Final = 1.0
-"""Seconds for which a server or observer expects the reply to a foreign request, unless configured otherwise."""
+"""Seconds for which a server or observer expects the reply to a request to another unit, by default."""
 
 _REQUEST_ONLY = (Direction.REQUEST,)
 _REPLY_ONLY = (Direction.REPLY,)
@@ -45,7 +45,7 @@ class Due:
         unit: the unit that is to answer.
         function: the function code of the request, 1…127.
         size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
-        until: until when the reply is expected, in seconds of the receiver's clock.
+        until: time at which the reply is no longer expected, in seconds of the receiver's clock.
     """
 
     unit: int
@@ -59,13 +59,13 @@ class Due:
 
 
 class Conversation:
-    """The request that was heard last on a line, and the reply expected to it; they tell requests from replies.
+    """The last request heard on a line and the reply expected to it; they tell whether a frame is request or reply.
 
     Attributes:
         role: the role of the station that receives.
         units: the own units of a server; a container whose content changes may be given.
         due: the reply that is expected, or None.
-        reply_window: seconds for which a server or observer expects the reply to a foreign request.
+        reply_window: seconds for which a server or observer expects the reply to a request to another unit.
     """
 
     __slots__ = ("due", "reply_window", "role", "units")
@@ -93,9 +93,9 @@ class Conversation:
         return _REPLY_FIRST if due is not None and due.answers(unit, code, now) else _REQUEST_FIRST
 
     def guess(self, unit: int, code: int, now: float) -> Direction:
-        """Return the likelier direction of a whole frame whose length fits neither a request nor a reply.
+        """Return the likelier direction of a complete frame whose length fits neither a request nor a reply.
 
-        `Direction.UNKNOWN` if neither is likelier. ``now`` is the time of the frame, in seconds.
+        `Direction.UNKNOWN` if both are equally likely. ``now`` is the time of the frame, in seconds.
         """
         if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
             return Direction.REPLY
@@ -110,8 +110,8 @@ class Conversation:
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
         """Record a frame that ended on the line at ``now`` (seconds), to predict the direction of the next one.
 
-        After a foreign request its reply is expected; after any other frame no reply. Ignored for a master: its driver
-        sets ``due``.
+        After a request to another station its reply is expected, after any other frame none. Ignored for a master: its
+        driver sets ``due``.
         """
         if self.role is LineRole.MASTER:
             return

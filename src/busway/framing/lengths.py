@@ -1,11 +1,13 @@
 """Lengths of RTU frames by function code, prepared so that one look-up gives the length of a frame.
 
 Knows the table of functions; knows no stream. Each function declares how long its messages are (`busway.pdu`). This
-file turns the declarations into one number per function code, because a receiver asks at every byte of a noisy line.
+file turns the declarations into one number per function code, because a receiver needs it at every byte of a noisy
+line.
 
 1. All lengths here are of whole frames: unit, PDU, CRC.
-2. A rule above 0 is the length. A rule below 0 says how many bytes behind the unit the byte count is, which counts the
-   bytes after it. 0: the function is unknown. `ASK`: only the table can tell (sub-functions, counts of two bytes).
+2. A rule is one number. Above 0 it is the length. Below 0 its negative is the offset of the byte count, counted from
+   the unit; the byte count counts the bytes after it. 0: the function is unknown. `ASK`: the length has to be computed
+   by the table of functions (sub-functions, counts of two bytes).
 """
 
 from collections.abc import Callable
@@ -18,19 +20,19 @@ from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
 from .received import Direction
 
 ASK: Final = -1000
-"""Rule of a function code whose lengths only the table of functions can tell, message by message."""
+"""Rule of a function code whose lengths have to be computed from each message by the table of functions."""
 AROUND_PDU: Final = 3
-"""Bytes of a frame around its PDU: one of unit before it, two of CRC behind it."""
+"""Bytes of a frame around its PDU: one of unit before it, two of CRC after it."""
 SHORTEST: Final = 4
 """Fewest bytes of a frame: unit, function code, CRC."""
 
 _SAMPLES: Final = range(0, 256, 5)
-"""Byte counts that a rule is tried with, 0 and 255 among them."""
+"""Byte counts with which `_counted` tests a rule, 0 and 255 among them."""
 
 _DECIDING: Final = 3
-"""How many bytes of a PDU decide nearly every length: function code, and a sub-function or byte count of two bytes."""
+"""Number of bytes of a PDU that nearly every length depends on: function code, and a sub-function or byte count."""
 _ANSWERS_KEPT: Final = 4096
-"""Answers and rules of the table that are kept for each direction: noise must not fill the memory."""
+"""Most lengths and rules that are cached for each direction: noise must not fill the memory."""
 
 LengthRule = Callable[[bytes, int, int], int]
 """Function that takes bytes with the start and end of a PDU in them, and returns the length of the PDU."""
@@ -46,9 +48,9 @@ class FrameLengths:
     """Lengths of all frames of a table of functions, by direction and function code.
 
     Attributes:
-        requests, replies: the length rule of each function byte 0…255 as one number (rule 2 of this file).
-        shapes: for each function byte, the rules of reply and request that one look-up can apply, the reply first:
-            offset of the byte count, or 0; and the number of bytes that it does not count.
+        requests, replies: lists of the length rules (rule 2 of this file); the index is the function byte 0…255.
+        shapes: for each function byte 0…255, the rules of its reply and of its request in the form of `shape_of`;
+            rules of unknown functions and `ASK` are left out.
         asked_requests, asked_replies: lengths of the functions whose rule is `ASK`.
     """
 
@@ -67,8 +69,8 @@ class FrameLengths:
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
         """Return the length in bytes of the frame that starts at ``at``, from the bytes ``data[at:end]`` received.
 
-        `NEED_MORE` while too few bytes are there to tell; `UNKNOWN_LENGTH` if no content of such a frame tells its
-        length; above 256 if the byte count is impossible.
+        `NEED_MORE` if too few bytes are there to tell; `UNKNOWN_LENGTH` if the bytes of such a frame never tell it.
+        Above 256 if the byte count is impossible.
         """
         if end - at < 2:
             return NEED_MORE
@@ -100,10 +102,11 @@ class AskedLengths:
         self._rules: dict[int, LengthRule] = {}
 
     def length(self, data: bytearray, at: int, end: int) -> int:
-        """Return the length of the frame whose PDU starts at ``at``, with the results of `FrameLengths.length`.
+        """Return the length of the frame whose PDU starts at ``at``; the results are those of `FrameLengths.length`.
 
-        The first three bytes of the PDU decide, and their answer is cached; only objects of function 43 need more. For
-        them the rule is cached instead, because noise that looks like such replies is asked at every byte.
+        The length follows from the first three bytes of the PDU and is cached under them. Only for identification
+        objects (function 43) more bytes are needed. For these the length rule is cached instead, so that noise which
+        looks like such a reply costs little.
         """
         shown = bytes(data[at:end])
         if len(shown) < _DECIDING:
@@ -133,9 +136,10 @@ def _around(length: int) -> int:
 
 
 def shape_of(rule: int) -> tuple[int, int] | None:
-    """Return a length rule as two numbers: offset of the byte count, or 0; bytes of the frame that it does not count.
+    """Return a length rule as two numbers: offset of the byte count, and the number of bytes that it does not count.
 
-    With offset 0 the second number is the fixed length. (0, 0) for `ASK`; None for an unknown function.
+    The rule of replies of function 03 gives (2, 5). Without a byte count they are 0 and the fixed length: the rule of
+    requests of function 03 gives (0, 8). (0, 0) for `ASK`; None for an unknown function.
     """
     if rule == 0:
         return None
@@ -145,12 +149,14 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Return the length rule of a function code as one number, found by asking for longer and longer messages.
+    """Return the length rule of a function code as one number (rule 2 of this file).
+
+    It is found by calling ``length`` for longer and longer sample messages.
 
     Args:
         functions: the table of functions.
         code: function byte, 0…255; exception replies have 0x80 added.
-        length: the length of requests or of replies by that table.
+        length: the method of ``functions`` that gives the length of a request or of a reply.
     """
     if code & 0x7F == 0:
         return 0
@@ -171,7 +177,10 @@ def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
 
 
 def _counted(code: int, shown: int, length: LengthRule) -> int:
-    """Return the rule "byte count at offset ``shown``" if that byte counts exactly the bytes after it; else `ASK`."""
+    """Return the rule "byte count at offset ``shown``" if a frame's length follows from that byte; else `ASK`.
+
+    The byte must count all the bytes after it.
+    """
     for count in _SAMPLES:
         for filler in (0x00, 0x5A, 0xFF):
             message = bytes((code,)) + bytes((filler,)) * (shown - 2) + bytes((count,))

@@ -17,8 +17,9 @@ class LostBytes:
     """The bytes of one disturbance on a serial line, collected until it ends.
 
     Attributes:
-        reason: why the bytes are no frame; None while only their number and CRC say so.
-        size: how many bytes there were, those not kept included.
+        reason: the error that `mark` reported; None without one, and then `report` finds the reason by the size: too
+            long, too short or a wrong CRC.
+        size: the number of all bytes, also of those that were not stored.
         is_marked: whether the port or the receiver reported an error among them (`mark`).
     """
 
@@ -52,7 +53,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """Return the whole disturbance as one `Damaged`. The object is not used afterwards."""
+        """Return the whole disturbance as one `Damaged`. Create a new object for the next disturbance."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

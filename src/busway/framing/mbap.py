@@ -27,7 +27,7 @@ HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
 
 
 class FrameKind(Enum):
-    """What the MBAP receiver found: a valid frame, one of another protocol, or a broken stream."""
+    """What kind of frame the MBAP receiver found: valid, of another protocol, or a broken stream."""
 
     FRAME = "frame"
     FOREIGN_PROTOCOL = "foreign protocol"
@@ -36,7 +36,7 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MbapFrame:
-    """One received frame (ADU) of a TCP stream, or the place where the stream is broken.
+    """One received frame (ADU) of a TCP stream, or the position at which the stream is broken.
 
     Attributes:
         kind: a valid frame, a frame of another protocol, or a broken stream.
@@ -56,7 +56,7 @@ class MbapFrame:
 
 
 def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
-    """Return the ADU of a PDU on TCP: MBAP header, PDU.
+    """Return the ADU for a PDU on TCP: the MBAP header, followed by the PDU.
 
     Args:
         transaction: transaction identifier, 0…65535.
@@ -67,7 +67,7 @@ def encode_mbap(transaction: int, unit: int, pdu: bytes) -> bytes:
 
 
 def impossible_length(length: int) -> str:
-    """Return the error text for a length field of the MBAP header that cannot be right."""
+    """Return the error text for a value that the length field of the MBAP header cannot have."""
     return f"length field {length}, where {MIN_LENGTH}…{MAX_LENGTH} can be"
 
 
@@ -87,7 +87,7 @@ class StreamBuffer:
         self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept bytes, followed by the first ``size`` bytes of ``buffer``, and their number together.
+        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and the number of bytes in all.
 
         Afterwards nothing is kept.
         """
@@ -121,9 +121,9 @@ class MbapReceiver:
         return self._buffer.kept
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
-        """Return all frames that ``data`` completes, in order. ``now`` is ignored: only the length counts.
+        """Return all frames that ``data`` completes, in order. ``now`` is ignored: on TCP only the length ends a frame.
 
-        A broken stream ends with one `FrameKind.BROKEN`; after that there are none.
+        A broken stream gives one frame `FrameKind.BROKEN`, and no more frames after it.
         """
         frames: list[MbapFrame] = []
         if self.broken:

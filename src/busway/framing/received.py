@@ -6,7 +6,7 @@ Knows values; knows no framing.
    fatal: a serial line has no end, and the next frame may be good.
 2. A damaged chunk is one disturbance, however long, and counts as one communication error (Serial Line V1.02,
    appendix A).
-3. A frame whose direction cannot be told has the direction `Direction.UNKNOWN`.
+3. A frame that may be a request or a reply has the direction `Direction.UNKNOWN`.
 """
 
 from dataclasses import dataclass
@@ -15,7 +15,7 @@ from typing import Protocol, TypeVar
 
 
 class Direction(Enum):
-    """What a frame is: a request, a reply, or ``UNKNOWN`` if that cannot be told."""
+    """Whether a frame is a request or a reply; ``UNKNOWN`` if that cannot be told."""
 
     REQUEST = "request"
     REPLY = "reply"
@@ -45,9 +45,10 @@ class SerialFrame:
         unit: address byte, 0…255.
         pdu: function code and data, 1…253 bytes; 254 if a peer breaks that limit.
         raw: the bytes as received: address to CRC, or ``:`` to the delimiter (without parity bits).
-        direction: request or reply, judged from the frames before it, or UNKNOWN; a hint, not a fact.
-        began, ended: when its first byte began and its last one ended, in seconds, as far as the reads tell.
-        recovered: whether it was found inside a damaged chunk. Servers never get such a frame.
+        direction: request or reply, guessed from the frames before it, or UNKNOWN.
+        began, ended: when its first byte began and its last one ended on the line, in seconds, estimated from the
+            reads.
+        recovered: whether it was found inside a damaged chunk; never True for a server.
     """
 
     unit: int
@@ -68,7 +69,8 @@ class Damaged:
         reason: what is wrong with them.
         size: how many bytes there were; 0 if the port reported an error and gave no bytes.
         began, ended: when the first byte began and the last one ended, in seconds.
-        overrun: whether the port lost characters: this counts in the counters 8 and 2 (Serial Line V1.02, appendix A).
+        overrun: whether the port lost characters; then diagnostic counter 8 counts too, besides counter 2 (Serial Line
+            V1.02, appendix A).
     """
 
     raw: bytes
@@ -97,7 +99,7 @@ class Receiver(Protocol[Found]):
         """Return the frames that the silence until ``now`` completes."""
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`; None while only further bytes can complete something."""
+        """Return the time at which to call `tick`; None if only further bytes can complete a frame."""
 
 
 class SerialReceiver(Receiver[Received], Protocol):
@@ -119,17 +121,21 @@ class SerialReceiver(Receiver[Received], Protocol):
         """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``; an echo is removed."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Tell the receiver that the port reported an error behind the bytes received so far (S14).
+        """Tell the receiver that the port reported an error after the bytes received so far.
 
-        Returns what is complete now. The bytes of the disturbance come as `Damaged`, now or when the disturbance ends.
+        Returns the frames that are complete now. The bytes of the disturbance are returned as `Damaged` when it ends:
+        now or by a later call.
 
         Args:
             now: time of the report, in seconds.
-            overrun: whether characters were lost; otherwise one was received with a parity or framing error.
+            overrun: True for lost characters, False for a parity or framing error.
         """
 
     def flush(self, now: float) -> list[Received]:
-        """Return the frames and damaged bytes in unfinished bytes, without waiting: at a timeout, or at the end."""
+        """Decide about all unfinished bytes without waiting, and return the frames and damaged bytes among them.
+
+        Called at a response timeout, or when closing.
+        """
 
     def clear_at(self) -> float:
         """Return the earliest time at which a frame may be sent on the line."""

@@ -6,22 +6,22 @@ Knows bytes and the times at which they were read; knows no port, no request tab
 2. Silence alone makes no frame. If the function is unknown, or the byte count contradicts the frame, the chunk of bytes
    between two silences of t3.5 is the frame if its CRC is right. Several frames without a visible silence between them
    are told apart if they fill the chunk exactly.
-3. Bytes of one frame may come in bursts: adapters and systems add gaps far above t1.5. An unfinished frame waits for
-   the rest up to ``gap_limit``. A master that has heard the beginning of the very reply it waits for, by unit,
-   function and size, waits for the rest as long as for the reply: nothing else may be sent meanwhile, a pause of an
-   adapter, a network or a busy system costs no repetition, and the CRC still decides. If a ``gap_limit`` was given, it
-   limits this wait too. `StrictRtuReceiver` (``rtu_strict``) allows no such gaps.
+3. Bytes of one frame may be read in bursts: adapters and operating systems add gaps far above t1.5. An unfinished frame
+   waits for the rest up to ``gap_limit``. If a master has received the beginning of the reply that it expects (unit,
+   function and size fit), it waits for the rest until the response timeout: nothing else may be sent before that
+   anyway, a pause of an adapter or network then needs no repetition, and the CRC still decides. If a ``gap_limit`` was
+   given, it limits this wait too. `StrictRtuReceiver` (``rtu_strict``) allows no such gaps.
 4. Bytes that may still become a frame have precedence over a frame found inside them. The inner frame is accepted after
    t3.5 of silence if the outer bytes cannot be a frame, otherwise after ``gap_limit``. The wait for t3.5 costs no
    time: before, no station may send.
 5. A master and an observer look for the next frame inside a damaged chunk; a master only for the expected reply. A
-   server never does: it begins again at a silence of t3.5, and until it is in step it accepts a frame only between two
-   such silences.
-6. Each byte is examined a bounded number of times: running CRC states, one comparison per candidate,
-   at most 256 bytes of an undecided chunk, rejected places are not tried again, and at most one pass per silence.
+   server never does: after damage it ignores all bytes up to a silence of t3.5, and then accepts a frame only between
+   two such silences, until one was good.
+6. Each byte is examined a bounded number of times: running CRC states, one comparison per candidate, at most 256 bytes
+   of an undecided chunk, rejected positions are not tried again, and at most one pass per silence.
 
 A silence before a burst is measured up to the begin of the burst's first byte, which is computed as if its bytes had
-come without gaps. A late read makes the silence look longer than it was, never shorter than zero.
+been received without gaps. A late read makes the silence look longer than it was, never shorter than zero.
 """
 
 from collections.abc import Container
@@ -41,11 +41,11 @@ from .rtu_search import DEAD, WAITS, find_any, find_reply
 from .timing import SerialTiming
 
 DEFAULT_GAP_LIMIT: Final = 0.050
-"""Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems skip a beat."""
+"""Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems later."""
 
 _PIECE: Final = RTU_ADU_LIMIT
 _SILENCES_KEPT: Final = 4
-"""How many silences inside an undecided chunk a server remembers as places where a frame may have begun."""
+"""How many silences inside an undecided chunk a server remembers: a frame may have begun after each."""
 
 
 def encode_rtu(unit: int, pdu: bytes) -> bytes:
@@ -60,9 +60,10 @@ def encode_rtu(unit: int, pdu: bytes) -> bytes:
 
 
 class RtuReceiver:
-    """Receiver of RTU frames: takes bytes with their times, returns frames and damaged bytes. Tolerates gaps (rule 3).
+    """Receiver of RTU frames: takes bytes with their times, returns frames and damaged bytes.
 
-    All times are seconds of the caller's clock.
+    Gaps inside a frame are allowed (rule 3 of this file). All times are seconds of the caller's clock. Received bytes
+    that are not yet known to be a frame or damaged are called *undecided*.
 
     Attributes:
         conversation: role, own units and the expected reply; they tell requests from replies.
@@ -112,10 +113,10 @@ class RtuReceiver:
             timing: the times of the line, as `SerialTiming.of_line` or `SerialTiming.of_network` gives them.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes may be given.
-            gap_limit: seconds that an unfinished frame waits for its rest. None: 50 ms or t3.5, whichever is longer;
-                and the reply that a master expects waits until `flush`.
-            reply_window: seconds for which a server or observer expects the reply to a foreign request.
-            echo: whether the port gives back what is sent.
+            gap_limit: seconds that an unfinished frame waits for its rest. None: 50 ms or t3.5, whichever is longer,
+                and for the reply that a master expects, until `flush`.
+            reply_window: seconds for which a server or observer expects the reply to a request to another unit.
+            echo: whether this station receives what it sends.
             started: when the port was opened, so that nothing is sent before t3.5 has passed (state "initial" of
                 §2.5.1.1); None where the line is known to be idle.
 
@@ -169,7 +170,7 @@ class RtuReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`; None while only further bytes can complete something."""
+        """Return the time at which to call `tick`; None if only further bytes can complete a frame."""
         echo = self.echo.deadline()
         if not self._undecided:
             return echo
@@ -184,8 +185,8 @@ class RtuReceiver:
         Args:
             unit: unit of the request, 0…255.
             function: its function code, 1…127.
-            size: length of the reply's PDU in bytes (`Request.reply_shape`), by which a reply of unknown length ends at
-                once; `UNKNOWN_LENGTH` if the request does not tell it.
+            size: length of the reply's PDU in bytes (`Request.reply_shape`), which ends a reply whose own bytes do not
+                tell its length; `UNKNOWN_LENGTH` if the request does not tell it either.
         """
         self.conversation.due = Due(unit, function, size)
         self._scan = self._at + 1  # what was rejected was rejected for another reply
@@ -205,14 +206,14 @@ class RtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Tell the receiver that the port reported an error or lost characters behind the bytes received so far (S14).
+        """Tell the receiver that the port reported an error or lost characters after the bytes received so far.
 
-        The frame in progress is discarded; it is reported with the rest of the disturbance. Returns what the silence
-        before the error completed.
+        The frame in progress is discarded; it is reported with the rest of the disturbance. Returns the frames that the
+        silence before the error completed.
 
         Args:
             now: time of the report, in seconds.
-            overrun: whether characters were lost; otherwise one was received with a parity or framing error.
+            overrun: True for lost characters, False for a parity or framing error.
         """
         found: list[Received] = []
         self._pass_time(now, found)
@@ -224,7 +225,10 @@ class RtuReceiver:
         return found
 
     def flush(self, now: float) -> list[Received]:
-        """Return the frames and damaged bytes in unfinished bytes, as after ``gap_limit``: at a timeout, or the end."""
+        """Return the frames and damaged bytes among all unfinished bytes, as if ``gap_limit`` had passed.
+
+        Called at a response timeout, or when closing.
+        """
         found: list[Received] = []
         released = self.echo.release()
         if released:
@@ -236,10 +240,11 @@ class RtuReceiver:
         return found
 
     def skip_requests(self, now: float) -> bool:
-        """Record that whole requests to own units, read at ``now`` (seconds), were answered without this receiver.
+        """Record that the caller has answered requests to own units itself; their bytes do not pass this receiver.
 
-        Returns False, and records nothing, if the bytes must go through `receive`: earlier bytes are undecided, the
-        receiver is not in step, or an echo may have to be removed.
+        ``now`` is when they were read, in seconds. Returns False, and records nothing, if the bytes must go through
+        `receive`: earlier bytes are undecided, the receiver waits for a silence after damage, or an echo may have to be
+        removed.
         """
         if self._undecided or not self._in_step or self.echo.mode is not Echo.OFF:
             return False
@@ -249,7 +254,7 @@ class RtuReceiver:
         return True
 
     def clear_at(self) -> float:
-        """Return the earliest time at which a frame may be sent: t3.5 after the last byte on the line (S8, S10)."""
+        """Return the earliest time at which a frame may be sent: t3.5 after the last byte on the line."""
         return max(self._last, self._sent_until) + self.timing.t3_5
 
     # Time and bytes.
@@ -259,7 +264,7 @@ class RtuReceiver:
         return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
 
     def _pass_time(self, until: float, found: list[Received]) -> None:
-        """Add to ``found`` the frames and damaged bytes that the silences up to ``until`` complete."""
+        """Add to ``found`` the frames and damaged bytes that are complete because of silences up to ``until``."""
         if self._undecided:
             if not self._quiet and until >= self._last + self.timing.t3_5:
                 self._quiet = True
@@ -270,7 +275,7 @@ class RtuReceiver:
             self._in_step = True
 
     def _due_has_begun(self) -> bool:
-        """Whether the undecided bytes begin the reply that a master expects, and more of it is to come (rule 3)."""
+        """Whether the undecided bytes are the beginning, but not all, of the reply that a master expects (rule 3)."""
         due = self.conversation.due
         at, size = self._at, len(self._buffer)
         if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
@@ -312,7 +317,7 @@ class RtuReceiver:
     # Decisions that need no silence (rule 1).
 
     def _follow(self, found: list[Received]) -> None:
-        """Report each complete frame among the undecided bytes, and drop bytes once they exceed a frame."""
+        """Report each complete frame among the undecided bytes, and drop bytes that are more than a frame can have."""
         server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
             end, direction = self._look(self._at)
@@ -346,9 +351,10 @@ class RtuReceiver:
         return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
-        """Return the length of the frame at ``at``, read as request or reply, as `FrameLengths.length` does.
+        """Return the length of the frame at ``at``, taken for a request or a reply, as `FrameLengths.length` does.
 
-        If the bytes do not tell the length of a reply, and it may be the expected one, that one's length is returned.
+        For a reply whose bytes do not tell its length, the length of the expected reply is returned if it may be that
+        one.
         """
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
@@ -361,7 +367,7 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """Drop the first undecided bytes: there are more than a frame can have, so no frame begins with the first."""
+        """Drop undecided bytes from the first on: they are more than a frame can have, so no frame begins there."""
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
@@ -398,7 +404,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _take_divided(self, at: int, found: list[Received]) -> bool:
-        """Report the bytes from ``at`` on as frames, and return True, if one or several frames fill them exactly."""
+        """If the bytes from ``at`` on are exactly one or several frames, report these; return whether they are."""
         pieces = self._divide(at)
         if not pieces:
             return False
@@ -409,7 +415,7 @@ class RtuReceiver:
         return True
 
     def _divide(self, at: int) -> list[tuple[int, Direction]]:
-        """Return ends and directions of frames that fill the buffer exactly from ``at`` on; empty if none do."""
+        """Divide the bytes from ``at`` on into whole frames: end and direction of each; empty if that is impossible."""
         size = len(self._buffer)
         # Zeros behind a frame leave its CRC at 0: where a rule fits, it decides, and not the whole.
         if SHORTEST <= size - at <= RTU_ADU_LIMIT and self._fits(at, size) and not self._end_of_known(at, size):
@@ -428,7 +434,7 @@ class RtuReceiver:
         return pieces if at == size else []
 
     def _end_of_known(self, at: int, size: int) -> int:
-        """Return the end of the frame at ``at`` by the length rule of request or reply; 0 if neither fits."""
+        """Return the end of the frame at ``at`` if length rule (of request or reply) and CRC fit; 0 otherwise."""
         if size - at < SHORTEST:
             return 0
         for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts.latest):
@@ -438,7 +444,10 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """Return the first end of a frame at ``at`` with a right CRC, for a function of unknown length; 0 if none."""
+        """Return the end of the shortest frame at ``at`` with a right CRC; 0 if there is none.
+
+        For functions of unknown length.
+        """
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
         first = self._prefix_end if at == self._at else SHORTEST
@@ -451,7 +460,7 @@ class RtuReceiver:
         return 0
 
     def _direction(self, at: int, end: int) -> Direction:
-        """Return whether a frame is request or reply: the likelier one whose length fits, or a guess."""
+        """Return whether a frame is a request or a reply: the likelier one whose length fits, otherwise a guess."""
         unit, code = self._buffer[at], self._buffer[at + 1]
         for direction in self.conversation.order(unit, code, self._bursts.latest):
             if self._length(direction, at, end) == end - at:
@@ -480,10 +489,10 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Find the first later position where a frame begins or may begin, and move ``_scan`` to that position.
+        """Find the next position after the first undecided byte where a frame begins or may begin; set ``_scan`` to it.
 
-        Returns the frame's end and direction: `WAITS` as the end if the frame may be unfinished; `DEAD`, with ``_scan``
-        at the end of the buffer, if nothing is found. With ``at_limit`` unfinished frames are rejected too.
+        Returns the frame's end and direction. The end is `WAITS` if the frame may be unfinished (with ``at_limit`` such
+        a position is rejected too), and `DEAD` if nothing is found; then ``_scan`` is the end of the buffer.
         """
         start = max(self._scan, self._at + 1)
         if self.conversation.role is LineRole.MASTER:
@@ -497,7 +506,7 @@ class RtuReceiver:
     # Giving and losing.
 
     def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
-        """Report the lost bytes and the frame that ends at ``end``, and move on to the bytes behind the frame."""
+        """Report the lost bytes and the frame that ends at ``end``; the undecided bytes begin after it then."""
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
         ended = self._bursts.ended(end)
@@ -529,6 +538,6 @@ class RtuReceiver:
             self._lost = LostBytes()
 
     def _answers_itself(self, code: int) -> bool:
-        """Whether a request with this function code can have a reply of equal bytes: lengths are equal or unknown."""
+        """Whether request and reply of this function can be the same bytes: their lengths are equal or unknown."""
         request = self._lengths.requests[code]
         return request == 0 or request == self._lengths.replies[code]

@@ -1,7 +1,7 @@
 """Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line.
 
-Knows bytes, running CRC states and length rules; knows no time and no conversation. A place is rejected once and for
-all, and costs one comparison: the next search begins behind the places that this one rejected.
+Knows bytes, running CRC states and length rules; knows no time and no conversation. A position costs one comparison. It
+is rejected for good: the next search begins behind it.
 """
 
 from collections.abc import Sequence
@@ -20,13 +20,13 @@ WAITS: Final = -1
 """Result instead of the position after a frame: a frame may begin here, but is unfinished."""
 
 _IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
-"""Stands for every length that no frame has."""
+"""A length that no frame has."""
 
 Place = tuple[int, int]
-"""Result of a search: where a frame begins, and the position behind the frame.
+"""Result of a search: the position where a frame begins, and the position after its end.
 
-The second number is `WAITS` if a frame may begin there and is unfinished, and `DEAD` if no frame begins anywhere; then
-the first is the end of the bytes.
+The second number is `WAITS` if a frame may begin there and is unfinished, and `DEAD` if no frame is found; then the
+first is the end of the bytes.
 """
 
 
@@ -35,10 +35,12 @@ def find_reply(
 ) -> Place:
     """Find the first position from ``start`` where the expected reply, or its exception reply, begins or may begin.
 
+    Returns the position, and the end of the frame there, or `WAITS` or `DEAD`.
+
     Args:
         buffer: bytes received from the line.
         states: the running CRC (`running_states`) before each byte, and after the last one.
-        start: the first position to try; those before it were rejected.
+        start: the first position to try; earlier ones were rejected.
         lengths: the length rules.
         due: the expected reply; None if none is expected, and then nothing is found.
         at_limit: whether a position where a frame would be unfinished is rejected too.
@@ -79,7 +81,8 @@ def find_reply(
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
     """Find the first position from ``start`` where a request or reply begins or may begin.
 
-    Only functions whose length is fixed or told by a byte count are looked for. Arguments are those of `find_reply`.
+    Only functions whose length is fixed or told by a byte count are looked for. Arguments and result are those of
+    `find_reply`.
     """
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()
@@ -102,16 +105,16 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
 
 
 def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
-    """Return the result of a search that found nothing in the bytes from ``start`` to ``size``.
+    """Return the result of a search without a hit: the bytes from ``start`` to ``size`` hold no whole frame.
 
-    The last bytes are too few to decide: unless ``at_limit``, a frame may still begin there.
+    In the last bytes, which are too few for a frame, one may still begin, unless ``at_limit``.
     """
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS
 
 
 def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
-    """Return the length rules of the expected reply and its exception, by function byte, as `shape_of` does."""
+    """Return, by function byte, the length rules of the expected reply and its exception reply (see `shape_of`)."""
     function, exception = due.function, due.function | 0x80
     shapes = {code: shape_of(lengths.replies[code]) for code in (function, exception)}
     if due.size > 0:
@@ -121,9 +124,9 @@ def _shapes_of(due: Due, lengths: FrameLengths) -> dict[int, tuple[int, int]]:
 
 @cache
 def _checks() -> list[tuple[list[int], list[int]]]:
-    """Return for each length the two tables of its `SpanCheck`; cached, because a search uses them at every byte.
+    """Return the two tables of `SpanCheck` for each frame length; cached, because a search uses them at every byte.
 
-    Those of lengths that no frame has fit no bytes.
+    Lengths that no frame has get tables that find no CRC right.
     """
     never = [-1] * 256, [0] * 256
     spans = [span_check(length) for length in range(SHORTEST, RTU_ADU_LIMIT + 1)]

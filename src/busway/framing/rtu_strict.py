@@ -1,6 +1,6 @@
 """Strict RTU receiver: the state diagram of the specification to the letter (Serial Line V1.02 §2.5.1.1).
 
-Knows bytes and the times at which they came; knows no length rule beyond a hint at the direction.
+Knows bytes and the times at which they were received; uses length rules only to guess the direction of a frame.
 
 1. Initial –t3.5→ idle –character→ reception –t1.5→ control and waiting –t3.5→ idle; there the frame is processed, or
    deleted whole. A character in "control and waiting" marks the frame as not OK.
@@ -90,8 +90,8 @@ class StrictRtuReceiver:
             timing: character time, t1.5 and t3.5.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes may be given.
-            reply_window: seconds for which a server or observer expects the reply to a foreign request.
-            echo: whether the port gives back what is sent.
+            reply_window: seconds for which a server or observer expects the reply to a request to another unit.
+            echo: whether this station receives what it sends.
             started: when the port was opened: the state is "initial" until t3.5 of silence. None: the line is idle.
         """
         self.conversation: Conversation = Conversation(role, units, reply_window)
@@ -135,9 +135,9 @@ class StrictRtuReceiver:
         return self._processed_or_deleted() if received else []
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`: t3.5 of silence is over, or bytes held as a possible echo expire.
+        """Return the time at which to call `tick`: when t3.5 of silence is over, or a possible echo expires.
 
-        None while the line is idle and no bytes are held.
+        None while the line is idle and no bytes are held as a possible echo.
         """
         echo = self.echo.deadline()
         if self.state is LineState.IDLE:
@@ -165,7 +165,7 @@ class StrictRtuReceiver:
         The line is idle t3.5 later; an echo of the bytes is removed.
 
         Raises:
-            ValueError: the line is neither idle nor in emission: only then may a station send.
+            ValueError: the station may not send now: the state of the line is neither idle nor emission.
         """
         if self.state not in (LineState.IDLE, LineState.EMISSION):
             raise ValueError(f"emission begins only from the state idle, and the line is in {self.state.value}")
@@ -175,13 +175,14 @@ class StrictRtuReceiver:
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
-        """Mark the frame in progress as damaged, because the port reported an error or lost characters (S14).
+        """Mark the frame in progress as damaged, because the port reported an error or lost characters.
 
-        Returns what the silence before the error completes. The marked frame follows after t3.5 of silence.
+        Returns the frame that the silence before the error completes. The marked frame is returned after t3.5 of
+        silence.
 
         Args:
             now: time of the report, in seconds.
-            overrun: whether characters were lost; otherwise one was received with a parity or framing error.
+            overrun: True for lost characters, False for a parity or framing error.
         """
         found = self.tick(now)
         self._characters(b"", now, now)

@@ -18,7 +18,7 @@ FIXED_ABOVE_BAUD: Final = 19_200
 FIXED_T1_5: Final = 0.000_750
 FIXED_T3_5: Final = 0.001_750
 NETWORK_SILENCE: Final = 0.020
-"""Seconds that stand for t3.5 where RTU travels over a network: longer than one segment lags behind another on a LAN.
+"""Seconds used as t3.5 for RTU over a network: longer than the delay between two segments on a LAN.
 """
 
 
@@ -47,10 +47,10 @@ def character_bits(data_bits: int = 8, parity: Parity = Parity.EVEN, stop_bits: 
     Args:
         data_bits: 7 (ASCII) or 8 (RTU).
         parity: even by default.
-        stop_bits: 1, 1.5 or 2; None: 2 without parity, 1 with it.
+        stop_bits: 1, 1.5 or 2; None for 2 without parity and 1 with it.
 
     Raises:
-        ValueError: data or stop bits of another number.
+        ValueError: another number of data or stop bits.
     """
     if data_bits not in (7, 8):
         raise ValueError(f"a character has 7 or 8 data bits, not {data_bits}")
@@ -93,7 +93,7 @@ class SerialTiming:
         """Return the times of a serial line of ``baud`` bit/s (1 and above); other arguments as in `character_bits`.
 
         Raises:
-            ValueError: a rate below 1, or data or stop bits of another number.
+            ValueError: ``baud`` below 1, or another number of data or stop bits.
         """
         if baud < 1:
             raise ValueError(f"the rate of a line is 1 bit/s or more, not {baud}")

@@ -1,4 +1,4 @@
-"""Base of options whose values are words, such as ``even``: written in lower case, accepted in capitals too."""
+"""Base of options whose values are words, such as ``even``; capitals are accepted too."""
 
 from enum import Enum
 from typing import Self

@@ -4,5 +4,5 @@
 `modbus_connection`  The backend of modbus-connection, which Home Assistant's integrations speak Modbus through
 ===================  ===============================================================================================
 
-Each file imports the other project, and is imported by programs that use it; no file of busway imports it.
+Each file imports the other project. Only programs that use it import the file; no other file of busway does.
 """

@@ -5,7 +5,8 @@ Knows the classes, parameters and errors of modbus-connection 4; knows no frames
 1. A `ModbusConnection` has a link of its own. modbus-connection decides when to connect and disconnect, the spacing of
    requests and the timeout. With the preset ``passive`` the link repeats no request and recycles no connection.
 2. Every error of busway becomes one of modbus-connection; its text names the operation.
-3. A late reply is never given to another request: so `ModbusTimeoutError` is raised, and never `ModbusDesyncError`.
+3. A late reply is never given to another request. So `ModbusDesyncError` is never raised; a timeout is
+   `ModbusTimeoutError`.
 """
 
 import asyncio
@@ -72,7 +73,7 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The framings that this backend can speak on each transport, by modbus-connection's names."""
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
-"""Range of a link's timeout in seconds; others are replaced by the nearest."""
+"""Range of a link's timeout in seconds; a timeout beyond an end is replaced by that end."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
@@ -81,14 +82,14 @@ R = TypeVar("R")
 
 
 class ModbusConnection(BaseModbusConnection):
-    """A connection of modbus-connection, made of a link of busway.
+    """The class ``ModbusConnection`` of modbus-connection, implemented with a link of busway.
 
     Args:
         params: where to connect: one of the parameter classes of modbus-connection.
         timeout, message_spacing, connect_delay: seconds, as modbus-connection defines them; None for its defaults.
 
     Raises:
-        ValueError: busway cannot make such a connection; its `ConfigError` says why.
+        ValueError: busway cannot make such a connection; its cause, a `ConfigError`, says why.
     """
 
     def __init__(
@@ -169,7 +170,7 @@ BuswayConnection = ModbusConnection
 
 
 def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
-    """Return the URL and the options of a link to the place that the parameters name."""
+    """Return the URL and the options of a link for parameters of modbus-connection."""
     if isinstance(params, ModbusSerialParams):
         if params.device.startswith("socket://"):
             return f"{params.framer}+tcp://{params.device.removeprefix('socket://')}", {}
@@ -187,7 +188,7 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
 
 
 def _translated(error: BaseException, prefix: str) -> ModbusError:
-    """Return the error of modbus-connection for an error of busway; ``prefix``, the operation, begins its text."""
+    """Create the error of modbus-connection for an error of busway; its text begins with ``prefix``, the operation."""
     message = f"{prefix}: {error}"
     match error:
         case WriteOutcomeUnknown() if error.__cause__ is not None:
@@ -236,7 +237,7 @@ class BuswayUnit:
     """One unit of a connection, with the operations of modbus-connection.
 
     Each operation connects first if necessary. Addresses are 0-based; registers are 0…65535. An operation raises an
-    error of modbus-connection, or ``ValueError`` for a value out of its range, if nothing was sent.
+    error of modbus-connection, or ``ValueError`` if a value is out of its range; then nothing was sent.
 
     Args:
         connection: the connection.
@@ -262,15 +263,15 @@ class BuswayUnit:
         return bool(self._connection.connected)
 
     def set_message_spacing(self, seconds: float) -> None:
-        """Set how many seconds no other request is sent before and after a request to this unit."""
+        """Set the pause in seconds before and after each request to this unit, in which no other request is sent."""
         self._connection._pacer.set_unit_spacing(self._unit_id, seconds)
 
     def require_timeout(self, seconds: float | None) -> None:
-        """Ask the connection for a timeout of at least ``seconds``; None withdraws this unit's wish."""
+        """Ask the connection for a timeout of at least ``seconds``; None cancels an earlier call for this unit."""
         self._connection._require_timeout(self._unit_id, seconds)
 
     def require_connect_delay(self, seconds: float | None) -> None:
-        """Ask the connection for a pause of at least ``seconds`` after it opens; None withdraws this unit's wish."""
+        """Ask the connection for a pause of at least ``seconds`` after connecting; None cancels this unit's request."""
         self._connection._require_connect_delay(self._unit_id, seconds)
 
     @_operation
@@ -386,7 +387,7 @@ class BuswayUnit:
         return remove
 
     async def disconnect(self) -> None:
-        """Close the connection; the next request makes a new one."""
+        """Close the connection; the next request opens a new one."""
         await self._connection.disconnect()
 
 

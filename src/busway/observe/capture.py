@@ -127,7 +127,7 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """Write what logs still hold for serial lines, and close the file; packets that come later are dropped.
+        """Write the received bytes that are not a complete frame yet, and close the file; later packets are dropped.
 
         May be called twice.
         """

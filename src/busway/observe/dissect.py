@@ -130,7 +130,7 @@ class Dissector:
         return list(self.dissections(data))
 
     def dissections(self, data: bytes) -> Iterator[Dissection]:
-        """Yield the frames that `dissect` returns one by one, so that a long stream takes the memory of one frame."""
+        """Yield the frames of `dissect` one by one, so that only one frame of a long stream is in memory."""
         at, is_stream = 0, self._is_stream(data)
         while True:
             end = _end_of_mbap(data, at) if is_stream else len(data)
@@ -175,7 +175,7 @@ class Dissector:
         )
 
     def _is_right(self, pdu: bytes) -> bool:
-        """Whether a PDU is a valid request or reply of a known function."""
+        """Whether a PDU is a valid request or a valid reply of a known function."""
         both = (describe_request(pdu, self._functions), describe_reply(pdu, self._functions))
         return self._knows(pdu) and any(not one.problems for one in both)
 
@@ -205,7 +205,7 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return direction and fields of a frame, whether it answers the last request, and why it does not."""
+        """Return a frame's direction, its fields, whether it answers the last request, and if not why, as sentences."""
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)

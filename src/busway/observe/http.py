@@ -5,8 +5,9 @@ requests, and `http_connection` parses them. The standard library's `ThreadingMi
 them:
 
 1. One request per connection, then the connection is closed. No keep-alive, no chunked bodies, no redirects.
-2. Head, body, time and number of connections are limited. One connection too many closes the oldest that has not sent
-   its whole request, or is answered 503 where all have. A peer that sends or reads slowly delays no other peer.
+2. Head, body, time and number of connections are limited. One connection too many closes the oldest one that has not
+   sent its whole request; if all have, the new connection is answered 503. A peer that sends or reads slowly delays no
+   other peer.
 3. The last descriptors of the process are never kept: they are for Modbus.
 """
 
@@ -99,7 +100,7 @@ class HttpService(ThreadingMixIn, TCPServer):
         self.server_close()
 
     def heard(self, accepted: socket.socket) -> None:
-        """Give an HTTP connection more time, because its whole request was received."""
+        """Extend the time limit of an HTTP connection, because its whole request was received."""
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
@@ -162,7 +163,7 @@ class HttpService(ThreadingMixIn, TCPServer):
             _log.exception("a request failed; further failures within a minute are not logged")
 
     def _cut(self, accepted: socket.socket) -> None:
-        """Shut down an HTTP connection from another thread; its own thread then wakes up and closes it."""
+        """Shut down an HTTP connection's socket from another thread; the connection's own thread then closes it."""
         self._unheard.pop(accepted, None)
         with contextlib.suppress(OSError):
             accepted.shutdown(socket.SHUT_RDWR)

@@ -113,9 +113,7 @@ class _Head:
 
 
 def drain(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes of a response and discard what was received, so that closing does not reset
-    the connection.
-    """
+    """Send the last bytes of a response, then discard received bytes: otherwise closing would reset the connection."""
     with contextlib.suppress(OSError):
         accepted.setblocking(False)
         accepted.send(last)

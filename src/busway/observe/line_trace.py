@@ -151,7 +151,7 @@ class LineTrace:
             self._wait(now)
 
     def settle(self) -> None:
-        """Log all received bytes now, as frames or as damaged bytes, as if the line had been silent long enough."""
+        """Log all received bytes now, as frames or as damaged bytes, without waiting for the silence that ends one."""
         with self._lock:
             if self._timer is not None:
                 self._timer.cancel()

@@ -6,9 +6,9 @@ Knows frames and times; knows no port and no clock. The frames come from a recei
    no reply.
 2. A reply of another unit or function than that of the request is stray, and the request goes on waiting.
 3. Damaged bytes while a request waits are taken for its reply, if no other comes.
-4. Where request and reply are alike (05, 06, 08, 22) nothing in the bytes tells a reply from the same request sent
-   again. Time does: what comes much later than the slowest reply that could be told for sure is another request.
-   Until enough of those were heard, everything within ``reply_window`` is a reply.
+4. If request and reply are alike (05, 06, 08, 22), nothing in the bytes tells a reply from the same request sent again.
+   Then time decides: a frame that comes much later than the slowest reply recognised for sure is another request. Until
+   enough such replies were heard, every frame within ``reply_window`` is a reply.
 """
 
 from collections import Counter
@@ -175,7 +175,10 @@ class Pairing:
         self._sure = ResponseTimes()
 
     def heard(self, found: Received) -> list[Heard]:
-        """Process a frame or damaged bytes, and return the resulting events: an earlier missing reply first."""
+        """Process a frame or damaged bytes, and return the resulting events in order.
+
+        The first may be a missing reply.
+        """
         events = self.tick(found.began)
         gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
         self._last_end = found.ended
@@ -228,7 +231,7 @@ class Pairing:
         return True
 
     def _reply_limit(self) -> float:
-        """Return the seconds within which a frame equal to its request counts as its reply (rule 4)."""
+        """Return for how many seconds the bytes of a request, heard again, count as its reply (rule 4)."""
         if self._sure.count < SURE_REPLIES:
             return self.reply_window
         return min(max(MUCH_LATER * self._sure.slowest, NEVER_LATE_BEFORE), self.reply_window)
@@ -264,7 +267,7 @@ class Pairing:
         return Heard(Kind.DAMAGED, damaged=found, gap=gap)
 
     def _unanswered(self, until: float) -> Heard:
-        """Return the event that the last request got no reply until the time ``until``, and count it."""
+        """Count the last request as unanswered until the time ``until``, and return that event."""
         asked, damage = self._asked, self._damage
         assert asked is not None
         unit = self.statistics.unit(asked.unit)

@@ -157,7 +157,9 @@ class LineToHear:
 
     @property
     def timing(self) -> SerialTiming:
-        """Times of the line: by the settings of its port, or those of a network."""
+        """Times of the line, such as the silence between frames: by the settings of its port, or fixed ones over a
+        network.
+        """
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
@@ -319,9 +321,9 @@ class Listening:
         self._ear.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:
-        """Handle the loss of the port: wait for it, and return the events of an unfinished frame.
+        """Handle the loss of the port: begin to wait for it, and return the events of an unfinished frame.
 
-        Raises ``error`` if a vanished port is not opened again.
+        Raises ``error`` if a vanished port is not to be opened again.
         """
         if self._vanished is None:
             raise error
@@ -333,7 +335,10 @@ class Listening:
         return self._flushed()
 
     def _try_again(self, now: float, until: float) -> bool:
-        """Open the port again if its time has come; return whether it is open. Waits at most a fifth of a second."""
+        """Open the vanished port again if the next attempt is due, else wait up to a fifth of a second.
+
+        Returns whether it is open.
+        """
         pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
         if pause > 0:
             time.sleep(pause)

@@ -65,18 +65,18 @@ class Recorder(Protocol):
 
 
 class Undecided(Protocol):
-    """Interface of the log of a line that holds received bytes until they are known to be a frame or damaged."""
+    """Interface of a line's log that holds received bytes, because it is not known yet whether they are a frame."""
 
     def settle(self) -> None:
         """Log the held bytes now, as frames or as damaged bytes."""
 
 
 class Trace:
-    """Switch for the traffic log of all connections of the process. There is one: `TRACE`.
+    """The switch of the traffic log, for all connections of the process. There is one object: `TRACE`.
 
     Attributes:
         level: how much is logged. Drivers check it before they pass traffic to a log.
-        capture: what records the traffic, such as a capture file; None for nothing.
+        capture: recorder of the traffic, such as a capture file; None for none.
         undecided: logs of lines that hold received bytes of an unfinished frame.
     """
 

@@ -1,4 +1,4 @@
-"""Options: endpoints as URLs, options as text or keywords, and presets of options. Pure.
+"""Options: endpoints as URLs, options as text or keywords, and presets of options. Does no IO.
 
 =============  =====================================================================================================
 `client`       Options of a client: the conversation over a link, and its connections
@@ -20,6 +20,6 @@
 
 Where it is decided: range, unit and default of an option: its field in the parameter class (`client`, `server`,
 `lines`, `ports`, …), as `declaration` reads it. Which options a component accepts: `offer`. What `preset=strict` sets,
-and what it refuses: `presets`. How a text becomes a value, and what an unknown option is answered: `text`. What a URL
+and what it refuses: `presets`. How a text becomes a value, and the error for an unknown option: `text`. What a URL
 means: `endpoints`.
 """

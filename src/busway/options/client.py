@@ -140,7 +140,7 @@ LONGEST_HOLD = 86_400
 
 
 class Hold(Enum):
-    """Words that the option ``hold`` accepts beside seconds, for how long an unused connection stays open.
+    """Values of the option ``hold`` other than seconds: how long an unused connection stays open.
 
     Attributes:
         FOREVER: until its last user closes the link, as Messaging on TCP/IP V1.0b §4.2.1.1 advises.
@@ -152,10 +152,10 @@ class Hold(Enum):
 
 
 class LinkSelection(Enum):
-    """Which of several connections to one remote gets a request (Messaging on TCP/IP V1.0b §4.2.1.2).
+    """Which of several connections to one peer gets a request (Messaging on TCP/IP V1.0b §4.2.1.2).
 
     Attributes:
-        FIRST: the connection whose link was made first.
+        FIRST: the connection of the link that was created first.
         OLDEST: the connection that has been open longest.
     """
 
@@ -165,7 +165,7 @@ class LinkSelection(Enum):
 
 @dataclass(frozen=True, slots=True)
 class ManagementParameters:
-    """Options for the connections of a link: how many, kept how long, and how one is chosen (TCP/IP V1.0b §4.2.1)."""
+    """Options of a link's connections: how many, how long kept, which gets a request (TCP/IP V1.0b §4.2.1)."""
 
     on: ClassVar[On] = On("client tcp", "client tls", "client udp")
 
@@ -213,7 +213,9 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """Return the rule with this name for choosing a request's connection; None and rules are returned unchanged.
+    """Return the rule with this name for choosing a request's connection.
+
+    None and a `LinkSelection` are returned unchanged.
 
     Raises:
         ConfigError: there is no such rule.

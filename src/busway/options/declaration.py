@@ -9,9 +9,10 @@ Knows types, ranges and texts; knows no particular option. ::
         def __post_init__(self) -> None:
             check(self)
 
-1. The text is the option's help. The other marks are those of this file; all of them may be left out.
-2. What an option may be is checked when its parameter class is built, so an invalid value never exists.
-3. URLs, keywords, keys of files, JSON Schema, help and the tables of the documentation ask `declared`.
+1. The text is the option's help. The other annotations are the marks of this file; all of them may be left out.
+2. The value of an option is checked when its parameter object is created, so an object with an invalid value never
+   exists.
+3. URLs, keywords, keys of files, JSON Schema, help and the tables of the documentation use `declared`.
 4. Keys that only files have are fields of their section with the same marks (`busway.config.files.schema`).
 """
 
@@ -37,7 +38,7 @@ class Range:
     """Mark of an option that is a number: the range that it must lie in. An end may be infinite.
 
     Attributes:
-        low, high: the ends, which are in the range.
+        low, high: the ends, which belong to the range.
         unit: unit of the numbers, for messages.
         words: text that replaces the ends in messages; empty for none.
     """
@@ -63,7 +64,7 @@ class Range:
 
 @dataclass(frozen=True, slots=True)
 class OneOf:
-    """Mark of an option that is a number: the numbers that it may be."""
+    """Mark of an option that is a number: the numbers that are allowed."""
 
     values: tuple[int, ...]
 
@@ -88,7 +89,7 @@ class Name:
     pattern: str = ""
 
     def has(self, value: object) -> bool:
-        """Whether a value is not empty and, if there is a pattern, matches it as text."""
+        """Whether a value is not empty and, if there is a pattern, is a text that matches it."""
         return bool(value) and (not self.pattern or re.fullmatch(self.pattern, str(value)) is not None)
 
     def __str__(self) -> str:
@@ -100,7 +101,7 @@ class Strict:
     """Mark of an option: what the preset ``strict`` sets it to, and the clause that requires this.
 
     Attributes:
-        clause: the clause of the specification: ``T19``.
+        clause: number of the clause in the conformance statement: ``T19``.
         value: what the preset sets; for an enum, the member's value.
         adaptable: whether another value may be given beside the preset.
     """
@@ -122,13 +123,13 @@ class ByFraming:
 
 
 class On:
-    """Mark of an option that says where it has an effect: places made of role, framing and transport.
+    """Mark of an option that says where it has an effect, by role, framing and transport.
 
     ``On("client", "server rtu")``: for every client, and for servers with RTU. Roles are ``client``, ``server`` and
     ``monitor``, which only listens to a line.
 
     Args:
-        places: places, each as words separated by spaces, all of which must fit.
+        places: one text for each case: words separated by spaces, all of which must fit.
     """
 
     __slots__ = ("_places",)
@@ -157,7 +158,7 @@ class Alias:
 
 @dataclass(frozen=True, slots=True)
 class Numbers:
-    """Type of options that are lists of numbers, ranges and words, written as in files.
+    """Type of options that are lists of numbers, ranges and words, kept as written in a file.
 
     They are written ``5``, ``"1-10"`` or ``[1, "7-9"]``.
 
@@ -174,7 +175,7 @@ class Mark(Enum):
     """Marks of an option that have no value.
 
     Attributes:
-        PER_CALL: each user of a shared link may choose another value; options without the mark belong to the
+        PER_CALL: each user of a shared link may choose another value. An option without the mark has one value for the
             connection.
         FILE: the text is the path of a file.
     """
@@ -191,10 +192,10 @@ class Option:
         name: its name, in URLs, keywords and files.
         kinds: the types of its values; `NoneType` is not among them.
         is_optional: whether it may be None.
-        default: its default; for framings in ``by_framing``, that default.
+        default: its default; framings in ``by_framing`` have the default given there.
         help: what it means, in a sentence.
-        limits: the allowed values, beside the type; None for all.
-        strict: the value that the preset ``strict`` sets, with its clause; None if the preset leaves it alone.
+        limits: which values of the type are allowed; None for all.
+        strict: the value that the preset ``strict`` sets, with its clause; None if the preset does not set it.
         by_framing: its defaults by framing.
         on: where it has an effect; all of them must fit.
         aliases: its other names.
@@ -215,7 +216,7 @@ class Option:
 
     @property
     def is_in_seconds(self) -> bool:
-        """Whether the numbers of the option are seconds, by its help."""
+        """Whether the option is a time in seconds, judged by its help."""
         return "seconds" in f"{self.help} {self.limits}"
 
     @property
@@ -226,7 +227,7 @@ class Option:
 
     @property
     def expected(self) -> str:
-        """What the option may be set to, in words for error messages."""
+        """Which values the option may have, in words for error messages."""
         numbers = str(self.limits) if self.limits is not None else ""
         words = list(map(str, self.choices))
         if numbers:
@@ -252,7 +253,7 @@ class Option:
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
     def check(self, value: object) -> None:
-        """Raise `ConfigError` if a value of the right type is out of range, or is no member of the enum."""
+        """Raise `ConfigError` if a value of the right type is out of range, or not one of the allowed values."""
         if (value is None and (self.is_optional or self.default is None)) or (self.limits is None and not self.choices):
             return
         if self.choices and (isinstance(value, Enum) or value in self.choices):
@@ -285,7 +286,7 @@ def _declared(kind: type[Any]) -> Mapping[str, Option]:
 
 
 def check(parameters: Any) -> None:
-    """Check every option of a parameter object; for its ``__post_init__``.
+    """Check every option of a parameter object; called by the ``__post_init__`` of its class.
 
     Raises:
         ConfigError: an option has an invalid value; the error has its name as key.
@@ -349,7 +350,7 @@ _KIND_WORDS: Final = {bool: "`true`, `false`", int: "a whole number", float: "a 
 
 
 def _kind_words(kind: Any) -> str:  # a type
-    """Return how tables of the reference name the type of a value."""
+    """Return the name of a value's type for the tables of the reference."""
     if kind in _KIND_WORDS:
         return _KIND_WORDS[kind]
     origin = get_origin(kind) or kind

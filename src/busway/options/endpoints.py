@@ -1,7 +1,7 @@
 """Endpoints: URLs that say where a peer or a serial line is, and how it is spoken to.
 
-Knows the grammar of the URLs and the schemes; knows no transport. The component that takes an option checks it, and
-reports an option that it does not have.
+Knows the grammar of the URLs and the schemes; knows no transport. Options are not checked here: the component for which
+the URL is meant checks them, and reports options that it does not have.
 
 ::
 
@@ -80,7 +80,7 @@ class Endpoint:
         host: name or address; empty if the URL has none.
         port: 0…65535; 0 lets a listener choose a free one. None for serial lines.
         path: device path of a serial line; empty otherwise.
-        options: the options behind ``?``, by name, as texts.
+        options: the options after ``?``, by name, as texts.
     """
 
     scheme: str
@@ -101,7 +101,10 @@ class Endpoint:
 
     @property
     def url(self) -> str:
-        """The URL without options: the endpoint's name in messages, and its identity."""
+        """The URL without options. It names the endpoint in messages.
+
+        Endpoints with equal URLs are the same endpoint.
+        """
         if self.carrier == "serial":
             return f"{self.scheme}://{quote(self.path)}"
         host = f"[{self.host}]" if ":" in self.host else self.host
@@ -115,7 +118,7 @@ class Endpoint:
 
 
 _LONGEST = 4096
-"""Most characters of an invalid URL that an error message shows whole."""
+"""Longest invalid URL, in characters, that an error message shows in full."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
@@ -124,7 +127,7 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     The values of options are not checked.
 
     Raises:
-        ConfigError: the text is no URL of an endpoint; the error suggests one if it can.
+        ConfigError: the text is no URL of an endpoint; where possible the error suggests one.
     """
     if isinstance(url, Endpoint):
         return url
@@ -178,13 +181,17 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
 
 
 def require_host(endpoint: Endpoint) -> None:
-    """Check that an endpoint says which peer a client is to reach. Raises `ConfigError` if it has no host."""
+    """Raise `ConfigError` if the endpoint of a client has no host, so that there is no peer to connect to."""
     if endpoint.carrier != "serial" and not endpoint.host:
         raise ConfigError(f"{endpoint.url}: the host is missing, as in {endpoint.scheme}://127.0.0.1:{endpoint.port}")
 
 
 def _with_scheme(text: str) -> str:
-    """Return an endpoint with the scheme added if only one is possible; else raise `ConfigError` with a suggestion."""
+    """Return an endpoint with a scheme put before it, if only one is possible.
+
+    Raises:
+        ConfigError: several are possible; the error suggests a URL.
+    """
     place, mark, query = text.strip().partition("?")
     if re.fullmatch(_ADDRESS, place):
         return f"tcp://{place}{mark}{query}"

@@ -1,9 +1,9 @@
 """Lists of IPv4 and IPv6 addresses and networks, and whether a host is in one.
 
-Knows the texts of addresses; asks no name server, which must not decide who may connect.
+Knows the texts of addresses; asks no name server, because a name server must not decide who may connect.
 
 1. ``::ffff:10.0.0.7`` is 10.0.0.7, in a list and as a host: a socket for both families gives IPv4 clients such names.
-2. A zone (``fe80::1%eth0``) in a list is part of what must fit; an entry without one fits in every zone.
+2. An entry with a zone (``fe80::1%eth0``) fits only in that zone; an entry without one fits in every zone.
 3. A text that is no address, such as the name of a serial line, is in no list.
 """
 
@@ -50,7 +50,7 @@ class Networks:
 
     @classmethod
     def parse(cls, entries: Iterable[str], *, key: str | None = None) -> "Networks":
-        """Create a set of networks from its entries; the same as ``Networks(entries)``."""
+        """Create a set of networks from its entries, like ``Networks(entries)``; the method that option types need."""
         return cls(entries, key=key)
 
     def __contains__(self, host: object) -> bool:
@@ -97,10 +97,10 @@ class Networks:
 
 
 class NetworkIndex:
-    """Finds which of many sets of networks contain a host, without asking each of them.
+    """Finds which of many sets of networks contain a host, with one search for all sets.
 
     Args:
-        networks: sets of networks, each with a number that the caller chooses.
+        networks: pairs of a number that the caller chooses and a set of networks.
     """
 
     __slots__ = ("_lengths",)
@@ -114,7 +114,7 @@ class NetworkIndex:
                     found.setdefault(network, []).append(number)
 
     def find(self, host: str) -> set[int]:
-        """Return the numbers of the sets that contain a numeric address; empty for other texts."""
+        """Return the numbers of the sets that contain a numeric address; an empty set for texts that are no address."""
         try:
             version, address, zone = _number_of(host)
         except ValueError:
@@ -133,7 +133,7 @@ class NetworkIndex:
 def host_of_peer(peer: str) -> str:
     """Return the host of a peer such as ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the port may be missing.
 
-    An IPv4-mapped address becomes the IPv4 address, so that one host has one name.
+    An IPv4-mapped address (``::ffff:10.0.0.7``) becomes the IPv4 address, so that one host has one name.
     """
     host, colon, port = peer.rpartition(":")
     if not colon or not port.isdecimal() or (":" in host and not host.startswith("[")):

@@ -1,7 +1,7 @@
 """Which options a client, server or other part accepts, and the parameter objects built from given ones.
 
-Knows the parameter classes; knows no component. An option that has no effect with a scheme is refused there, because
-users would believe that it works.
+Knows the parameter classes; knows no component. An option that has no effect with the scheme of a URL is refused,
+because users would believe that it works.
 """
 
 from collections.abc import Mapping
@@ -90,11 +90,11 @@ class Offer:
         return names | {OPTION} if names else names
 
     def chosen(self, given: Mapping[str, object], *, of: str = "") -> "ChosenOptions":
-        """Sort the options that a user gave by their parameter class, with those that a preset sets.
+        """Sort the options that a user gave by their parameter class, and add those that a preset sets.
 
         Args:
             given: values or their texts by name; ``preset`` may be among them.
-            of: the part that has the options, for the message about an unknown one.
+            of: name of the part that has the options, for the error about an unknown one.
 
         Raises:
             ConfigError: there is no such option or preset, or an option contradicts the preset.
@@ -115,7 +115,7 @@ class ChosenOptions:
 
     Attributes:
         offer: the options that could be given.
-        values: values or their texts by name, by class.
+        values: by parameter class, the given values or their texts by name.
     """
 
     offer: Offer
@@ -130,7 +130,7 @@ class ChosenOptions:
         return build_parameters(kind, self.values.get(kind, {}), framing=self.offer.framing)
 
     def serial_settings(self) -> SerialSettings | None:
-        """Return the settings of the serial line from the given options; None if the endpoint is no serial port.
+        """Return the settings of the serial line, built from the given options; None if the endpoint is no serial port.
 
         Raises:
             ConfigError: an option has an invalid value; the error has its name as key.
@@ -167,6 +167,6 @@ def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
 
 @cache
 def aliases() -> Mapping[str, str]:
-    """Return the own name of an option of links by each of its alternative names."""
+    """Return all alternative names of options of links, each with the option's own name."""
     options = (option for kind in LINKS for option in declared(kind).values())
     return {alias: option.name for option in options for alias in option.aliases}

@@ -2,9 +2,9 @@
 
 Knows the characters of a line and the wires that switch its direction; knows no port and no Modbus.
 
-1. Even parity is the default (Serial Line V1.02 §2.5.1). Stop bits follow by rule, one with parity and two without, so
-   that a character keeps its length; the option sets another number.
-2. A setting that has no effect beside the others is refused: users would believe that it works.
+1. Even parity is the default (Serial Line V1.02 §2.5.1). Without the option for stop bits there is one with parity and
+   two without, so that a character always has the same length.
+2. A setting that has no effect together with the others is refused: users would believe that it works.
 """
 
 from collections.abc import Mapping
@@ -31,9 +31,9 @@ class Rs485(Word):
     """Values of the option ``rs485``: what switches the direction of an RS-485 driver.
 
     Attributes:
-        OFF: the adapter does, or the line is RS-232 or 4-wire.
-        KERNEL: the port's driver, in its RS-485 mode, which is exact.
-        RTS: this program, by the RTS wire; the operating system's delays add to it.
+        OFF: nothing in this computer: the adapter does it itself, or the line is RS-232 or 4-wire.
+        KERNEL: the kernel's driver of the port, in its RS-485 mode, which is exact.
+        RTS: this program, by the RTS wire; delays of the operating system are added.
         AUTOMATIC: the kernel if the port has that mode, RTS otherwise.
     """
 
@@ -92,9 +92,9 @@ class SerialSettings:
         """Build the settings of a serial line from options of a URL or keywords.
 
         Args:
-            options: values of the fields above, or their texts, by name; unknown names are refused.
-            binary: whether the line carries bytes of any value, which need 8 data bits; a line of text takes 7 unless
-                told otherwise.
+            options: values of the fields of this class, or their texts, by name; unknown names are refused.
+            binary: whether the line carries bytes of any value, which need 8 data bits. If not (ASCII), 7 is the
+                default.
 
         Raises:
             ConfigError: an option is invalid; the error has its name as key. Nothing was opened.
@@ -106,7 +106,7 @@ class SerialSettings:
 
     @property
     def stop_bits_on_line(self) -> int:
-        """Stop bits of each character, as given or by the rule for the parity."""
+        """Stop bits of each character: the given number, or the one that follows from the parity."""
         return stop_bits_for(self.parity) if self.stop_bits is None else self.stop_bits
 
     @property

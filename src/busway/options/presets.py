@@ -4,13 +4,13 @@
 
 Knows how a preset and options go together; what ``strict`` sets an option to is declared with the option (`Strict`).
 
-1. A preset is chosen with ``preset="strict"``, or ``?preset=strict`` in a URL. It sets the options that say so and that
-   the scheme has, and leaves all others alone.
+1. A preset is chosen with ``preset="strict"``, or ``?preset=strict`` in a URL. It sets the options that are declared
+   with a value for it, as far as the scheme has them, and no others.
 2. An option given beside the preset with another value is refused by name. Where a specification leaves the figure to
    the user it is *adaptable*: the preset supplies a default, and an explicit value replaces it.
 3. All options that ``passive`` sets are adaptable. It is refused where there are no options of a link, so by every
    server.
-4. Options whose default meets their clause are declared so too, if users could switch them off.
+4. An option whose default meets its clause is declared with that value too, if users could choose another one.
 """
 
 from collections.abc import Mapping
@@ -61,7 +61,7 @@ _OF_LINKS: Final = "retries"
 
 
 def preset_of(value: object) -> Preset:
-    """Return the preset that an option's value names; None means the standard one. Raises `ConfigError`."""
+    """Return the preset for a value of the option ``preset``; the standard one for None. Raises `ConfigError`."""
     if value is None:
         return Preset.STANDARD
     if isinstance(value, Preset):
@@ -74,7 +74,7 @@ def preset_of(value: object) -> Preset:
 
 
 def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, object]:
-    """Return options with ``preset`` replaced by the options that the preset sets; given options stay as they are.
+    """Return options with ``preset`` replaced by the options that the preset sets; given options stay unchanged.
 
     Args:
         given: values by name, with or without ``preset``.
@@ -104,12 +104,12 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def strict_settings(options: Mapping[str, Option]) -> dict[str, Strict]:
-    """Return what the preset ``strict`` sets, by name of the option, for those of the options that it sets."""
+    """Return those of the options that the preset ``strict`` sets, by name, with the values."""
     return {name: option.strict for name, option in options.items() if option.strict is not None}
 
 
 def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, Strict]:
-    """Return the options for characters of a serial line that ``strict`` sets: data bits of ASCII, and stop bits.
+    """Return what ``strict`` sets for the characters of a serial line: data bits of ASCII, and stop bits.
 
     The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only if the user gives some.
     """

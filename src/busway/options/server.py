@@ -25,7 +25,7 @@ class UnitPolicy(Enum):
 
     Attributes:
         LISTED: those of its devices.
-        ANY: all of them, by its sole device.
+        ANY: all of them; its only device answers.
     """
 
     LISTED = "listed"
@@ -37,7 +37,7 @@ class UnlistedUnit(Enum):
 
     Attributes:
         EXCEPTION: with exception 0B.
-        SILENCE: not at all.
+        SILENCE: it does not answer.
     """
 
     EXCEPTION = "exception"
@@ -67,7 +67,7 @@ class UnitParameters:
 
 @dataclass(frozen=True, slots=True)
 class ServerParameters:
-    """Options of a server: how many requests it works on at once, and how it answers."""
+    """Options of a server: how many requests it processes at once, and how it answers."""
 
     max_transactions: Annotated[
         int, Range(1, 16), "NumberMaxOfServerTransaction: requests that may be waiting for a slow responder."
@@ -90,7 +90,7 @@ class ServerParameters:
 class ListenerParameters:
     """Limits and timeouts of the connections of a listener.
 
-    None of the timeouts, nor ``request_rate``, touches a connection of a priority host.
+    The timeouts and ``request_rate`` do not apply to connections of priority hosts.
     """
 
     backlog: Annotated[int, Range(1, 65_535), "connections that the system may hold before they are accepted."] = 1024

@@ -12,7 +12,7 @@ class OnFailure(Enum):
     """Values of the option ``on_failure``: what a server does while its audit log cannot be written.
 
     Attributes:
-        SERVE: it goes on, counts and logs.
+        SERVE: it executes requests as usual, and counts and logs the failure.
         REFUSE: it answers writes with exception 04.
     """
 

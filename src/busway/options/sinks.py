@@ -14,7 +14,7 @@ LONGEST_SECONDS: Final = 86_400.0
 
 @dataclass(frozen=True, slots=True)
 class DeliveryOptions:
-    """Options that all sinks which are sent samples have: which samples, and in what batches."""
+    """Options of all sinks to which samples are sent: which samples, and in what batches."""
 
     points: Annotated[
         tuple[str, ...],
@@ -39,7 +39,7 @@ class DeliveryOptions:
 
 @dataclass(frozen=True, slots=True)
 class PasswordOptions:
-    """Options of a sink that say where its password comes from; the URL has the user."""
+    """Options of a sink that say where its password is read from; the user name is in the URL."""
 
     password_file: Annotated[str | None, Mark.FILE, "file with the password, readable by its owner alone."] = None
     password_variable: Annotated[str | None, "variable of the environment that has it instead."] = None
@@ -47,7 +47,7 @@ class PasswordOptions:
 
 @dataclass(frozen=True, slots=True)
 class TokenOptions:
-    """Options of a sink that say where its access token comes from."""
+    """Options of a sink that say where its access token is read from."""
 
     token_file: Annotated[str | None, Mark.FILE, "file with the token, readable by its owner alone."] = None
     token_variable: Annotated[str | None, "variable of the environment that has it instead."] = None

@@ -17,8 +17,8 @@ _DIALLED = On("client", "monitor tcp")
 class SocketParameters:
     """Options of a TCP or UDP connection (Messaging on TCP/IP V1.0b §4.3.2).
 
-    The guide names 2 hours, 75 seconds and 8 probes for keepalive, the defaults of many systems; they would keep a
-    half-open connection for more than two hours, so ours are shorter.
+    The guide suggests 2 hours, 75 seconds and 8 probes for keepalive, the defaults of many systems. With these a
+    half-open connection lasts more than two hours, so the defaults here are shorter.
     """
 
     on: ClassVar[On] = On("tcp", "tls", "udp")
@@ -75,12 +75,12 @@ class SocketParameters:
 
     @property
     def effective_user_timeout(self) -> float | None:
-        """The TCP user timeout to set, in seconds; None leaves it to the system.
+        """The TCP user timeout to set, in seconds; None for the system's default.
 
-        Linux ends an idle connection by the user timeout, and not by the number of lost probes, when a probe is due:
-        with 30 s, two probes of one second would end a half-open connection after 30 s. So this timeout is over before
-        the last probe is, and an idle half-open connection ends within idle + interval × count whatever the option
-        ``user_timeout``.
+        When a keepalive probe is due, Linux ends an idle connection by the user timeout and not by the number of lost
+        probes: with 30 s, two probes of one second would end a half-open connection only after 30 s. So with keepalive
+        this value is always shorter than idle + interval × count, and an idle half-open connection ends within that
+        time, whatever ``user_timeout`` is.
         """
         if self.user_timeout is None or not self.keepalive:
             return self.user_timeout

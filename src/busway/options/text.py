@@ -1,6 +1,6 @@
 """Converts options given as text (URLs, command line) or keywords into fields of parameter classes.
 
-Knows the types that parameter classes use; knows no particular parameter. If a type has a method ``parse``, that method
+Knows the types that parameter classes use; knows no particular option. If a type has a method ``parse``, that method
 builds its values from a list of texts.
 """
 
@@ -24,7 +24,7 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
-    """Return the error for an unknown option: it suggests the nearest known option, or else lists all.
+    """Create the error for an unknown option: it suggests the known option with the nearest name, or else lists all.
 
     Args:
         name: the unknown option.
@@ -84,7 +84,7 @@ def option_value(option: Option, value: object) -> object:
 
 
 def converted(name: str, value: object, kind: Any) -> object:  # a type
-    """Convert the value of an option, or its text, to a given type.
+    """Convert the value of an option, or its text, to the type ``kind``.
 
     Raises:
         ConfigError: the value has another type; the error has ``name`` as key.
@@ -137,7 +137,7 @@ def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``pa
 
 
 def _texts(name: str, value: object) -> tuple[str, ...]:
-    """Return the list of texts that an option has; a single text is split at commas. Raises `ConfigError`."""
+    """Return the value of an option as a tuple of texts; a single text is split at commas. Raises `ConfigError`."""
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)

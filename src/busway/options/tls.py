@@ -3,8 +3,8 @@
 Knows names and ranges; opens no file and no connection, and does not load ``ssl``, because every program imports this
 file at its start.
 
-1. A peer is verified, unless `Verify.OFF_INSECURE` is asked for by that name.
-2. Only suites with ECDHE and AES-GCM can be chosen. A suite without encryption must be named by itself.
+1. A peer is verified, unless the user chooses `Verify.OFF_INSECURE` by name.
+2. Only suites with ECDHE and AES-GCM can be chosen. A suite without encryption is used only if the user names it.
 3. A password is never in a URL; ``password_file`` names the file that holds it.
 """
 

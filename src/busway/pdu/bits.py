@@ -64,12 +64,12 @@ def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value
     """Return the values of an iterable as a list; single values and texts are refused.
 
     Args:
-        values: anything that has an order: a list, a range, a generator, an array. At most 65536 values are taken.
-        what, of: names of the values and of what they may be, in the plural, for the error.
+        values: an iterable in a definite order: a list, a range, a generator, an array; at most 65536 values.
+        what, of: words for the error message, in the plural: what the values are, and what they may be.
 
     Raises:
-        InvalidRequest: ``values`` is no such iterable (a text, bytes, a set or a mapping), or has more values. Nothing
-            was sent.
+        InvalidRequest: ``values`` is a text, bytes, a set, a mapping or no iterable, or has more than 65536 values.
+            Nothing was sent.
     """
     if not is_several(values):
         raise InvalidRequest(f"the {what} must be a sequence of {of}, not {_shown(values)}")

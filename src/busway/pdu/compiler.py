@@ -41,7 +41,7 @@ class Layout:
 
 
 def attribute_names(cls: Any) -> tuple[str, ...]:
-    """Return the names of the fields that messages of a class have as attributes, in wire order; no byte counts."""
+    """Return the attribute names of a message class, in wire order: all declared fields except byte counts."""
     return tuple(name for name, field in cls.declared.items() if not isinstance(field, RestLength))
 
 
@@ -83,9 +83,9 @@ def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_chec
 
 
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
-    """Give a message class its layout; constructor, ``encode`` and ``decode`` are compiled when one is first used.
+    """Prepare a message class; its constructor, ``encode`` and ``decode`` are compiled when one of them is first used.
 
-    Compiling all 40 classes takes 40 ms, which a command that uses two of them should not pay.
+    They are not compiled at import, because all 40 classes take 40 ms and most commands use only a few.
 
     Args:
         cls: a message class with its declared fields.
@@ -120,7 +120,10 @@ def _first_decode(cls: Any, pdu: bytes) -> Any:
 
 
 def _compile_pending(cls: Any) -> None:
-    """Compile constructor, ``encode`` and ``decode`` of a message class, or of the base class with its fields."""
+    """Compile constructor, ``encode`` and ``decode`` of a message class, at the first use of one of them.
+
+    If a class inherits all its fields, its base class is compiled.
+    """
     owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
     _compile_codecs(owner)
 
@@ -315,12 +318,13 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
 
 
 def _range_test(name: str, field: FixedField, *, received: bool = False) -> str:
-    """Return Python source that is true if a field's value is out of range.
+    """Return the text of a Python expression that is true if a field's value is out of range.
 
     Args:
         name: the name of the variable with the value.
         field: the field with its limits.
-        received: whether the value comes from bytes; then the source is empty if all bytes are in range.
+        received: whether the value was unpacked from bytes; then the text is empty if all values of the width are
+            allowed.
     """
     if field.values is not None:
         return f"{name} not in {field.values}"

@@ -1,10 +1,11 @@
-"""Describes a PDU for people: every field with its offset, its value and its fault, if any.
+"""Describes a PDU for people: every field with its offset, its value and what is wrong with it.
 
-Knows the declarations of functions and how to show them; sends and executes nothing. Unlike ``decode`` it never gives
-up: of a broken PDU it shows all fields that are there, and names each rule that is broken.
+Knows the declarations of functions and how to show them; sends and executes nothing. ``decode`` stops at the first
+error. A description goes on: it shows all fields that are there, and names each rule that is broken.
 
 1. Nothing raises, whatever the bytes are.
-2. A PDU is right exactly if ``decode`` of its class accepts it; a problem that no field has is one of the whole PDU.
+2. A description has no problems exactly if ``decode`` of the message class accepts the PDU. A problem that belongs to
+   no single field is listed for the whole PDU.
 """
 
 from collections.abc import Iterator
@@ -30,13 +31,13 @@ _MOST_VALUES: Final = 24
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One field of a PDU in a description for people: name, offset, bytes, meaning, fault.
+    """One field of a PDU in a description for people.
 
     Attributes:
         offset: offset of its first byte, counted from the function code.
-        data: its bytes; fewer than it needs if the PDU is cut off.
+        data: its bytes; fewer than the field needs if the PDU is cut off.
         name: the specification's name of the field.
-        text: its value in words; empty if the bytes say it all.
+        text: its value in words; empty if the bytes need no explanation.
         problem: what is wrong with it; empty if nothing is.
     """
 
@@ -54,8 +55,8 @@ class Description:
     Attributes:
         title: function and direction, ``3 (read holding registers), request``.
         parts: the fields in their order; together they hold all bytes.
-        problems: what is wrong with the PDU and its parts, in order; empty if it is right.
-        message: the decoded message; None if the PDU is not right.
+        problems: what is wrong with the PDU and its parts, in order; empty if the PDU is valid.
+        message: the decoded message; None if the PDU is not valid.
         is_known: whether the function is in the table.
     """
 
@@ -90,7 +91,8 @@ def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: 
     Args:
         pdu: the bytes, function code first; any bytes are accepted.
         functions: the functions that are known.
-        request: the request that it answers, which says how many bits were read; None if it is not known.
+        request: the request that was answered; with it only as many bits are shown as were read. None if it is not
+            known.
     """
     if not pdu:
         return _empty("reply")
@@ -244,7 +246,7 @@ def _sub_code_name(code: int, data: bytes) -> str:
 
 
 class _Meaning:
-    """Explains the numbers in a PDU of one function in words: addresses, counts and values."""
+    """Writes the values in a PDU as text for people: an address as ``16, holding register 4x17``, a bit as ``on``."""
 
     def __init__(self, kind: type[Request], is_request: bool, request: Message | None) -> None:
         self._kind = kind
@@ -252,7 +254,7 @@ class _Meaning:
         self._request = request
 
     def number(self, name: str, value: int) -> str:
-        """Return the value of a field in the fixed head of a PDU in words, such as an address in its notation."""
+        """Return the text for a field of fixed size, such as ``16, holding register 4x17`` for an address."""
         touch = next(
             (one for one in (self._kind.reads, self._kind.writes) if one is not None and one.address == name), None
         )
@@ -265,7 +267,10 @@ class _Meaning:
         return str(value)
 
     def data(self, data: bytes) -> str:
-        """Return the values in the data at the end of a PDU in words, such as registers; empty for other data."""
+        """Return the text for the data at the end of a PDU: registers as numbers, bits as ``on`` and ``off``.
+
+        Empty for data of other kinds.
+        """
         touch = self._kind.writes if self._is_request else self._kind.reads
         if touch is None:
             return ""

@@ -18,7 +18,7 @@ _LAST_OBJECT_OF_LEVEL = {BASIC: 0x02, REGULAR: 0x7F, EXTENDED: 0xFF}
 _INDIVIDUAL_TOO = 0x80
 
 MAX_OBJECT_SIZE = PDU_LIMIT - 7 - 2
-"""Most bytes of an identification object: a reply that holds it alone has room for no more."""
+"""Most bytes of an identification object: a reply with only one object has no room for more."""
 
 OBJECT_NAMES = {
     0x00: "VendorName",

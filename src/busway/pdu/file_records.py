@@ -166,7 +166,7 @@ class FileContent:
 class ReadFileRecord(Request):
     """20 Read File Record: reads several groups of registers in one request (Application Protocol V1.1b3 §6.14).
 
-    Requests and replies of all groups together must fit one PDU.
+    All groups of a request must fit one PDU, and so must the reply to all of them.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_FILE_RECORD
@@ -174,7 +174,7 @@ class ReadFileRecord(Request):
     groups: tuple[FileReference, ...] = repeated(FileReference, 1, 35)
 
     class Reply(ReplyMessage):
-        """The reply of function 20: one content for each group, in the order of the request."""
+        """The reply of function 20: the registers of each group (`FileContent`), in the order of the request."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 0x07 - 5, 0xFB)
         contents: tuple[FileContent, ...] = repeated(FileContent, 1, 35)

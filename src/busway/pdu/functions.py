@@ -54,7 +54,11 @@ class FunctionTable:
             raise ValueError(f"{function.__name__}: function {code} is in the table already")
 
     def with_functions(self, *functions: type[Request]) -> "FunctionTable":
-        """Return a new table that has the functions of this one and ``functions``. Raises `ValueError` as the class."""
+        """Return a new table that has the functions of this one and ``functions``.
+
+        Raises:
+            ValueError: two functions have the same code, or a code is not 1…127.
+        """
         return FunctionTable(*self, *functions)
 
     def __iter__(self) -> Iterator[type[Request]]:
@@ -71,7 +75,7 @@ class FunctionTable:
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
         """Return the request class of the function whose request or reply PDU starts at ``at`` of ``data[:end]``.
 
-        None for functions that are not in the table, exception replies, and a sub-code that is cut off.
+        None if the function is not in the table, the PDU is an exception reply, or its sub-code is cut off.
         """
         code = data[at]
         found = self._by_code.get(code)
@@ -107,10 +111,10 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for other codes, `OpaqueReply`.
+        """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for unknown codes, `OpaqueReply`.
 
         Raises:
-            MalformedPdu: the bytes are no such reply.
+            MalformedPdu: the bytes are no valid reply of the function.
         """
         if not pdu:
             raise MalformedPdu("an empty PDU")
@@ -152,7 +156,8 @@ class FunctionTable:
 def _exception_length(data: bytes, at: int, end: int) -> int:
     """Return the length in bytes of the exception PDU at ``at``: 2, or 3 for the form ``AB 0E cc`` of some devices.
 
-    `NEED_MORE` if too few bytes are there to tell. The form is in the figure of Application Protocol V1.1b3 §6.21.
+    That form, with the MEI type in the middle, is in the figure of Application Protocol V1.1b3 §6.21. `NEED_MORE` if
+    too few bytes are there to tell.
     """
     if data[at] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80:
         if end < at + 2:

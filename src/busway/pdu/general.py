@@ -27,8 +27,8 @@ class ExceptionResponse(SelfCoded):
 def decode_exception(pdu: bytes) -> ExceptionResponse:
     """Decode the PDU of an exception reply.
 
-    43 may be refused with ``AB 0E cc``, the form that the figure of its section prints (Application Protocol V1.1b3
-    §6.21): the MEI type in the middle is left out.
+    For function 43 the form ``AB 0E cc`` is accepted too: the specification's figure has the MEI type between function
+    and exception code (Application Protocol V1.1b3 §6.21).
 
     Raises:
         MalformedPdu: the bytes are no exception reply.

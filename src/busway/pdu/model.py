@@ -1,10 +1,10 @@
 """Interfaces of a device through which a request reads and writes it (`Request.apply`).
 
-Knows the shape of a device; knows no device, store, session or transport.
+Knows only method signatures; knows no device, store, session or transport.
 
 1. Data are passed in wire order: registers big-endian, bits packed from the lowest bit.
 2. A device refuses with `Refusal`; a refused request has changed nothing.
-3. ``check`` comes before every change, so a request that touches two ranges changes both or none.
+3. ``check`` comes before every change, so a request that concerns two ranges changes both or none.
 """
 
 from collections.abc import Mapping
@@ -46,7 +46,7 @@ class Diagnostics(Protocol):
 
 
 class Context(Protocol):
-    """Interface of what a device is told about a request: client, unit and diagnostics."""
+    """Interface of what a device learns about a request besides its data: client, unit and diagnostics."""
 
     @property
     def peer(self) -> str:
@@ -72,7 +72,8 @@ class Tables(Protocol):
             address: the first item, 0-based.
             count: number of items.
             writes: whether the items are to be written.
-            context: given to call hooks that may refuse a read too; function 23 must know that before it writes.
+            context: client and unit. If given, read hooks are called too, and may refuse: function 23 checks its read
+                in this way before it writes.
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:

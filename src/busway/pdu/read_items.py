@@ -161,7 +161,7 @@ class ReadFifoQueue(Request):
 
 
 _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_READ_REGISTERS + 2))
-"""Functions that unpack registers, by the number of registers, for as many as a reply has; longer data are rarer."""
+"""Functions that unpack registers; the index is the number of registers, up to the most that a reply has."""
 
 
 def unpack_registers(data: bytes) -> list[int]:
@@ -184,7 +184,9 @@ def _read(model: DataModel, table: Table, address: int, count: int, context: Con
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Return the request that reads a range; the same range gives the same object, which is encoded only once.
+    """Return the request object that reads a range.
+
+    Recently used ranges are cached: the same range gives the same object, which is encoded only once.
 
     Args:
         kind: the request class.

@@ -1,4 +1,4 @@
-"""The data of function 17 in the parts that the specification names: identification, run indicator, the rest.
+"""The data of function 17 in the parts that the specification names: identification, run indicator, additional data.
 
 Knows bytes; knows no message. The specification leaves the length of the identification to the device and does not say
 how to find its end: here the first byte that is 00 or FF is taken for the run indicator.

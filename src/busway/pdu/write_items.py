@@ -130,7 +130,7 @@ class WriteMultipleCoils(Request):
             values: True, False, 1 or 0 for each coil; 1…1968 of them.
 
         Raises:
-            InvalidRequest: a value is none of these, or there are none or too many. Nothing was sent.
+            InvalidRequest: a value is not True, False, 1 or 0, or there are no values or too many. Nothing was sent.
         """
         states = as_states(values)
         return cls(address, len(states), pack_bits(states))
@@ -180,7 +180,7 @@ class WriteMultipleRegisters(Request):
             values: the registers, each 0…65535; 1…123 of them.
 
         Raises:
-            InvalidRequest: a value is out of range, or there are none or too many. Nothing was sent.
+            InvalidRequest: a value is out of range, or there are no values or too many. Nothing was sent.
         """
         data = pack_registers(values)
         return cls(address, len(data) // 2, data)
@@ -207,8 +207,8 @@ class WriteMultipleRegisters(Request):
 class MaskWriteRegister(Request):
     """22 Mask Write Register: sets a register to (current AND and_mask) OR (or_mask AND NOT and_mask).
 
-    MODBUS Application Protocol V1.1b3 §6.16. Executing the request twice has the same result as once, yet it is a write
-    like any other: another client may have written in between.
+    MODBUS Application Protocol V1.1b3 §6.16. It counts as a write that is not repeated automatically: between the two
+    executions another client may have written the register.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.MASK_WRITE_REGISTER
@@ -243,7 +243,7 @@ class MaskWriteRegister(Request):
 
 
 class ReadWriteMultipleRegisters(Request):
-    """23 Read/Write Multiple Registers: writes 1…121, then reads 1…125 (Application Protocol V1.1b3 §6.17)."""
+    """23 Read/Write Multiple Registers: writes 1…121 registers, then reads 1…125 (V1.1b3 §6.17)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
     reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
@@ -316,8 +316,8 @@ def pack_registers(values: Iterable[int]) -> bytes:
     """Return numbers 0…65535 as big-endian registers, two bytes for each.
 
     Raises:
-        InvalidRequest: a value is no number 0…65535, or ``values`` no sequence; the error names the first. Nothing was
-            sent.
+        InvalidRequest: a value is no number 0…65535, or ``values`` is no sequence; the error names the first such
+            value. Nothing was sent.
     """
     if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
         values = listed(values, "registers")

@@ -2,11 +2,12 @@
 
 Knows numbers; knows no register, type or point.
 
-1. All conversions of a point are one: ``value = raw · scale + offset``. A linear range is the same with other words.
+1. Every conversion is ``value = raw · scale + offset``. A linear range is converted to a scale and an offset.
 2. For whole raw numbers it is computed as ``(raw · a + b) / c`` with whole a, b, c of the decimal numbers that were
    written, and rounded once: 183 at a scale of 0.1 is 18.3, not 18.3000000000000007.
 3. A value that is no whole number of steps is refused where the raw number is whole; it is never rounded.
-4. Order: raw → invalid? → scale, offset, ``scale_from`` → clamp → valid?
+4. Steps of decoding: test the raw number for "no value"; apply scale, offset and ``scale_from``; clamp; test whether
+   the value is valid.
 """
 
 import math
@@ -19,19 +20,21 @@ from ..errors import InvalidRequest
 from ..values.refusal import shown
 
 _MOST_STEPS_OFF: Final = 1e-6
-"""Largest distance of a value from whole steps, in steps or as a share of them: the error of binary fractions."""
+"""How far a value may be from a whole number of steps, because of the error of binary fractions: in steps, or as a
+share of their number.
+"""
 LARGEST_EXPONENT: Final = 10
 """Scale factors lie in -10…10 (SunSpec Device Information Model Specification, sunssf)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Linear:
-    """A linear scale of a point: a range of raw numbers that corresponds to a range of values.
+    """A linear scale of a point: a range of raw numbers and the range of values that it corresponds to.
 
     Attributes:
         raw: the two ends of the range as raw numbers.
         value: the values at these ends.
-        clamp: whether values beyond the ends become the ends.
+        clamp: whether values beyond an end are replaced by the value at that end.
     """
 
     raw: tuple[float, float]
@@ -49,9 +52,9 @@ class Conversion:
             none.
         linear: a linear range that replaces scale and offset; None without one.
         invalid: raw numbers that mean "no value". For signed types also as a bit pattern: ``0x8000``.
-        valid: smallest and largest value; values beyond them are uncertain. None at an end: no limit there.
-        names: names of numbers, number by name.
-        flags: names of the bits of a whole number, bit by name.
+        valid: smallest and largest valid value; values beyond them are uncertain. None for no limit at that end.
+        names: numbers of the named values, by name: ``{"off": 0, "auto": 1}``.
+        flags: positions of the named bits of a whole number, by name.
     """
 
     scale: float = 1.0
@@ -78,12 +81,12 @@ class Conversion:
         return scale, least - low * scale
 
     def source(self, raw: str, *, whole: bool) -> str:
-        """Return the source of a Python expression that computes the value from a raw number; for compiled decoders.
+        """Return the text of a Python expression that computes the value from a raw number, for generated decoders.
 
-        The expression does not contain ``scale_from``.
+        ``scale_from`` is not applied by the expression.
 
         Args:
-            raw: source of the raw number, such as a variable's name.
+            raw: the expression for the raw number, such as a variable's name.
             whole: whether raw numbers are integers.
         """
         text = raw
@@ -106,12 +109,12 @@ class Conversion:
     def raw(self, value: float, *, whole: bool, exponent: int = 0) -> float:
         """Return the raw number to write for a value of the point.
 
-        If nothing is to be converted (`changes` and ``exponent``), it is the value itself, unchecked.
+        Without a conversion (not `changes`, and ``exponent`` 0) the value is returned unchecked.
 
         Args:
             value: the value in the unit of measure.
             whole: whether raw numbers are integers.
-            exponent: the exponent that the point of ``scale_from`` holds; 0 without one.
+            exponent: the value of the point that ``scale_from`` names; 0 without one.
 
         Raises:
             InvalidRequest: the value to be converted is no number, or no whole number of steps where raw numbers are
@@ -141,10 +144,10 @@ def _exact(number: float) -> Fraction:
 
 
 def pattern(number: float, *, bits: int, signed: bool) -> float:
-    """Return the number that a raw number or bit pattern stands for: 0x8000 is -32768 in 16 bits with a sign.
+    """Return the signed number that a bit pattern stands for: 0x8000 is -32768 in 16 bits with a sign.
 
     Args:
-        number: a raw number, or the bit pattern of a negative one; other numbers are returned unchanged.
+        number: the bit pattern of a negative number, which is converted; any other number is returned unchanged.
         bits: size of the type in bits.
         signed: whether the type has a sign.
     """

@@ -4,8 +4,8 @@ Knows points and the bytes of a reply; knows no request and no clock.
 
 1. All numbers of a read are unpacked by one ``struct`` call. If ``struct`` cannot unpack the bytes as they lie (another
    order, points that overlap), the registers are first rearranged, all in one step.
-2. What each point needs beyond that (a scale, a comparison, a bit) is source of one generated function, as `pdu` does
-   with messages; texts and the like are decoded by their type.
+2. Everything else that a point needs (a scale, a comparison, a bit) is code in one generated function, as for the
+   messages in `pdu`. Texts and the like are decoded by their value type.
 3. Good values cost nothing beside their value: only values that are not good have an entry in ``flaws``.
 4. Points may overlap. A register that several points use is unpacked once.
 """
@@ -47,7 +47,7 @@ _POWERS: Final = tuple(10.0**exponent for exponent in range(LARGEST_EXPONENT + 1
 
 @dataclass(frozen=True, slots=True)
 class DecodedRead:
-    """The values of all points in one reply, and the reasons of those that are not good.
+    """The values of all points in one reply, and the reasons why some of them are not good.
 
     Attributes:
         values: the value of each point, in the order of the decoder's points; None for a point without a value.
@@ -62,7 +62,7 @@ class ReadDecoder:
     """Turns the replies to one particular read request into the values of its points.
 
     Args:
-        points: the points that the read serves, in the order in which their values are wanted.
+        points: the points in the range that is read, in the order in which their values are wanted.
         table: the table that is read.
         start: the offset of the first item that is read.
         count: number of items that are read.
@@ -92,11 +92,11 @@ class ReadDecoder:
 
         Args:
             data: registers in wire order, or bits as in a reply, the first in the lowest bit.
-            known: exponents for ``scale_from``, by name of the point that holds them. Exponents in this reply are
-                added, and apply to this reply already. None if there are none.
+            known: exponents for ``scale_from``, by name of the point that holds them. Exponents found in this reply are
+                added to it and used at once. None if no point needs any.
 
         Raises:
-            InvalidRequest: ``data`` has not as many bytes as the read asks for.
+            InvalidRequest: the length of ``data`` is not that of a reply to this read.
         """
         if len(data) != self.size:
             raise InvalidRequest(
@@ -108,7 +108,7 @@ class ReadDecoder:
 
 @lru_cache(maxsize=4096)
 def _alone(point: Point) -> ReadDecoder:
-    """Return the decoder of a read of this point alone, compiled once."""
+    """Return the decoder of a read request for one point only; compiled once and cached."""
     return ReadDecoder([point], point.table, point.start, point.width)
 
 
@@ -117,11 +117,11 @@ def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = Non
 
     Args:
         point: the point.
-        data: its registers in wire order; for a coil or discrete input a byte with its bit as the lowest.
+        data: its registers in wire order; for a coil or discrete input a byte whose lowest bit is its state.
         known: exponents for ``scale_from``, by name of the point that holds them.
 
     Raises:
-        InvalidRequest: ``data`` has not as many bytes as the point takes.
+        InvalidRequest: the length of ``data`` is not that of the point.
     """
     found = _alone(point).decode(data, dict(known or {}))
     return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
@@ -277,7 +277,7 @@ class _Source:
         return name
 
     def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, Reason]]:
-        """Return the code of the tests for raw numbers that mean "no value", each with its condition and reason."""
+        """Return the tests for raw numbers that mean "no value": the source of each condition, and the reason."""
         tests = [] if point.is_whole else [(f"{raw} != {raw}", Reason.NOT_A_NUMBER)]
         invalid = _invalid_of(point)
         if len(invalid) == 1:
@@ -320,7 +320,7 @@ class _Source:
         return f"flaws = noted(flaws, {place}, {int(reason)})"
 
     def _typed(self, place: int, point: Point) -> None:
-        """Append the code for a point that only its value type can decode."""
+        """Append the code for a point that ``struct`` cannot unpack; the generated function calls its value type."""
         first = 2 * (point.start - self._start)
         self.namespace |= {f"read{place}": _reader(point), "noted": _noted}
         self._lines += [
@@ -330,7 +330,7 @@ class _Source:
 
 
 def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
-    """Add the reason of a point to a dictionary of reasons, which is created for the first one."""
+    """Set the reason of the point at position ``place`` in ``flaws`` (None: a new dictionary), and return it."""
     if flaws is None:
         return {place: reason}
     flaws[place] = reason
@@ -349,10 +349,10 @@ def _padded(numbers: Sequence[_Number], count: int) -> str:
 
 
 def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) -> "Callable[[Wire], array[int]]":
-    """Return a function that picks the registers of a reply, some with swapped bytes, in the order for ``struct``.
+    """Return a function that copies the registers of a reply into the order in which ``struct`` unpacks them.
 
     Args:
-        pick: takes positions from the registers, followed by the byte-swapped registers if ``swaps``, and zeros.
+        pick: selects from an array of all registers, then (if ``swaps``) all of them byte-swapped, then zeros.
         count: number of registers in a reply.
         swaps: whether byte-swapped registers are needed.
     """
@@ -372,7 +372,7 @@ def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) 
 
 
 def _invalid_of(point: Point) -> list[float]:
-    """Return the raw numbers that mean "no value" for a point, in the form of its type."""
+    """Return the raw numbers that mean "no value" for a point, as the decoder of its value type returns them."""
     form = point.form
     assert form is not None
     name = form.name
@@ -392,7 +392,10 @@ def _invalid_of(point: Point) -> list[float]:
 
 
 def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
-    """Return a function that decodes one point by its value type: the value, and the reason if it is not good."""
+    """Return a function that decodes one point by its value type.
+
+    It takes the bytes of the point, and returns the value and the reason why it is not good (0 for a good value).
+    """
     form, conversion = point.form, point.conversion
     assert form is not None
     convert = point.value if conversion.changes else None

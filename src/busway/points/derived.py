@@ -2,8 +2,8 @@
 
 Knows points and their latest readings; knows no request and no clock.
 
-1. The total of an accumulator goes on when its counter starts again. If a counter falls by at most half of its range,
-   its device has reset it, and it did not roll over: the total goes on too.
+1. An accumulator goes on counting when its counter restarts at 0. If the counter fell by at most half of its range, the
+   device has reset it; otherwise it has rolled over. The total goes on in both cases.
 2. A computed point has no value if one of its inputs has none, and is as uncertain as its inputs are.
 """
 
@@ -17,7 +17,7 @@ from .quality import Quality, Reading, Reason
 
 
 class Accumulator:
-    """Running total of a counter that rolls over: the total grows on when the counter restarts at 0.
+    """Running total of a counter; it goes on growing when the counter restarts at 0.
 
     Args:
         rollover: the value at which the counter restarts at 0, in the unit of measure.
@@ -84,12 +84,12 @@ class Derivation:
         ]
 
     def restore(self, name: str, total: float, last: float) -> None:
-        """Continue the running total of a point from an earlier one; does nothing if the point has no running total.
+        """Continue the running total of a point from an earlier run; ignored if the point has no running total.
 
         Args:
             name: name of the point.
-            total: the earlier total.
-            last: the reading of the counter that belongs to it.
+            total: the last total.
+            last: the reading of the counter at that total.
         """
         accumulator = self.accumulators.get(name)
         if accumulator is not None:
@@ -108,7 +108,8 @@ class Derivation:
         """Compute running totals and formulas from the latest values of the device's points.
 
         Args:
-            latest: the latest reading of each point that was read; each reading of an accumulator is given once.
+            latest: the latest reading of each point that was read. Pass a reading of an accumulator only once, because
+                each call adds it to the total.
             time: the value of ``t`` in formulas, in seconds.
 
         Returns:
@@ -147,9 +148,9 @@ class Derivation:
 
 
 def _ordered(expressions: Mapping[str, Expression]) -> list[str]:
-    """Return the names of the computed points, each after those that its formula uses.
+    """Return the names of the computed points, each after the points that its formula uses.
 
-    Circular formulas were refused before.
+    The caller has already refused formulas that use each other in a circle.
     """
     done: dict[str, None] = {}
 

@@ -9,7 +9,8 @@ Knows numbers, names and a few functions; knows no point: the caller says what a
 3. A formula has a bounded number of characters and levels, so that evaluating it takes a bounded time. Intermediate
    results are bounded too: powers are computed as floats, rounding takes at most `_MOST_DIGITS` digits, and whole
    numbers from outside have at most `WHOLE_BITS` bits.
-4. Written here, on the standard library's ``ast``: expressions come from files of others, and rule 3 must hold.
+4. It uses the standard library's ``ast`` and no package for expressions: formulas come from files of others, and rule 3
+   must hold.
 """
 
 import ast
@@ -38,7 +39,10 @@ _CONSTANTS: Final = {"pi": math.pi}
 
 
 def _rounded(value: Any, digits: Any = 0) -> Any:
-    """Round as ``round`` does, but with limited digits: for integers Python would compute a power of ten."""
+    """Round a number like ``round``, but with a bounded number of digits, so that a formula cannot take long.
+
+    ``round`` of an integer to -n digits computes 10 to the power of n.
+    """
     return round(value, max(-_MOST_DIGITS, min(int(digits), _MOST_DIGITS)))
 
 
@@ -95,13 +99,13 @@ class Expression:
 
     @property
     def words(self) -> frozenset[str]:
-        """The words in the formula that are never names of points: ``t``, ``pi``."""
+        """The words in the formula that do not name points: ``t``, ``pi``."""
         return frozenset(
             each.id for each in ast.walk(self._tree) if isinstance(each, ast.Name) and each.id in (TIME, *_CONSTANTS)
         )
 
     def bind(self, source: Callable[[str], Callable[[], Number]]) -> Bound:
-        """Return a function of the time in seconds that evaluates the formula; its result is NaN if there is no value.
+        """Return a function that evaluates the formula at a time in seconds; it returns NaN where there is no value.
 
         Args:
             source: called once for each name of a point; returns a function that reads the point's present value.
@@ -125,14 +129,14 @@ class Expression:
         return ast.unparse(_Renaming(rename).visit(ast.parse(self.text.strip(), mode="eval").body))
 
     def result(self, values: dict[str, Number]) -> Number:
-        """Return the value of the formula for given numbers by name; a whole result stays an ``int``. ``t`` is 0.
+        """Return the value of the formula for given values of its points and ``t`` = 0; a whole result is an ``int``.
 
         Args:
             values: the number of each of ``names``.
 
         Raises:
-            ConfigError: the formula has no value, or a number that goes in or comes out is whole and has more than
-                `WHOLE_BITS` bits.
+            ConfigError: the formula has no value, or an input or the result is an integer of more than `WHOLE_BITS`
+                bits.
         """
         for name in self.names:
             _check_whole(name, values[name])
@@ -169,10 +173,10 @@ def _check_whole(what: str, value: Number) -> None:
 
 
 def parse_expression(text: str) -> Expression:
-    """Parse the text of a formula; names of points are not looked up.
+    """Parse the text of a formula; whether its points exist is not checked.
 
     Raises:
-        ConfigError: the text is no formula, or too long or too deep; the error says what is wrong.
+        ConfigError: the text is no formula, too long or too deeply nested; the error says which.
     """
     if len(text) > _LONGEST:
         raise ConfigError(f"an expression has at most {_LONGEST} characters, not {len(text)}")
@@ -253,7 +257,7 @@ def _dotted(node: ast.expr) -> str | None:
 
 
 def _compiled(node: ast.expr, source: Callable[[str], Callable[[], Number]]) -> Compute:
-    """Return a function of the time that evaluates a part of a formula whose syntax was checked."""
+    """Return a function of the time that evaluates a part of a formula; its syntax was already checked."""
     name = _dotted(node)
     if name is not None:
         return _of_name(node, name, source)

@@ -36,16 +36,16 @@ class Point:
         unit_of_measure: ``V``, ``°C``; empty for none.
         group: name of its atomic group, which is read in one request; None for none.
         exists: for each repeated group around the point whose size the device reports: the name of the point that holds
-            the size, and the place of this point's member in the group, from 1 on.
+            the size, and the position of this point's member in the group, from 1 on.
         is_exponent: whether another point names this one in ``scale_from``; decoders then remember its value.
         formula: the expression of a computed point; empty for a point that is read.
         rollover: the value at which an accumulator restarts at 0, in the unit of measure; None for other points.
         poll_class: name of the poll class with which it is read; empty for that of its device.
         writing: which values may be written, and how; None if it may not be written.
         reporting: which of its samples go to sinks that have no rule of their own.
-        storing: which of its samples a store keeps; None if the device, its class or the collector says that.
+        storing: which of its samples a store keeps; None for the rule of its device, its poll class or the collector.
         alarms: its alarm limits.
-        was: its former name, whose history goes on; empty for none.
+        was: its former name, whose stored samples belong to this point too; empty for none.
         description: what it is, for people.
         meta: further facts from its file.
     """
@@ -101,21 +101,21 @@ class Point:
 
     @property
     def is_whole(self) -> bool:
-        """Whether the value type is one of integers, BCD or bit fields; False for a computed point."""
+        """Whether raw numbers are integers: an integer, BCD or bit field as value type. False for a computed point."""
         return self.form is not None and self.form.name.startswith(_WHOLE)
 
     @property
     def is_number(self) -> bool:
-        """Whether the point is computed, or its value type is one of integers, floats, BCD or bit fields."""
+        """Whether values are numbers: a computed point, or an integer, float, BCD or bit field as value type."""
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
     def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
         """Return the registers or bits that hold a value of the point, for a write.
 
         Args:
-            value: the value in the unit of measure; a name of a number; or the names of the flags that are set.
+            value: the value in the unit of measure; or the name of a value, ``auto``; or the names of the flags to set.
             held: the present bytes of its registers, for a point that is only a part of a register; empty for zeros.
-            exponent: the exponent that the point of ``scale_from`` holds.
+            exponent: the value of the point that ``scale_from`` names.
 
         Returns:
             Registers in wire order; for a coil one byte, 0 or 1.
@@ -132,8 +132,8 @@ class Point:
         """Return the raw number to write for a value in the unit of measure; texts and tuples are returned unchanged.
 
         Args:
-            value: the value, a name of a number, or the names of flags; a bool for a switch.
-            exponent: the exponent that the point of ``scale_from`` holds.
+            value: the value, the name of a value, or the names of the flags to set; a bool for a switch.
+            exponent: the value of the point that ``scale_from`` names.
 
         Raises:
             InvalidRequest: the value does not fit the scale or the names, or the point is computed.
@@ -152,13 +152,13 @@ class Point:
         return self.conversion.raw(value, whole=self.is_whole, exponent=exponent)
 
     def value(self, raw: Any) -> Any:
-        """Return the value in the unit of measure for a raw number, without ``scale_from``; other values unchanged."""
+        """Return the value in the unit of measure for a raw number, without ``scale_from``. Texts stay unchanged."""
         if not self.is_number or isinstance(raw, bool):
             return raw
         return value_of(self.conversion, raw, whole=self.is_whole)
 
     def _number_of(self, value: Any) -> Any:
-        """Return the number for the name of a value, or for the names of flags; other values unchanged."""
+        """Return the number for the name of a value, or for names of flags; any other value is returned unchanged."""
         conversion = self.conversion
         if conversion.names:
             if isinstance(value, str):
@@ -185,9 +185,9 @@ class Point:
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:
-        """Return the name of a value of the point, or the names of its flags that are set.
+        """Return the name of a value of the point, or the names of the flags that are set in it.
 
-        Empty if there are none, and for every value that is no ``int``.
+        Empty if the value has no name, and for every value that is no ``int``.
         """
         conversion = self.conversion
         if isinstance(value, bool) or not isinstance(value, int):

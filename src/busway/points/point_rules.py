@@ -1,6 +1,6 @@
 """Rules that device files give for points: limits of reads, and what may be written, is reported or is an alarm.
 
-Knows the rules and their ranges; applies only those that need nothing but a value.
+Knows the rules and their ranges; only rules that need nothing but a value are applied here.
 """
 
 import math
@@ -48,11 +48,11 @@ class ReadRules:
         max_bits: most bits in one read, 1…2000.
         readable: by table, the ranges that exist: a read stays within one of them, and may include addresses between
             points. Without ranges the whole table can be read, but addresses between points may not exist.
-        forbidden: by table, ranges that no read may touch.
+        forbidden: by table, ranges that no read may include.
         exact: by table, blocks that are read as a whole or not at all.
         borders: by table, offsets that a read may end before or begin at, but not cross.
         bridge: whether a read may include addresses between points outside readable ranges too.
-        one_point: whether each item takes a request of its own.
+        one_point: whether a request may read one point only.
         pause: least time in seconds from the end of a reply to the next request to the device.
     """
 
@@ -76,11 +76,11 @@ class WriteRule:
     """How a point may be written, and with which values.
 
     Attributes:
-        function: 5, 6, 15, 16 or 22; None for the one that fits.
+        function: function code of the write: 5, 6, 15, 16 or 22; None for the one that suits the point.
         verify: ``none``; ``read-back`` to read the point after a write; or the address where the device shows the
             value.
         minimum, maximum: smallest and largest value that may be written, in the unit of measure; None for no limit.
-        step: values differ from ``minimum`` (or 0) by a whole number of steps; None for any value.
+        step: values must differ from ``minimum`` (or 0) by a whole number of steps; None to allow any value.
         on, off: the raw numbers of a switch; None for a point that is no switch.
     """
 
@@ -111,16 +111,16 @@ class WriteRule:
 
 @dataclass(frozen=True, slots=True)
 class ReportRule:
-    """When a sample of a point is passed on: by change or by time; a change of quality always is.
+    """When a sample of a point is passed on to a store or sink: by change or by time; a change of quality always is.
 
-    A store has one, and each sink may have its own: a sink gets only what the store has kept.
+    A store has one rule, and each sink may have its own, which selects from the samples that the store has kept.
 
     Attributes:
         when: ``every``: each read; ``change``: a change; ``change_or_period``: a change, and after ``period`` at the
             latest.
         period: seconds, for ``change_or_period``.
-        deadband: a value changes if it differs by more than this; in the unit of measure, or in percent of the value
-            passed on before.
+        deadband: a value has changed if it differs by more than this from the value passed on before; in the unit of
+            measure, or in percent of that value.
         percent: whether the deadband is in percent.
         max_silence: seconds after which a sample is passed on even without a change; None for never.
     """
@@ -132,11 +132,11 @@ class ReportRule:
     max_silence: float | None = None
 
     def passes(self, last: tuple[object, int], now: tuple[object, int], silence: float) -> bool:
-        """Whether the rule passes a sample on: if its reason is not that of the last one passed on, or if `is_due`.
+        """Whether the rule passes a sample on: its reason differs from that of the last sample passed on, or `is_due`.
 
         Args:
-            last: value and reason of the sample passed on before.
-            now: value and reason of this one.
+            last: value and reason of the last sample passed on.
+            now: value and reason of this sample.
             silence: seconds between the two.
         """
         return last[1] != now[1] or self.is_due(last[0], now[0], silence)
@@ -144,8 +144,8 @@ class ReportRule:
     def is_change(self, before: object, now: object) -> bool:
         """Whether a value differs by more than the deadband from the last one that was passed on.
 
-        Rounding of floats is allowed for: from 0.7 to 0.8 is no more than a deadband of 0.1. For values that are no
-        finite numbers every difference counts; NaN does not differ from NaN.
+        Rounding errors of floats do not count: 0.8 does not differ from 0.7 by more than a deadband of 0.1. Values that
+        are not finite numbers have changed if they are different; NaN is not different from NaN.
         """
         if before == now:
             return False
@@ -164,7 +164,7 @@ class ReportRule:
         return abs(now - before) > limit + limit * _ROUNDING
 
     def is_due(self, before: object, now: object, silence: float) -> bool:
-        """Whether a value with an unchanged reason is passed on: for a change, for the time, or because all are.
+        """Whether the rule passes on a sample whose reason is unchanged: for its value, the time, or ``every``.
 
         Args:
             before: the value passed on before.
@@ -197,8 +197,8 @@ class AlarmRule:
         hysteresis: how far the value has to come back from the limit for the alarm to end, in the unit of measure.
         acknowledge: whether a person has to acknowledge the alarm.
         states: names of the states, for people.
-        numbers: the values that are these states.
-        bits: bits of a value; each of them that is set is such a state.
+        numbers: the values for which the point is in alarm.
+        bits: positions of bits; the point is in alarm if one of them is set.
     """
 
     kind: Literal["HH", "H", "L", "LL", "state"]
@@ -211,7 +211,7 @@ class AlarmRule:
     bits: int = 0
 
     def is_beyond(self, value: float, *, active: bool) -> bool:
-        """Whether a value starts the alarm; or, if the alarm is active, whether the value still keeps it active."""
+        """Whether a value begins the alarm or, if the alarm is ``active``, keeps it active (the hysteresis counts)."""
         if self.kind == "state":
             return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
         is_high = self.kind in ("H", "HH")
@@ -230,7 +230,7 @@ class AlarmRule:
 
 @lru_cache(maxsize=4096)
 def _decimal_sum(one: float, other: float) -> float:
-    """Return the sum of two numbers as decimals: 0.3 and -0.1 make 0.2."""
+    """Return the sum of two numbers without binary rounding errors: 0.3 and -0.1 make 0.2."""
     return float(Decimal(repr(one)) + Decimal(repr(other)))
 
 

@@ -23,7 +23,7 @@ class Quality(IntEnum):
     UNCERTAIN = 1
     """There is a value, but it may be wrong."""
     BAD = 2
-    """There is no value that can be relied on."""
+    """There is no value, or none that can be trusted."""
 
     @property
     def label(self) -> str:
@@ -34,8 +34,8 @@ class Quality(IntEnum):
 class Reason(IntEnum):
     """Why a point's value is not good or is missing; NONE is the reason of a good value.
 
-    1 to 15 are uncertain, all from 16 on are bad. Reasons for exception codes are ints from 256 on and no members:
-    `exception_reason` gives them.
+    Reasons 1 to 15 make a value uncertain, reasons from 16 on make it bad. Reasons for exception codes are plain ints
+    from 256 on, made by `exception_reason`.
     """
 
     NONE = 0
@@ -87,14 +87,14 @@ _TEXTS: Final[dict[int, str]] = {
 
 
 def exception_reason(code: int) -> int:
-    """Return the reason for a value whose read was answered with an exception code, 0…255."""
+    """Return the reason code of a missing value whose read was answered with an exception code, 0…255."""
     if not 0 <= code <= 255:
         raise InvalidRequest(f"an exception code is 0…255, not {shown(code)}")
     return _EXCEPTIONS + code
 
 
 def exception_code_of(reason: int) -> int | None:
-    """Return the exception code, 0…255, in a reason of a missing value; None for other reasons."""
+    """Return the exception code, 0…255, that a reason from `exception_reason` stands for; None for other reasons."""
     return reason - _EXCEPTIONS if reason >= _EXCEPTIONS else None
 
 
@@ -119,7 +119,7 @@ class Reading:
 
     Attributes:
         value: the value in the unit of measure; None for no value.
-        reason: why the value is not good or missing: a `Reason`, or one from `exception_reason`; 0 for good.
+        reason: why the value is not good or is missing: a `Reason` or a code of `exception_reason`; 0 for a good value.
     """
 
     value: Any  # what the point's type says

@@ -42,13 +42,19 @@ class Run(Protocol):
 
     @property
     def memory(self) -> "RegisterRun | BitRun":
-        """The run that stores the bytes: this run itself, or for registers shown as bits the run of the registers."""
+        """The run that stores the bytes: this run itself.
+
+        For registers shown as bits (`RegisterBits`), the run of those registers.
+        """
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return items from ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Return ``count`` items from ``position`` on of ``data``, which is the bytes of ``memory`` or a copy."""
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Replace items in ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write ``count`` items from ``position`` on into ``data``, which is the bytes of ``memory`` or a copy.
+
+        They are written in one assignment, so no reader sees half of them.
+        """
 
     def get(self, position: int, count: int) -> bytes:
         """Return the current items of a range, in the wire order of a reply.
@@ -83,11 +89,11 @@ class RegisterRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return registers from ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Return ``count`` registers from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Replace registers in ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write ``count`` registers from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
@@ -157,11 +163,11 @@ class BitRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return bits from ``data``, which is the bytes of ``memory`` or a copy of them."""
+        """Return ``count`` bits from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Replace bits in ``data``, which is the bytes of ``memory`` or a copy of them, in one assignment."""
+        """Write ``count`` bits from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
@@ -209,12 +215,12 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return bits from ``data``, which is the bytes of the registers or a copy of them."""
+        """Return ``count`` bits from ``position`` on of ``data``, which is the registers' bytes or a changed copy."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Replace bits in ``data``, which is the bytes of the registers or a copy of them, in one assignment."""
+        """Write ``count`` bits from ``position`` on into ``data``, which is the registers' bytes or a copy of them."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)
@@ -230,22 +236,22 @@ class RegisterBits:
             self.patch(self.memory.data, position, count, data)
 
     def _bytes_of(self, position: int, count: int) -> tuple[int, int]:
-        """Return the first byte, and the byte after the last, of the registers that contain a range of bits."""
+        """Return which bytes of the registers contain a range of bits: first byte, and the byte after the last."""
         return 2 * (self._start + position // 16), 2 * (self._start + (position + count + 15) // 16)
 
 
 def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
     """Replace the bytes of several runs so that every reader sees all changes or none; the caller holds the lock.
 
-    ``fresh`` has the new bytes by run. Readers hold no lock, so between two Python statements a reader could see the
-    first run new and the second old. ``deque`` exhausts ``map`` inside one call of C code, during which no other thread
-    runs Python.
+    ``fresh`` has the new bytes by run. Readers hold no lock: with one Python statement for each run, a reader could see
+    the first run new and the second old. So all are replaced inside one call of C code (``deque`` exhausts ``map``),
+    during which no other thread runs Python.
     """
     deque(map(setattr, fresh.keys(), repeat("data"), fresh.values()), maxlen=0)
 
 
 def _bytes_swapped(words: bytearray) -> bytearray:
-    """Return registers with their two bytes swapped: from big-endian to bits packed from the lowest, and back."""
+    """Swap the two bytes of each register: turns big-endian registers into packed bits, and back."""
     swapped = bytearray(len(words))
     swapped[0::2] = words[1::2]
     swapped[1::2] = words[0::2]

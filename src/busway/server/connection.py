@@ -158,7 +158,11 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._look_at_share(session, nbytes)
 
     def _finish(self, session: "Session", size: int) -> None:
-        """Finish the handling of received bytes: start late replies and timeouts, report failures of responders."""
+        """Finish the handling of received bytes, once the replies that were ready are sent.
+
+        Starts a task for each late reply and the timeout of an incomplete frame, logs failures of responders, and
+        closes the connection if its bytes are no valid sequence of frames.
+        """
         if session.deferred:
             self._start_waiting(session)
         if session.failures:
@@ -211,9 +215,10 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Turns.
 
     def _must_wait(self, session: "Session", nbytes: int) -> bool:
-        """Queue received requests for a later turn, if other connections have to come first; returns whether it did.
+        """Put received requests off to a later turn if other connections come first; returns whether it did.
 
-        They have to if this one is greedy or the time of the turn is used up, and it is not of a priority host.
+        Other connections come first if this one is greedy, or if no time is left in this turn of the event loop.
+        Requests of a priority host are never put off.
         """
         if self.is_priority or not (self.is_greedy or not self._management.turns.has_time):
             return False
@@ -278,7 +283,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         """Send the late reply to a request; empty bytes mean that the request ends without a reply.
 
         The replies of one turn of the event loop are sent together: a gateway gets many at once from its upstream, and
-        a segment for each costs more than all other steps.
+        a TCP segment for each of them would cost more than all other steps.
         """
         if self._late is None:
             self._late = []
@@ -299,7 +304,10 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.close()
 
     def attend(self) -> None:
-        """Start awaiting late replies and report failures that came up without new bytes; the session calls it."""
+        """Start tasks for late replies, and log failures of responders, that the session has found without new bytes.
+
+        The session calls it, for example after its own timer.
+        """
         session = self.session
         if session is not None and session.deferred:
             self._start_waiting(session)
@@ -361,8 +369,8 @@ class ServerConnection(asyncio.BufferedProtocol):
     def is_idle(self) -> bool:
         """Whether the idle timeout, once it is over, may close the connection.
 
-        Not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the client
-        is a priority host.
+        It may not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the
+        client is a priority host.
         """
         return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_held(self))
 

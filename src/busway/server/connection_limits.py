@@ -49,8 +49,7 @@ class PoolMember(Protocol):
         host: host of the client.
         is_priority: whether the client is a priority host.
         pool: the pool of its slot, set when it gets one.
-        last_used: when it was last used, in seconds; never decreases. The time of its connect until it has sent
-            something.
+        last_used: when it was last used, in seconds; before the first use, when it was connected. Never decreases.
         received: bytes received from the client so far.
     """
 
@@ -136,7 +135,7 @@ class Pools(Generic[One]):
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a new connection a slot, if necessary that of another connection, which is ``evicted`` in the result."""
+        """Give a new connection a slot, if necessary one of another connection (``evicted`` in the result)."""
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
@@ -177,9 +176,10 @@ class Pools(Generic[One]):
         return next(iter(own)) if len(own) >= limit else None
 
     def _silent_one(self, candidate: One) -> One | None:
-        """Return a connection that never sent a byte, to be closed first; None if none is found.
+        """Return a connection that has never sent a byte and may be closed for a new one; None if none is found.
 
-        Its client must have closed it, or it must be `SECONDS_TO_SPEAK` old. Only the first `_LOOKS` are searched.
+        Its client must have closed it already, or it must be `SECONDS_TO_SPEAK` old. Only the `_LOOKS` oldest are
+        searched.
         """
         for member in list(islice(self._silent, _LOOKS)):
             if member.received:

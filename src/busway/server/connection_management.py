@@ -303,7 +303,7 @@ class ConnectionManagement:
             self._timer = None
 
     def _look(self) -> None:
-        """Close connections whose timeout is over, resume paused ones, and set the timer for the next one."""
+        """Close connections whose timeout is over, end pauses that are over, and set the timer for the next one."""
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
@@ -341,7 +341,7 @@ class ConnectionManagement:
         return self.listener_context.status(pools.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of open connections to ``counters``, which has those of closed connections already."""
+        """Add the counters of open connections to ``counters``, which already include closed connections."""
         for one in self._connections:
             if one.session is not None:
                 add_living(counters, one, one.session)

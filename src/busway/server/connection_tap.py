@@ -3,8 +3,8 @@
 Knows connections and how to send on them; knows no request. A simulated device that answers twice, in pieces or late
 uses it: its responder returns `SILENCE`, and sends its own bytes on the tapped connection.
 
-1. To answer a request, the server looks up no tapped connection: the tap keeps those it was told of, and finds them by
-   listener and peer, as a request's context names them. Without a tap no tapped connections are made.
+1. The tap itself keeps the connections that it was told of, and finds the one of a request by the listener and peer in
+   the request's context. Without a tap no tapped connections are made.
 """
 
 from collections.abc import Callable

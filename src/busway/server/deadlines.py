@@ -39,8 +39,8 @@ class Timed(Protocol):
     def is_idle(self) -> bool:
         """Whether the idle timeout, once it is over, may close the connection.
 
-        Not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the client
-        is a priority host.
+        It may not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the
+        client is a priority host.
         """
 
 
@@ -48,7 +48,7 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """What is over for a connection: its header, frame, write or idle timeout, or its pause (HELD)."""
+    """What has run out for a connection: its header, frame, write or idle timeout, or the pause of reading (HELD)."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
@@ -76,9 +76,10 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Start or continue the timeout of a partly received frame. Returns its deadline; None without a timeout.
+        """Start the timeout of a frame that was received in part; return when it runs out, None for no timeout.
 
-        ``anew``: the frame began just now; else a timeout that runs already goes on.
+        ``anew``: True for a frame that began just now; False if it may have begun earlier: a running timeout then
+        stays.
         """
         since = self._begun[one] = now if anew else self._begun.get(one, now)
         return self._frame_deadline(one, since)
@@ -99,12 +100,12 @@ class Deadlines(Generic[One]):
         self._stuck.pop(one, None)
 
     def hold(self, one: One, until: float) -> float:
-        """Record that reading from a connection is paused until a time; returns that time."""
+        """Record that reading from a connection is paused until the time ``until``; returns that time."""
         self._held[one] = until
         return until
 
     def is_held(self, one: One) -> bool:
-        """Whether `hold` has paused reading from a connection, and the pause is not reported as over yet."""
+        """Whether reading from a connection is paused by `hold`; True until `due` has returned the end of the pause."""
         return one in self._held
 
     def forget(self, one: One) -> None:
@@ -130,9 +131,9 @@ class Deadlines(Generic[One]):
         return min((one for one in times if one is not None), default=None)
 
     def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
-        """Return each connection whose timeout or pause is over at ``now``, with what is over.
+        """Return each connection whose timeout or pause is over at ``now``, together with what is over.
 
-        ``allow_all`` are all open connections; they are searched for idle ones.
+        ``allow_all`` has all open connections; idle ones are searched among them.
         """
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):

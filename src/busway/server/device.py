@@ -393,7 +393,7 @@ class Device:
         return run
 
     def find_run(self, table: Table, address: int, count: int) -> Run | None:
-        """Return the memory that holds a range of items, for applications that change many items as bytes.
+        """Return the memory of a range of items, for an application that changes many items as bytes.
 
         None unless all items exist. The rules of `busway.server.blocks` hold: change it under ``lock``, several runs
         only by `replace_all`.

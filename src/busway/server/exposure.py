@@ -15,7 +15,10 @@ _log = logging.getLogger("busway.server")
 
 
 def warn_of_exposure(bound: Sequence[str], *, authorized: bool) -> None:
-    """Log a warning for each listener that other hosts can reach; ``authorized``: whether a policy checks requests."""
+    """Log a warning for each listener that other hosts can reach.
+
+    ``bound`` has the URLs of the bound listeners; ``authorized`` says whether a policy checks requests.
+    """
     network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
     everywhere = [url for url in network if is_everywhere(url)]
     if everywhere:

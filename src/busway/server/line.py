@@ -3,8 +3,8 @@
 Knows when bytes come and go; knows nothing of what they mean.
 
 1. A port that is absent, or vanishes, is waited for and opened again; the listener stays.
-2. An answer leaves when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If another
-   station sends before that, the answer is not sent any more.
+2. A reply is sent when the line has been silent for t3.5, to the microsecond with ``precise_timing``. If another
+   station sends before that, the reply is dropped.
 3. Times are those of ``time.monotonic``, as the port tells them.
 """
 
@@ -253,7 +253,7 @@ class SerialListener:
         self._follow(emissions)
 
     def _follow(self, emissions: list[FrameToSend]) -> None:
-        """Carry out what the session asks for: send replies, await responders, log failures, set the timer."""
+        """Carry out what the line's session returned: send replies, await responders, log failures, set the timer."""
         session = self._session
         if emissions:
             # Who sends a second request has given up the first; the session has counted that.
@@ -301,7 +301,7 @@ class SerialListener:
             self._emit()
 
     def _drop_pending(self) -> None:
-        """Discard an unsent reply, because another station has sent something; the session counts it."""
+        """Discard a reply that waits to be sent, because another station has sent something; the session counts it."""
         self._pending = None
         if self._emission_alarm is not None:
             self._emission_alarm.cancel()
@@ -349,6 +349,9 @@ class SerialListener:
 
 
 def _may_come(error: LinkDown) -> bool:
-    """Whether the serial port may only be absent for now: the cause is in `_NOT_THERE`, or the error has none."""
+    """Whether an error of opening says that the serial port is missing now and may come later, such as ENOENT.
+
+    An error without a cause counts as that too.
+    """
     cause = error.__cause__
     return cause is None or getattr(cause, "errno", None) in _NOT_THERE

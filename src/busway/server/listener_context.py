@@ -168,7 +168,10 @@ class ListenerContext:
         return False
 
     def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a connected client may stay after address lists have changed. A refusal is counted and logged."""
+        """Whether a connected client may stay connected after the address lists have changed.
+
+        If not, that is counted and logged.
+        """
         if self._authorize(connected_peer.host):
             return True
         self.counters.no_longer_authorized += 1
@@ -209,7 +212,10 @@ class ListenerContext:
         )
 
     def _listed_unit(self, unit: int) -> int:
-        """Return the configured unit number whose device answers for ``unit``; ``unit`` itself if there is none."""
+        """Return the unit under which the device that answers for ``unit`` is configured, such as 1 for 255.
+
+        ``unit`` itself if no device answers for it.
+        """
         served = self._pipeline.responder.serves(unit)
         return unit if served is None else served.unit
 
@@ -252,7 +258,12 @@ class ListenerContext:
     def say(self, level: int, about: str, message: str, *arguments: object) -> None:
         """Log a message, at most once a minute for the same ``about`` and text.
 
-        The next line says how many were left out.
+        The next line that is logged says how many were suppressed.
+
+        Args:
+            level: level of the log line.
+            about: what the message is about, such as a host.
+            message, arguments: the message with its ``%`` arguments.
         """
         repeated = self._repeats.again(f"{about} {message}", time.monotonic())
         if repeated is not None:

@@ -76,7 +76,8 @@ class Opening:
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
         """Open a TCP or TLS listener. Raises `OSError`, `ConfigError`.
 
-        None if its socket cannot be opened and the listener is optional (``is_optional``); that is logged.
+        If the listener is optional (``is_optional``) and its socket cannot be opened, that is logged and None is
+        returned.
         """
         limits = settings.limits
         shares = limits.shared_slots and limits is self.limits

@@ -35,11 +35,11 @@ class RecordFile(TableView):
         self.is_consistent: bool = True
 
     def accessed(self, record: int, count: int, *, writes: bool) -> Run:
-        """Return the memory that holds the records that a request asks for.
+        """Return the memory of ``count`` records from ``record`` on, for a request to read or write them.
 
         Raises:
-            Refusal: 03 if ``count`` is 0, 02 if a record is missing (or read-only, for ``writes``), 08 if the file is
-                not consistent.
+            Refusal: 03 if ``count`` is 0, 02 if a record is missing (or is read-only and ``writes`` is True), 08 if the
+                file is not consistent.
         """
         if count == 0:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_VALUE, "no records are asked for")

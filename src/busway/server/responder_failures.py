@@ -33,9 +33,9 @@ def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
 def begin_late_answers(
     deferred: Iterable[Deferred], loop: asyncio.AbstractEventLoop, *holders: set[asyncio.Task[None]]
 ) -> None:
-    """Start a task for each reply that a responder gives later.
+    """Start a task for each request that its responder answers later; the task sends the reply.
 
-    Each of ``holders`` gets every task, until the task ends.
+    Each set in ``holders`` contains the task until it ends.
     """
     for one in deferred:
         task = loop.create_task(answer_later(one))
@@ -45,9 +45,9 @@ def begin_late_answers(
 
 
 async def answer_later(deferred: Deferred) -> None:
-    """Await a responder's late reply and give it to the client; an exception is logged and answered with 04.
+    """Await the reply of a responder that needs time, and send it; an exception is logged and answered with code 04.
 
-    A `Refusal` is answered with its own code. A cancelled request that has no reply yet is answered with 04 too.
+    A `Refusal` is answered with its own code. A request that was cancelled before its reply is answered with 04 too.
     """
     context = deferred.context
     try:

@@ -28,9 +28,10 @@ class FramedSession:
     """The server session of one connection that carries RTU or ASCII frames.
 
     Attributes:
-        broken: always empty: after a damaged frame the next one may be good.
+        broken: always empty: after a damaged frame the next one may be good, so the connection stays open.
         refused_busy: always 0: a line has one transaction at a time.
-        rest, spent: as in `TcpServerSession`; ``spent`` counts one request for every sixteen bytes.
+        rest: received bytes that are not processed yet.
+        spent: estimate of how many requests the last call has processed, one for every sixteen bytes.
     """
 
     __slots__ = (
@@ -123,9 +124,11 @@ class FramedSession:
         self._session.failures = list(value)
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``; returns the replies to send, in order.
+        """Process the first ``size`` bytes of ``buffer``, at most `SHARE_OF_BYTES`.
 
-        Bytes beyond the share wait.
+        Returns the replies to send, in order.
+
+        Bytes beyond that are kept in ``rest`` until `go_on` is called.
         """
         if self.rest or size > SHARE_OF_BYTES:
             self.put_off(buffer, size)

@@ -64,8 +64,8 @@ class Server:
         standard_port: whether to listen on port 502 too, beside each other port of ``tcp://`` (Messaging on TCP/IP
             V1.0b §3.1.3). True: yes, and the start fails if port 502 cannot be opened. False: no. None: yes if other
             hosts can reach the listener and its port is not 0; if port 502 cannot be opened, that is only logged.
-        local_connections: returns, for a status, how many connections this program has open towards other devices.
-            None counts those of the links of this process.
+        local_connections: returns, for a status, how many connections this program has open towards other devices. None
+            counts the connections that this process's links have open.
         tap: observes opened and closed connections and may send on them; for simulated devices that misbehave.
 
     Attributes:
@@ -138,7 +138,7 @@ class Server:
     def wrap_responder(self, wrap: Callable[[Responder], Responder]) -> None:
         """Replace the responder by ``wrap(responder)``, which may change or replace replies.
 
-        Only while the server is stopped.
+        Allowed only while the server is stopped.
 
         Raises:
             ConfigError: the server is running, and its sessions use the responder already.
@@ -148,7 +148,7 @@ class Server:
         self._responder = wrap(self._responder)
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer that is told of each request and its reply. Only while stopped.
+        """Register an observer that is called for each request and its reply. Allowed only while stopped.
 
         Raises:
             ConfigError: the server is running.
@@ -158,7 +158,9 @@ class Server:
         self._observers.append(observer)
 
     def use_tap(self, tap: ConnectionTap) -> None:
-        """Register an observer of opened and closed connections, which can also send on them. Only while stopped.
+        """Register an observer of opened and closed connections, which can also send on them.
+
+        Allowed only while stopped.
 
         Raises:
             ConfigError: the server is running.

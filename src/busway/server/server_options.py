@@ -15,10 +15,10 @@ Place = str | Endpoint | Listener
 
 
 def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -> tuple[list[Place], ChosenOptions]:
-    """Return listeners and options changed by the preset that the options name.
+    """Return listeners and options with the preset applied that ``options`` names, if any.
 
     Args:
-        places: where the server listens.
+        places: the listeners: URLs or `Listener` objects.
         options: options of the server by name; ``preset`` may be among them.
 
     Raises:
@@ -31,9 +31,9 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 
 
 def _strict(place: Place) -> Place:
-    """Apply the preset ``strict`` to one listener.
+    """Return one listener with the preset ``strict`` applied.
 
-    It is added to a URL of TLS or RTU and ASCII framing; a listener's own limits get ``single_adu_segments``.
+    The preset is added to its URL for TLS, RTU and ASCII; the limits of a `Listener` get ``single_adu_segments``.
     """
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)

@@ -59,20 +59,20 @@ def serve(
 
     Args:
         endpoints: URLs to listen on; ``tcp://127.0.0.1:5020`` if there are none. Port 0 means any free port. Serial
-            ports (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind can be combined; the settings of a
-            port are in its URL. A `Listener` has access rules, certificates or limits of its own.
+            ports (``rtu:///dev/ttyUSB0?baud=9600``) and listeners of every kind can be combined; the settings of a port
+            are in its URL. A `Listener` has access rules, certificates or limits of its own.
         units: devices by unit identifier 0…255; or one device, which answers requests to any unit. On a serial line,
             and with RTU or ASCII framing over a network, only the listed units 1…247 are answered (a single device: 1).
         responder: instead of ``units``, an object that answers requests (`busway.session.responder.Responder`).
         functions: the table of functions; ``busway.STANDARD.with_functions(Mine)`` adds one.
-        authorize: called with the host of each new connection (``"10.0.0.7"``), before a byte is parsed; if it
-            returns False, the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
+        authorize: called with the host of each new connection (``"10.0.0.7"``), before a byte is parsed; if it returns
+            False, the connection is closed and counted (Messaging on TCP/IP V1.0b §4.2.3).
         tls: certificate, key and authorities of ``tls://`` listeners.
         policy: which clients may make which requests; ``Policy.read_only()`` refuses all writes. Without a policy, a
             server that other hosts can reach accepts writes from all of them, and logs a warning.
         audit: the audit log, which records denied requests and writes.
         local_connections: called for a status; returns how many connections this program has open towards other
-            devices. None counts those of the links of this process.
+            devices. None counts the connections that this process's links have open.
         options: fields of `UnitParameters`, `ServerParameters`, `ListenerParameters` and `SocketParameters`
             (`busway.options`), by name; ``preset="strict"`` sets those that the specifications require.
 
@@ -218,7 +218,7 @@ def serve_in_thread(
 
 
 class _Ready:
-    """What the server thread reports at its start: the running server, or the error that stopped it."""
+    """The result of starting a server in a thread: the running server, or the error that stopped it."""
 
     def __init__(self) -> None:
         self.event = threading.Event()

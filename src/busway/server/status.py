@@ -68,7 +68,7 @@ class SecurityStatus:
         subject: the subject of the listener's own certificate.
         not_after: when that certificate expires, in seconds since 1970.
         days_left: days until it expires; negative afterwards.
-        reloads: how often the files were read again since the start.
+        reloads: how often the files of certificates were read again since the start.
         handshakes: number of handshakes in progress.
         established: number of completed handshakes.
         resumed: how many of the completed handshakes resumed a session.
@@ -136,7 +136,7 @@ class ServerStatus:
         running: whether the server is started.
         uptime: seconds since the start; 0 while stopped.
         endpoints: URLs of the listeners with the ports that are really bound.
-        connections: open connections and UDP peers, by listener, the oldest of each first.
+        connections: open connections and UDP peers, by listener, the oldest of each listener first.
         supported_connections: limit of TCP and TLS connections, all listeners and both pools together.
         remote_connections: number of ``connections``.
         local_connections: number of connections that this program has open towards other devices.

@@ -42,7 +42,7 @@ class Diagnosis:
 
     Attributes:
         is_open: whether the listener can be reached.
-        traffic: time of the last received or sent frame, in the clock of ``now``.
+        traffic: time of the last received or sent frame, by the clock of the ``now`` of `indicators`.
         communication_fault: time of the last damaged frame.
         internal_fault: when a responder last failed, or the system had no resources for a new connection.
     """

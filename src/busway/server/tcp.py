@@ -79,10 +79,7 @@ class TcpListener:
         listener_context.diagnosis.is_open = True
 
     def _protocols(self) -> Callable[[], asyncio.BaseProtocol]:
-        """Return the function that creates the asyncio protocol of each new connection.
-
-        Over TLS, that of the handshake.
-        """
+        """Return the function that creates the asyncio protocol of each new connection; over TLS, of its handshake."""
         management = self.management
         if self._settings.tls is None:
             return lambda: ServerConnection(management)

@@ -121,10 +121,10 @@ class TlsHandshakeAcceptor:
         )
 
     def _look_at_own(self) -> CertificateFacts:
-        """Return what the listener's certificate says; its file is read only after the TLS context was loaded anew.
+        """Return what the listener's own certificate says; its file is read only after the TLS context was reloaded.
 
-        Checks the dates after each reading and once a day. Logs a warning if the certificate is not valid yet, has
-        expired or expires within 30 days.
+        Logs a warning if the certificate is not valid yet, has expired or expires within 30 days; that is checked after
+        each reading and once a day.
         """
         context = self._context
         if self._own is None or self._own_of != context.generation:
@@ -180,9 +180,9 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """Check the client's certificate after a complete handshake, and admit the client.
+        """Check the client's certificate once its handshake is complete, and give the client a connection slot.
 
-        Returns the protocol of the admitted connection; None if the client is refused.
+        Returns the asyncio protocol of its connection; None if the client is refused.
         """
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)
@@ -240,7 +240,7 @@ class TlsHandshakeAcceptor:
         self._management.listener_context.say(logging.WARNING, about, message, *arguments)
 
     def _gone(self, layer: TlsLayer) -> None:
-        """Forget a refused TLS client, because its connection has ended."""
+        """Remove the entry of a refused TLS client whose connection has ended."""
         self._leaving.pop(layer, None)
 
 

@@ -39,7 +39,7 @@ class Waiting(Protocol):
 
 
 class Turns:
-    """The queue of connections that take turns on one event loop, so that none delays the others for long.
+    """The queue of connections whose requests wait for their next turn on one event loop.
 
     Attributes:
         is_crowded: whether other connections wait, or the time of this turn is used up.
@@ -100,11 +100,12 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each connection of a queue process requests once, in order, until the time ``until``.
+        """Let each connection in a queue process requests once, in order, until the time ``until``.
 
-        With None there is no time limit.
+        None for no time limit.
 
-        The first connection is served in any case. Connections with requests left are queued again.
+        The first connection is served even if the time is over. Connections with requests left are put into the queue
+        again.
         """
         for _ in range(len(row)):
             one = row.popleft()

@@ -114,7 +114,7 @@ class UdpListener:
         return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:
-        """Add the counters of current peers to totals, which contain those of forgotten peers already."""
+        """Add the counters of current peers to ``counters``, which already include forgotten peers."""
         for peer in self._peers.values():
             add_living(counters, peer, peer.session)
 
@@ -177,7 +177,9 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget the longest unused peer in the other pool, to free its slot; returns whether there was one (rule 4).
+        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot.
+
+        Returns whether there was one (rule 4).
 
         Called only if priority hosts have all slots of that pool.
         """
@@ -213,7 +215,10 @@ class _Socket(asyncio.DatagramProtocol):
         self._listener.listener_context.diagnosis.is_open = True
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
-        """Answer a datagram and those that wait behind it, up to 16, so that the loop need not wake up for each."""
+        """Answer a received datagram and further ones that wait in the socket, together at most 16.
+
+        This saves the event loop from waking up for each of them.
+        """
         for left in range(_MOST_AT_ONCE - 1, -1, -1):
             now = time.monotonic()
             peer = self._listener.peer_of(self, data, addr, now)
@@ -230,10 +235,10 @@ class _Socket(asyncio.DatagramProtocol):
                 return  # no more; or an error of one peer, which does not concern the others
 
     def error_received(self, exc: Exception) -> None:
-        """Ignore a send error: one peer has gone, which does not concern the others."""
+        """Ignore an error of sending: one peer cannot be reached, and the others share this socket."""
 
     def pause_writing(self) -> None:
-        """Drop replies, as datagrams may be lost, because the system's send buffer is full."""
+        """Drop replies from now on, because the system's send buffer is full; over UDP, datagrams may be lost."""
         self._is_full = True
         self._listener.listener_context.counters.reading_paused += 1
 
@@ -255,7 +260,7 @@ class _Socket(asyncio.DatagramProtocol):
             self._transport.sendto(adu, address)
 
     def ends(self, address: Any) -> SocketAddresses:
-        """Return the local and remote address of the traffic with a UDP peer."""
+        """Return the local and remote socket address of datagrams from and to a peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
         return SocketAddresses(own, address, is_datagram=True)
 

@@ -112,7 +112,7 @@ class TableView:
         return run
 
     def _range(self, key: slice) -> tuple[int, int]:
-        """Return first address and number of the items that a slice means."""
+        """Return the first address and the number of items of a slice such as ``view[5:9]``."""
         if key.step not in (None, 1):
             raise IndexError(f"{self._name}: a slice of items has no step")
         runs = self._store.runs

@@ -1,5 +1,6 @@
-"""Protocol sessions of clients and servers: which request is sent when, and which reply belongs to it. Pure: bytes and
-``now`` in, bytes and events out.
+"""Protocol sessions of clients and servers: they decide which request is sent when, and which reply belongs to it.
+
+Sessions do no IO: the caller passes received bytes and the time (``now``), and gets bytes to send and events.
 
 ===================  ===================================================================================================
 `adaptive_timeout`   Adaptive timeout of a scan for units: as short as the replies seen so far allow without missing one
@@ -28,6 +29,6 @@ of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; w
 TCP (by transaction identifier). Gaps, turnaround and drain of a serial line, and whether a frame is the awaited reply,
 a late or an early one: `serial_client`. The server's way of a request, with policy, audit and other observers:
 `pipeline`; its frames: `server` on TCP, `serial_server` on lines. Reads that a gateway forwards in one step:
-`forwarded_reads`. Functions 08, 11 and 12, and when a unit enters and leaves listen-only mode: `diagnostics`; who is
-silent then: `pipeline` and `serial_server`.
+`forwarded_reads`. Functions 08, 11 and 12, and when a unit enters and leaves listen-only mode: `diagnostics`; that a
+unit in this mode does not answer: `pipeline` and `serial_server`.
 """

@@ -3,18 +3,18 @@
 Knows response times; knows no line and no clock.
 
 1. The timeout begins with its longest value, and keeps it until a unit has answered.
-2. Then it is `FACTOR` times the slowest answer so far, and never below the floor: the next unit may be slower.
+2. Then it is `FACTOR` times the slowest response so far, because the next unit may be slower; never below the floor.
 3. A reply after the timeout shows that the timeout was too short: from then on the longest value applies.
 """
 
 from typing import Final
 
 FACTOR: Final = 4.0
-"""Timeout divided by the slowest response time so far. Units of one line differ by their processors and their other
-work; a unit that differs by more is noticed by its late reply.
+"""The timeout is the slowest response time so far, multiplied by this: units of one line differ in speed. The late
+reply of a unit that is slower still is noticed.
 """
 ROOM: Final = 0.1
-"""Seconds in each floor besides the time of its characters: adapters and systems take up to 20 ms each way."""
+"""Seconds added to the time of the characters in each floor: adapters and systems take up to 20 ms each way."""
 CHARACTERS: Final = 32
 """Longest request and reply of a probe together, in characters; covers ASCII, and includes the silences around
 frames.
@@ -22,7 +22,7 @@ frames.
 
 
 def floor_for(character: float) -> float:
-    """Return the floor of the timeout, in seconds, on a line whose characters take ``character`` seconds.
+    """Return the shortest timeout of a scan, in seconds, on a line whose characters take ``character`` seconds.
 
     For a network ``character`` is 0.
     """
@@ -42,9 +42,9 @@ class AdaptiveTimeout:
     __slots__ = ("floor", "learns", "longest", "slowest", "was_late")
 
     def __init__(self, longest: float, floor: float, *, learns: bool = True) -> None:
-        """Start with ``longest`` seconds (above 0).
+        """Create a timeout that begins with ``longest`` seconds (above 0) and never goes below ``floor`` seconds.
 
-        The timeout never goes below the smaller of ``floor`` and ``longest``.
+        Where ``floor`` is above ``longest``, the timeout is always ``longest``.
         """
         self.longest: float = longest
         self.floor: float = min(floor, longest)
@@ -54,7 +54,7 @@ class AdaptiveTimeout:
 
     @property
     def timeout(self) -> float:
-        """Seconds to wait for the reply of the next unit that the scan asks."""
+        """Seconds to wait for the reply of the unit that the scan asks next."""
         if not self.learns or self.was_late or not self.slowest:
             return self.longest
         return min(max(FACTOR * self.slowest, self.floor), self.longest)

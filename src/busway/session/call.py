@@ -9,8 +9,8 @@ the errors that end a request are in `retries`.
 2. A reply is recognised by its transaction identifier and the seven bytes after it: protocol, length, unit, function,
    byte count. On any other reply the session splits the batch (`PipelinedBatch.apart`) and matches each request by
    itself.
-3. While a batch is in flight no request sent after it has ended, because any other reply splits the batch first. So the
-   identifiers of the batch are the latest ones, and need not be looked up among those of later requests.
+3. As long as a batch is not split, no request sent after it has ended. So the identifiers of the batch are the latest
+   ones, and need not be looked up among those of later requests.
 """
 
 import struct
@@ -35,7 +35,7 @@ HEAD_SIZE = 9
 
 
 class CallOptions(TypedDict, total=False):
-    """Options that every read and write of a unit accepts. For omitted ones the link's options apply.
+    """Options that every read and write of a unit accepts. An omitted option has the value of the link.
 
     timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of reads, 0…100. deadline: seconds
     for the whole call, time in the queue included. idempotent: a write may be executed twice, so it is repeated like a
@@ -68,11 +68,12 @@ class Call:
         owner: an object that the driver stores here to find its caller again.
         next: position of the first request that was never sent.
         again: positions of requests to be sent once more.
-        attempts: attempts begun, by position; a request appears only when it is repeated.
-        markers: marker requests (`busway.session.late_replies`) that its unit did not answer while this call waited.
-        repeated: by position, further attempts of a read that do not count as retries: an earlier reply was not used,
-            because it could have been a late one.
-        places: how many places of the queue it takes: one for an application's call, whatever its requests; one for
+        attempts: for repeated requests only, by position: the number of the present attempt, 2 or more.
+        markers: number of marker requests (`busway.session.late_replies`) that its unit did not answer while this call
+            waited.
+        repeated: by position, number of repetitions of a read that do not count as retries, because the reply was not
+            used: it could have been a late one.
+        places: how much of the queue's limit the call uses: 1 for an application's call, whatever its requests; 1 for
             each request if a gateway makes the call for a client.
     """
 
@@ -130,7 +131,7 @@ class Call:
     def take(self, at_most: int) -> Sequence[int]:
         """Return the positions of up to ``at_most`` requests to send next, and count them as sent.
 
-        Requests to be repeated come first; while there are any, no new ones are returned.
+        Requests to be repeated come first. As long as there are any, only these are returned.
         """
         if self.again:
             taken, self.again = self.again[:at_most], self.again[at_most:]
@@ -158,7 +159,7 @@ def call_for(
     now: float,
     caller: object = None,
 ) -> Call:
-    """Create the `Call` for one use of a unit's method.
+    """Create the `Call` for one use of a unit's method, such as ``read_coils``.
 
     Args:
         unit: unit identifier, 0…255.
@@ -219,8 +220,8 @@ class EncodedRequest:
         head: the seven bytes that follow the transaction identifier in the expected reply; empty if they do not suffice
             to recognise the reply.
         reply_size: bytes of the ADU of the expected reply.
-        take: builds the reply from its data.
-        others: the same request for each unit, if it was sent to several units; else None.
+        take: function that builds the reply message from the data bytes.
+        others: the same request by unit, if it was sent to several units; else None.
         plan: the plan of the last pipelined batch that began with this request; None without one.
     """
 
@@ -240,7 +241,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """Return the bytes of a request to a unit; encoded at the first use, then kept with the request."""
+    """Return the bytes of a request to a unit; encoded at the first use, then stored with the request."""
     try:
         encoded: EncodedRequest = request.memo
     except AttributeError:
@@ -254,9 +255,9 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """Return the bytes of a request that was sent to another unit before.
+    """Return the bytes of a request for ``unit``, if it was encoded before for another unit.
 
-    ``known`` has a table of its bytes by unit.
+    ``known`` are the bytes found first; its ``others`` holds the bytes for all units.
     """
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
@@ -291,9 +292,9 @@ FreeSlots = list[RequestInFlight]
 
 
 def free_slots(count: int) -> FreeSlots:
-    """Create ``count`` reusable objects for requests in flight.
+    """Create a list of ``count`` reusable objects for requests in flight; their number limits the requests in flight.
 
-    The caller gives them to one session, or to all of a client.
+    The caller passes the list to one session, or to all sessions of a client, which then share the limit.
     """
     return [RequestInFlight() for _ in range(count)]
 
@@ -302,8 +303,8 @@ class BatchPlan:
     """The bytes of several requests to one unit, and of their expected replies, without transaction identifiers.
 
     Attributes:
-        following: the requests after the first. The first request holds the plan, so the plan does not refer to the
-            request: that would be a reference cycle for each call.
+        following: the requests after the first. The first is left out, because it holds the plan: referring to it would
+            be a reference cycle.
         fits: whether all replies can be recognised by their first bytes; otherwise the requests cannot be batched.
         heads: the seven bytes after the transaction identifier of each reply.
         reply_sizes, reply_size: bytes of the ADU of each reply, and of all replies together.
@@ -344,10 +345,10 @@ class BatchPlan:
         return self._pack(*fields)
 
     def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
-        """Return all replies if ``buffer`` holds them from ``at`` on, in order, else None.
+        """Return all replies if ``buffer`` holds exactly the expected ones from ``at`` on, in order; else None.
 
-        ``buffer`` must have ``reply_size`` bytes from ``at`` on. A reply is the data alone, as bytes, where the
-        requests ask for that (as a gateway's do).
+        ``buffer`` must have ``reply_size`` bytes from ``at`` on. The requests of a gateway get the data bytes as reply,
+        other requests a message.
         """
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
@@ -369,9 +370,9 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """Return the prepared bytes of ``count`` consecutive requests to one unit, sent together; cached with the first.
+    """Return the plan to send ``count`` consecutive requests to one unit together; it is cached with the first of them.
 
-    ``first`` is the position in ``requests`` of the first of them.
+    ``first`` is the position of the first in ``requests``.
     """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
@@ -389,7 +390,7 @@ class PipelinedBatch:
         first: position of the first request in the call.
         plan: the bytes of the requests without transaction identifiers.
         transactions: the transaction identifiers of the requests, in order.
-        slots: slots that the batch takes, one for each request still without its reply.
+        slots: the objects for requests in flight that the batch occupies: one for each request without reply.
         answered: how many requests, counted from the first, have their reply.
         sent, expires: when the batch was sent and when it times out, in the clock of ``now``.
     """
@@ -415,9 +416,7 @@ class PipelinedBatch:
         self.expires: float = sent + call.timeout
 
     def expects(self, buffer: bytes, at: int) -> bool:
-        """Whether the frame in ``buffer`` at offset ``at`` is the next expected reply, judged by its first nine
-        bytes.
-        """
+        """Whether the frame in ``buffer`` at ``at`` is the next expected reply, judged by its first nine bytes."""
         following = self.answered
         return (
             buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
@@ -425,7 +424,7 @@ class PipelinedBatch:
         )
 
     def apart(self) -> Iterator[tuple[int, RequestInFlight]]:
-        """Yield each unanswered request as a request in flight of its own, with its transaction identifier before it.
+        """Yield each unanswered request as a pair: its transaction identifier, and a request in flight of its own.
 
         Empties ``slots``; the batch must not be used afterwards.
         """

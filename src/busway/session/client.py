@@ -11,8 +11,8 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
    lasts; its late reply is dropped, and shows how slow the device is.
 4. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
    ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
-5. Where transactions cannot be told apart (policies automatic and ignore), a timeout ends the connection: the next
-   reply could be the late one.
+5. Where transactions cannot be told apart (option ``mismatch`` automatic or ignore), a timeout ends the connection: the
+   next reply could be the late one.
 6. A connection that brings only timeouts or late replies is closed, and opened again at the next request.
 7. A cancelled request keeps its slot until its reply comes or its time is over: the device is still working on it.
 8. With breakers, a unit that does not answer is suspended for a while, and its requests fail with `UnitSuspended`:
@@ -43,16 +43,16 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""Decay of a unit's usual response time, which is that of its slowest recent reply: each faster reply takes a tenth
-off.
+"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
 """
 _LAUNCHES_APART = 32
 """Number of sends without batches after a batch had to be split, because replies came in another order or one was an
 exception: splitting a batch costs a fifth of what its requests cost.
 """
 _LATE_FACTOR = 2
-"""How many times more timeouts are tolerated while late replies come: the device is alive then. But if every reply
-answers the request before the last one (Growatt_ModbusTCP#317), only a new connection helps."""
+"""How many times more timeouts are tolerated if late replies come: then the device is alive. But if every reply
+answers the request before the last one (Growatt_ModbusTCP#317), only a new connection helps.
+"""
 _LATE_KNOWN = 60.0
 """Seconds after a late reply for which errors of the unit say that it is slow."""
 _NO_DOUBTS: Mapping[int, object] = MappingProxyType({})
@@ -69,7 +69,7 @@ class TcpClientSession:
         counters: counters of the link.
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
-        late_units: by unit, when its last late reply came, and how many seconds after its request.
+        late_units: by unit: the time of its last late reply, and the seconds from request to that reply.
         valid_reply: whether this connection has brought a reply that answers a request, in time or late.
         breakers: the circuit breakers of the units; None if the link uses none.
     """
@@ -135,14 +135,19 @@ class TcpClientSession:
         self._pace: dict[int, float] = {}  # seconds that each unit usually takes; kept only with breakers
 
     def watch_units(self, breakers: Breakers) -> None:
-        """Use these circuit breakers for the units of this link."""
+        """Use these circuit breakers for the units of this link; without a call the link has none."""
         self.breakers = breakers
         self._doubtful = breakers.doubtful
 
     # Calls of the application.
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue the requests of a call. Raises `Overloaded` or `UnitSuspended`; then nothing was sent."""
+        """Queue the requests of a call.
+
+        Raises:
+            Overloaded: the queue is full; nothing was sent.
+            UnitSuspended: the circuit breaker of the unit is open; nothing was sent.
+        """
         if self.breakers is not None:
             pause = self.breakers.suspended_for(call.unit, now)
             if pause is not None:
@@ -163,9 +168,9 @@ class TcpClientSession:
         return bool(requests_in_flight)
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units that each caller asks in turn, not its requests in their order.
+        """From now on, take the requests of one caller unit by unit in rotation, and not in the order of its calls.
 
-        For a gateway's upstream links.
+        For a gateway's upstream links, where one client may flood one unit.
         """
         self._queue.units_in_turn = True
         self._queue.burst = BURST
@@ -177,12 +182,12 @@ class TcpClientSession:
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests wait only because the connect delay or the request gap is not over."""
+        """Whether requests wait only because the pause after connecting, or the pause between requests, is not over."""
         return self._connected and self._not_before > 0.0
 
     @property
     def queued(self) -> int:
-        """Number of calls that wait to be sent; a gateway's calls count with each of their requests."""
+        """Number of calls that wait to be sent; each request of a gateway's call counts as one."""
         return self._queue.waiting
 
     @property
@@ -226,9 +231,10 @@ class TcpClientSession:
         self._pending.clear()
 
     def begin_again(self) -> None:
-        """Forget all calls and the connection, because an interrupt may have ended a change of them half-way.
+        """Forget all calls and the connection: an exception such as KeyboardInterrupt may have left them inconsistent.
 
-        The driver has closed the connection, and gives its calls back with `resume`. Shared slots are not put back.
+        The driver has closed the connection, and then passes its calls to `resume`. Slots shared with other sessions
+        are not freed.
         """
         if self._connected:
             self.counters.lost_connections += 1
@@ -244,13 +250,13 @@ class TcpClientSession:
             self.breakers.none_decided()
 
     def resume(self, call: Call, now: float) -> None:
-        """Take a call back after `begin_again`: what was sent is repeated or fails as after a lost connection."""
+        """Queue a call again after `begin_again`: what was sent is repeated or fails as after a lost connection."""
         self._tracker.resume(call, now)
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with one error, because no connection could be opened.
 
-        With ``keep_repeated`` a call with a request that is about to be repeated stays in the queue.
+        If ``keep_repeated``, a call of which a request is about to be repeated stays in the queue.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
@@ -297,9 +303,9 @@ class TcpClientSession:
         return out
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Return the joined frames of a call that can be sent at once, and count them as sent.
+        """Count all requests of a call as sent and return their joined frames, if all can be sent at once.
 
-        None if the call has to be queued with `submit`; then nothing has changed.
+        Otherwise nothing changes, and None is returned: the call has to be queued with `submit`.
         """
         count = len(call.requests)
         if (
@@ -325,18 +331,16 @@ class TcpClientSession:
         return adus
 
     def _is_doubted(self, call: Call) -> bool:
-        """Whether the circuit breaker of the call's unit is not closed: it blocks requests, or lets a single probe
-        through.
-        """
+        """Whether the circuit breaker of the call's unit is open or probing: then only one request may be sent."""
         return self.breakers is not None and self.breakers.state(call.unit) is not BreakerState.CLOSED
 
     def _may_ask(self, now: float, call: Call) -> bool:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
-        """Return up to ``at_most`` requests of a call as one pipelined batch, joined.
+        """Return up to ``at_most`` requests of a call as one pipelined batch: a list with the joined frames.
 
-        An empty list if they cannot be batched.
+        The list is empty if they cannot be batched.
         """
         requests = len(call.requests)
         if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
@@ -345,10 +349,9 @@ class TcpClientSession:
         return [] if together is None else [together]
 
     def _send_batch(self, call: Call, count: int, now: float) -> bytes | None:
-        """Return the bytes of the next ``count`` requests as a pipelined batch; None if they cannot be batched.
+        """Return the joined frames of the next ``count`` requests as a pipelined batch; None if they cannot be batched.
 
-        While single requests are in flight the device answers one by one, or in another order, and a batch would be
-        split again.
+        There is no batch while single requests are in flight: their replies would come between and split it.
         """
         if count < 2 or self._pending:
             return None
@@ -376,7 +379,7 @@ class TcpClientSession:
         return plan.encode(transactions)
 
     def _launch(self, call: Call, position: int, now: float) -> bytes:
-        """Put one request in flight and return its frame."""
+        """Make one request a request in flight, and return its frame."""
         pending, expired = self._pending, self._expired
         encoded = encoded_request(call.requests[position], call.unit)
         transaction = self._transaction + _STEP & 0xFFFF
@@ -392,9 +395,9 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Return the seconds to wait for a reply of a unit that timed out before.
+        """Return the timeout in seconds for a request to a unit that has timed out before.
 
-        A probe of a suspended unit waits less.
+        It is that of the call, but shorter for the probe of a suspended unit.
         """
         assert self.breakers is not None
         usual = self._usual(call.unit)
@@ -403,7 +406,7 @@ class TcpClientSession:
     def _usual(self, unit: int) -> float:
         """Return the seconds that a unit usually takes to answer.
 
-        If that is unknown, those of the slowest unit of the link; 0 if no unit has answered.
+        If no reply of it is known, the time of the slowest unit of the link; 0 if no unit has answered.
         """
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
@@ -478,7 +481,7 @@ class TcpClientSession:
         self._buffer.keep(data, at, size)
 
     def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
-        """Match replies to pipelined batches while they come in order. Returns the offset after the last match.
+        """Match replies to pipelined batches as long as they come in order. Returns the offset after the last match.
 
         This is the hot path of `execute_many`: 0.5 µs per reply if all of a batch have arrived, 0.9 if only some have.
         """
@@ -523,9 +526,9 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """Return the calls with several requests of which some were sent and others may still wait.
+        """Return the calls of which some requests were sent and others may still wait in the queue.
 
-        Single-request calls in flight may be among them, and a call may be there more than once.
+        The list may also have calls with a single request in flight, and may have a call more than once.
         """
         if not (self._batches or self._pending or self._queue.begun):
             return []  # the usual case: a server answers all at once
@@ -537,7 +540,7 @@ class TcpClientSession:
     # Timeouts.
 
     def deadline(self) -> float | None:
-        """The time at which `tick` has something to do, by the clock of ``now``; None for never."""
+        """Return the time at which to call `tick`, by the clock of ``now``; None if there is nothing to wait for."""
         soonest = math.inf
         for awaited in self._pending.values():  # a loop, because a comprehension is a call, and usually there is one
             if awaited.expires < soonest:
@@ -561,7 +564,7 @@ class TcpClientSession:
         return min(times, default=math.inf)
 
     def tick(self, now: float) -> None:
-        """End or repeat requests whose timeout, and calls whose deadline, has passed."""
+        """End or repeat requests whose timeout has passed, and end calls whose deadline has passed."""
         self._split_batches()
         for transaction, awaited in list(self._pending.items()):
             call = awaited.call
@@ -579,7 +582,7 @@ class TcpClientSession:
     def _timed_out(self, transaction: int, awaited: RequestInFlight, now: float, *, over: bool) -> None:
         """Handle a request without reply: block its transaction identifier, then repeat or fail the request.
 
-        ``over``: the deadline of its call has passed.
+        ``over``: whether the deadline of its call has passed.
         """
         self._remember(transaction, awaited.sent)
         kept = self._buffer.kept
@@ -602,7 +605,10 @@ class TcpClientSession:
             self._recycle(f"{self._timeouts_since_reply} timeouts, and only late replies between them")
 
     def _unit_is_silent(self, breakers: Breakers, awaited: RequestInFlight, now: float) -> bool:
-        """Report a timeout to the unit's circuit breaker. Returns whether the unit is suspended now."""
+        """Report a timeout to the unit's circuit breaker. Returns whether the breaker is open now.
+
+        A request that waited too short because of its call's deadline does not count as a timeout.
+        """
         unit, waited = awaited.encoded.unit, now - awaited.sent
         usual = self._usual(unit)
         if now < awaited.expires and not (usual and waited >= max(2 * usual, breakers.parameters.probe_timeout)):
@@ -627,7 +633,7 @@ class TcpClientSession:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """Update the usual response time of a unit, which is that of its slowest recent reply."""
+        """Update the usual response time of a unit: the longest of its recent response times."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:
@@ -651,7 +657,7 @@ class TcpClientSession:
     # Replies that do not fit plainly.
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
-        """Handle a received frame that is not clearly the reply to a request (Messaging on TCP/IP §4.4.1.4)."""
+        """Handle a received frame that is not plainly the reply to a request in flight (TCP/IP §4.4.1.4)."""
         self._split_batches()
         awaited = self._pending.get(transaction)
         if awaited is None:
@@ -719,9 +725,9 @@ class TcpClientSession:
         self._tracker.conclude(call, awaited.position, reply)
 
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
-        """Return the request in flight that a reply with another transaction identifier is accepted for, or None.
+        """Return the request in flight that accepts a reply with another transaction identifier; None if none does.
 
-        The option ``mismatch`` must allow it, and there must be only one request in flight.
+        The option ``mismatch`` must allow that, and there must be only one request in flight.
         """
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
@@ -748,11 +754,9 @@ class TcpClientSession:
         return True
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
-        """Whether a reply of ``unit`` is accepted for a request.
+        """Whether a reply of ``unit`` is accepted for a request: it is the unit asked, or ``mismatch`` allows another.
 
-        A reply of another unit is accepted only if the option ``mismatch`` allows it.
-
-        ``alone``: no other request is in flight.
+        ``alone``: whether no other request is in flight.
         """
         if unit == awaited.encoded.unit or awaited.encoded.unit in (0, TCP_DEVICE_UNIT):
             return True

@@ -1,8 +1,8 @@
-"""The life of a client's connection: when to connect, what to report, what happens to waiting calls; for both
-kinds of client session, TCP and serial.
+"""The life of a client's connection: when to connect, what to report, what happens to waiting calls.
 
-Knows a session, the states of `reconnect` and the errors that calls get; knows no socket, thread, loop or log.
-The driver opens and closes the connection, reports its events with their time, and acts on the results.
+For both kinds of client session, TCP and serial. Knows a session, the states of `reconnect` and the errors that calls
+get; knows no socket, thread, loop or log. The driver opens and closes the connection, reports its events with their
+time, and acts on the results.
 
 1. A connection begins with `dialled` and `connected`, or `failed`; it ends with `lost`, or with `released` if it is no
    longer needed. Requests in flight have then been repeated or have failed (`TcpClientSession.disconnected`).
@@ -21,7 +21,7 @@ from .serial_client import SerialClientSession
 
 Moved = Callable[[ConnectionEvent, str, str], None]
 """Called as ``moved(event, reason, news)`` with each event, its reason in words, and a message for the operator. The
-message is empty if there is nothing to tell.
+message is empty if there is nothing to report.
 """
 
 
@@ -73,7 +73,7 @@ class ConnectionLife:
         self._move(ConnectionEvent.DIALLED, now)
 
     def connected(self, now: float) -> None:
-        """Record that the connection is open. From now on the session has requests to send."""
+        """Record that the connection is open; from now on the session gives the driver requests to send."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
         self._move(ConnectionEvent.CONNECTED, now)
@@ -89,7 +89,7 @@ class ConnectionLife:
         self._conversation.unreachable(now, failure)
 
     def interrupted(self, now: float) -> None:
-        """Record that an attempt to connect was cancelled, not failed: waiting calls keep waiting."""
+        """Record that an attempt to connect was cancelled. Unlike after `failed`, waiting calls keep waiting."""
         self._move(ConnectionEvent.FAILED, now, "interrupted")
 
     # While it is open.
@@ -97,13 +97,13 @@ class ConnectionLife:
     def replied(self, now: float) -> None:
         """Record that the session has processed received bytes.
 
-        Once it has had a valid reply, the connection is "up".
+        Once one of them was a valid reply, the state is "up".
         """
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """End or repeat the requests whose timeout is over. Returns whether there were any."""
+        """End or repeat the requests whose timeout has passed. Returns whether there were any."""
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -113,7 +113,7 @@ class ConnectionLife:
         return True
 
     def spent(self, now: float, last_used: float) -> str:
-        """Return the reason to close an unused connection now, such as its idle time; empty to keep it.
+        """Return why an unused connection is to be closed now, such as ``unused for 60 s``; empty if it is to be kept.
 
         ``last_used`` is when the connection was last used, in the clock of ``now``.
         """
@@ -127,8 +127,8 @@ class ConnectionLife:
         """Record that an open connection ended unexpectedly; its requests in flight are repeated or fail.
 
         Waiting calls stay in the queue. They fail only if several connections in a row brought no valid reply, and the
-        session had not itself asked for a new connection (``recycle``); even then a call stays that has a request
-        about to be repeated.
+        session had not itself asked for a new connection (``recycle``). Even then a call of which a request is about to
+        be repeated stays.
         """
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
@@ -147,7 +147,10 @@ class ConnectionLife:
         self._conversation.disconnected(now, reason, lost=False)
 
     def begin_again(self) -> None:
-        """Forget connection and calls, because an interrupt may have ended a change half-way (`Call`s are resumed)."""
+        """Forget connection and calls: an exception such as KeyboardInterrupt may have left them inconsistent.
+
+        The driver then passes its calls to the session's ``resume``.
+        """
         self._conversation.begin_again()
         self.reconnect.begin_again()
 
@@ -158,10 +161,9 @@ class ConnectionLife:
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """Return the error for a new call if it cannot be accepted now; None if the call may be queued.
+        """Return the error for a new call if the link is closed or pauses after a failed attempt; None otherwise.
 
-        It cannot while the link is closed, or in the pause after a failed attempt. ``unit`` is the unit asked, for the
-        error.
+        ``unit`` is the unit that the call asks, for the error.
         """
         if self.closed:
             return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)
@@ -180,7 +182,7 @@ class ConnectionLife:
 
     @property
     def down_because(self) -> str:
-        """Return why the last attempt to connect failed; empty while connected and before the first attempt."""
+        """Why the last attempt to connect failed; empty while connected and before the first attempt."""
         return "" if self.failure is None else self.failure.message
 
     def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:

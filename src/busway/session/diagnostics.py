@@ -6,11 +6,11 @@ V1.02 appendix A).
 1. Several units on one port are several devices to a master. Each has counters, an event log and a mode of its own;
    restart, clear and listen-only mode concern the unit addressed. What every device of a line hears is counted once,
    for the line: messages, damaged frames and overruns. Each unit counts these from its own last restart or clear on.
-2. Counters are 16 bit on the wire and wrap there; here they go on, so that a status can show the true number.
+2. Counters are 16 bit on the wire and wrap there; here they do not wrap, so that a status can show the true number.
 3. A receive event is stored when a message comes in, a send event when its processing ends, answered or not (§6.10).
-4. A restart (08/01) is answered before it is done, except in listen-only mode, where there is no answer. So it is done
-   when the outcome of its request is reported, by `answered` or `kept_silent`. In listen-only mode nothing else is
-   executed.
+4. A restart (08/01) is carried out after its reply was sent. In listen-only mode there is no reply. In both cases the
+   session reports the end of the request, by `answered` or `kept_silent`, which carries out the restart. In listen-only
+   mode nothing else is executed.
 5. On a network listener the sub-functions that change something (01, 03, 04, 0A, 14) are refused with 01 unless
    ``changes_allowed``: one packet could mute a server for all clients.
 6. The ASCII delimiter is the port's: sub-function 03 changes it for all units of the line.
@@ -107,7 +107,7 @@ _COUNTER_OF = {
 
 @dataclass(slots=True)
 class HeardCounters:
-    """Counts of what every device on a line hears, whatever its unit: messages, damaged frames, and overruns."""
+    """Counts of messages, damaged frames and overruns on a line, which all its devices hear, whatever the unit."""
 
     messages: int = 0
     damaged: int = 0
@@ -119,20 +119,21 @@ class LineDiagnostics:
 
     Args:
         changes_allowed: whether the sub-functions of 08 that change something are offered.
-        listed_unit: returns the unit number under which a device is listed, for a device with several unit numbers
-            (`ListedUnits.listed_unit`): all its numbers have the same state. Left out, each number has its own state.
+        listed_unit: function from a unit number to the number under which its device is listed
+            (`ListedUnits.listed_unit`). A device with several unit numbers then has one state. Left out, each number
+            has its own state.
 
     Attributes:
-        exchanged: by unit, number of requests that were answered without an exception and are not yet in counters and
-            log. A session that answers many at once adds here, which is much quicker than
-            `CommunicationState.received` and `answered`. `fold` moves the numbers to counters and logs.
-        arrived: by unit, number of requests received whose answer comes later; not yet in counters and log either.
-        departed: by unit, number of such later answers sent, without an exception; not yet in counters and log either.
+        exchanged: by unit, number of requests answered without exception that are not yet in counters and log. A
+            session that answers many at once adds here, which is much quicker than `CommunicationState.received` and
+            `answered`. `fold` moves the numbers to counters and logs.
+        arrived: by unit, number of requests received and answered later, not yet in counters and log either.
+        departed: by unit, number of such later answers sent without exception, not yet in counters and log either.
         heard: what was heard since the start; call `fold` before you read it.
         requests: requests for own units since the start; a broadcast counts once. Never cleared.
         listen_only_units: the units that answer nothing until they are restarted.
         ascii_delimiter: the character that ends an ASCII frame (sub-function 03), 0x0A by default.
-        changes_allowed: as above.
+        changes_allowed: as given.
     """
 
     __slots__ = (
@@ -207,7 +208,7 @@ class LineDiagnostics:
             self.of(unit).received_broadcast()
 
     def received_damaged(self, *, overrun: bool = False) -> None:
-        """Count and log a damaged frame, for every unit, since all hear it."""
+        """Count a damaged frame, and log it for every unit of the line, because all of them received it."""
         self.fold()
         self.heard.damaged += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
@@ -221,8 +222,8 @@ class LineDiagnostics:
     def fold(self) -> None:
         """Move the numbers in `exchanged`, `arrived` and `departed` to the counters and logs of their units.
 
-        The three are empty afterwards. To be called before a counter or a log is read; the properties here that return
-        counters do so.
+        The three are empty afterwards. Call it before you read a counter or a log directly; the properties of this
+        class that return counters call it themselves.
         """
         if not (self.exchanged or self.arrived or self.departed):
             return
@@ -240,17 +241,17 @@ class LineDiagnostics:
 
 
 class CommunicationState:
-    """Diagnostic counters, event log and mode of one unit, as `busway.pdu.model.Diagnostics` asks for.
+    """Diagnostic counters, event log and mode of one unit; has the methods of `busway.pdu.model.Diagnostics`.
 
     Args:
         line: the line or listener that the unit is on; if left out, the unit gets a line of its own.
         unit: the number of the unit, 0…255.
-        heard_before: events of damaged frames, the newest first, from before the first message to the unit.
-        changes_allowed: for a line of its own, as in `LineDiagnostics`; without effect if ``line`` is given.
+        heard_before: the first contents of the event log: events of damaged frames on the line, the newest first.
+        changes_allowed: for a line of its own, as in `LineDiagnostics`; ignored if ``line`` is given.
 
     Attributes:
-        line: as above.
-        unit: as above.
+        line: as given, or the line of its own.
+        unit: as given.
         own: the counters of what concerned this unit; those of what every unit hears are 0 here.
         program_command_running: whether the status word of functions 11 and 12 is FFFF.
         diagnostic_register: what sub-function 02 returns; the application sets it.
@@ -300,9 +301,7 @@ class CommunicationState:
 
     @property
     def message_count(self) -> int:
-        """Number of messages heard since the last restart or clear (function 12): the bus message count of 08/0B
-        (§6.10).
-        """
+        """Number of messages heard since the last restart or clear (function 12), the count of 08/0B (§6.10)."""
         self.line.fold()
         return self.line.heard.messages - self._heard_before.messages
 
@@ -316,7 +315,9 @@ class CommunicationState:
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
         """Execute a sub-function of function 08 and return the data of its reply.
 
-        Raises `Refusal` 01 if the sub-function is unknown or not allowed here, or in listen-only mode is no restart.
+        Raises:
+            Refusal: 01: the sub-function is unknown or not allowed here; or the unit is in listen-only mode, and it is
+                not the restart.
         """
         self.line.fold()
         if sub_code in _CHANGES and not self.line.changes_allowed:
@@ -379,19 +380,19 @@ class CommunicationState:
         self._log.appendleft(_RECEIVED_MUTED if muted and self.unit in muted else _RECEIVED)
 
     def received_broadcast(self) -> None:
-        """Count a broadcast for this unit; `LineDiagnostics.received_broadcast` has counted it for the line."""
+        """Count a broadcast for this unit; `LineDiagnostics.received_broadcast` calls it and counts for the line."""
         self.own.server_message_count += 1
         self.log_received(ReceiveEvent.RECEIVED | ReceiveEvent.BROADCAST)
 
     def log_received(self, event: int) -> None:
-        """Log a receive event that all units of a line hear."""
+        """Log a receive event that concerns all units of the line, such as a damaged frame."""
         self._log.appendleft(event | ReceiveEvent.LISTEN_ONLY if self.listen_only else event)
 
     def answered(self, *, exception: int | None = None, counts: bool = True) -> None:
         """Count a reply of this unit, and carry out the restart that its request may have asked for.
 
         ``exception``: the exception code of the reply; None for a normal reply. ``counts``: whether a normal reply
-        raises the event count; False for functions that do not (11).
+        raises the event count; False for function 11, which does not count itself.
         """
         line = self.line
         if line.exchanged or line.arrived or line.departed:
@@ -419,8 +420,8 @@ class CommunicationState:
     def kept_silent(self, *, executed: bool = False, write_failed: bool = False) -> None:
         """Count a message to this unit that is not answered, and carry out the restart that it may have asked for.
 
-        ``executed``: the message was a broadcast, and was executed. ``write_failed``: the port did not accept the
-        answer.
+        ``executed``: whether the message was a broadcast that was executed. ``write_failed``: whether the port did not
+        accept the answer.
         """
         self.line.fold()
         self.own.server_no_response_count += 1
@@ -455,7 +456,7 @@ class CommunicationState:
 
 
 def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
-    """Return a unit's own counters plus what its line has heard since ``before``."""
+    """Return a unit's own counters plus what was heard on its line since the counts ``before``."""
     return replace(
         own,
         bus_message_count=heard.messages - before.messages,

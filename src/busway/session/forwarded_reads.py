@@ -6,8 +6,9 @@ Knows the layout of a read and its answer on TCP, and the slots of a connection;
    path. The responder is asked once how such a read is forwarded, for all clients with the same rights.
 2. Each read takes a slot until its answer is there (Messaging on TCP/IP V1.0b §4.4.2). If none is left, the read goes
    to the generic path, which answers 06.
-3. Each read taken here is answered once, by `answer`, `reply` or `refuse`, with the unit and the transaction identifier
-   of its request; or it ends with the connection, and the read batch that contains it is told.
+3. Each read forwarded here is answered once, by `answer`, `reply` or `refuse`, with the unit and the transaction
+   identifier of its request. If the connection ends first, it gets no answer, and the read batch that contains it is
+   informed.
 4. Answers and counters are the same as on the generic path.
 """
 
@@ -45,14 +46,14 @@ class ForwardPlan:
     Args:
         target: the upstream unit that the read is forwarded to.
         unit: the unit that the client named.
-        request: the request sent upstream, prepared; its reply is the data alone, or a message with ``data``.
+        request: the request sent upstream, prepared; its reply is data bytes, or a message with ``data``.
 
     Attributes:
-        target: as above.
-        requests: a tuple with the request alone.
-        key: the PDU of the request: the same for identical reads of one unit.
-        place: None: the data of the reply are not remembered.
-        head: what the client's reply has between the transaction identifier and the data.
+        target: as given.
+        requests: a tuple of one element, the request.
+        key: the PDU of the request; identical reads of one unit have the same.
+        place: always None, because the data of the reply are not cached.
+        head: the bytes of the client's reply between the transaction identifier and the data.
     """
 
     __slots__ = ("head", "key", "requests", "target")
@@ -66,19 +67,19 @@ class ForwardPlan:
         self.head: bytes = HEAD.pack(0, 0, 1 + request.expected_size, unit)[2:] + request.expected_prefix
 
     def refusal(self, code: int) -> bytes:
-        """Return the frame of an exception reply to the client, from behind the transaction identifier on.
+        """Return the frame of an exception reply to the client, without its transaction identifier.
 
         It is the rest of the MBAP header (protocol identifier, length, the unit that the client named) and the PDU.
         """
         return b"\0\0\0\3" + self.head[4:5] + bytes((self.head[5] | 0x80, code))
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """Return the client's reply, given the reply to the one request that was forwarded for it."""
+        """Return the client's reply: the only element of ``replies``, because one request was forwarded for it."""
         return replies[0]
 
 
 class ForwardPlans:
-    """Cache of how known reads are forwarded, by the ten bytes after the transaction identifier.
+    """Cache of how reads seen before are forwarded, by the ten bytes after the transaction identifier.
 
     Attributes:
         known: plans of the reads that are forwarded together.
@@ -100,7 +101,7 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Store how a read is forwarded; ``plan`` None means that such reads take the generic path, one by one."""
+        """Store how a read is forwarded; ``plan`` None means that it takes the generic path."""
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -121,7 +122,7 @@ class ForwardPlans:
 
 
 class ReadObserver(Protocol):
-    """Observer of forwarded reads, such as metrics; is told of their replies. A `RequestPipeline` is one."""
+    """Observer of forwarded reads, such as metrics; it is called with their replies. A `RequestPipeline` is one."""
 
     @property
     def clock(self) -> Callable[[], float]:
@@ -139,7 +140,7 @@ class ReadForwarder(Protocol):
     """Interface of a gateway's responder that can forward several reads together."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """Return how a read is forwarded; None if the read has to be decoded and forwarded by itself."""
+        """Return how a read is forwarded on the fast path; None if it must take the generic path."""
 
 
 @lru_cache(maxsize=64)
@@ -155,7 +156,7 @@ class ForwardedReads:
         plans: how known reads are forwarded; the session replaces the object when rights change.
         peer: ``host:port`` of the client.
         is_priority: whether the client is a priority host.
-        waiting: number of reads whose answer is still to come.
+        waiting: number of forwarded reads that are not answered yet.
         batches: the read batches that contain reads of this connection; they add and remove themselves.
     """
 
@@ -253,7 +254,7 @@ class ForwardedReads:
         return end
 
     def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
-        """Yield how each read is forwarded, up to the first read that is not known yet."""
+        """Yield the plan of each read, up to the first read that is not known yet."""
         for key in keys:
             plan = self.plans.known.get(key)
             if plan is None:
@@ -261,7 +262,7 @@ class ForwardedReads:
             yield plan
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
-        """Forward reads to several upstream units, those for one unit together."""
+        """Forward reads that have several upstream units as targets: all reads for one unit together."""
         by_target: dict[ForwardingTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))
@@ -271,9 +272,9 @@ class ForwardedReads:
             target.ask(self, some, their_plans)
 
     def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
-        """Answer reads with the data that their upstream unit sent; the three sequences go together.
+        """Answer reads with the data that their upstream unit sent; `send` transmits the replies.
 
-        `send` transmits the replies.
+        The three sequences have one element for each read, in the same order.
         """
         if self._is_open:
             count = len(plans)
@@ -320,10 +321,9 @@ class ForwardedReads:
             observer.forwarded(self._client, replies, arrived)
 
     def close(self) -> None:
-        """End with the client's connection: reads without reply get none, and no longer count towards the limit of
-        requests.
+        """Give up all unanswered reads, because the client's connection ended: they get no reply and free their slots.
 
-        Tells the observer and the read batches.
+        The observer and the read batches that contain them are informed.
         """
         self._is_open = False
         if self._observed_by is not None and self.waiting:

@@ -6,23 +6,24 @@ Frames of RTU and ASCII have no transaction identifiers. A reply is matched to i
 and echo; a late reply to an earlier request may have all of these in common. The order is reliable: a unit answers each
 request at most once, and in the order in which it received them.
 
-1. A request without a reply is *owed* one (`OwedReply`), until the reply comes or the order excludes it. This
-   outlives connections; no clock ends it.
+1. A request without a reply is *owed* one (`OwedReply`), until the reply comes or a reply to a later request shows that
+   it will not come. This holds across connections, and no time limit ends it.
 2. A reply belongs to the earliest request to its unit that it could answer. Requests sent before that request get no
    reply any more.
-3. A unit is *in doubt* for a request while another call is owed a reply that could be taken for the reply to it. A
-   read is recognised by function and length, and its exception decides nothing then. A write is recognised by its
-   function alone: it cannot be repeated to make sure.
-4. Such a request is sent only after a *marker*: a harmless request whose reply cannot be taken for an owed one. The
-   reply to the marker ends the doubt (rule 2).
+3. A unit is *in doubt* for a request while another call is owed a reply that could be taken for the reply to it. For a
+   read these are owed replies of the same function and length; an exception reply, which has no such length, is taken
+   for an owed one. For a write these are all owed replies of its function: a write cannot be repeated to make sure.
+4. Such a request is sent only after a *marker*: a harmless request whose reply cannot be taken for an owed one. After
+   the reply to the marker the unit is no longer in doubt (rule 2).
 5. A unit may break the order. So while a reply to a function is owed, the next request with that function waits until
    twice the timeout has passed since the last attempt, or until as many replies have come as are owed. The option
    ``trust_reply_order`` skips that.
 6. If a unit answers no marker, the read itself is sent: replies are counted against the owed ones (rule 2), so
    a read may have to be repeated, but its result is never wrong. Only one call at a time does so: two would owe each
    other their replies for ever. A write is not sent.
-7. A unit that sent a frame unasked, or too early, is in doubt for that function. Unasked replies may look like good
-   ones: after `CHECK_EVERY` replies of one shape in a row a marker is sent, which reveals a shift.
+7. A unit that sent a frame without a request, or too early, is in doubt for that function. Such frames may also look
+   like good replies: then every reply answers the request before. So after `CHECK_EVERY` replies in a row that are
+   alike in function and length a marker is sent, whose reply shows whether replies are shifted.
 """
 
 from collections.abc import Iterable
@@ -36,7 +37,9 @@ from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters
 from .call import Call
 
 CHECK_EVERY: Final = 128
-"""Replies of one shape in a row after which a marker is sent, to check: less than a hundredth of a line's requests."""
+"""Number of replies in a row that are alike in function and length, after which a marker is sent as a check (rule 7).
+So markers are less than a hundredth of the requests.
+"""
 OWED_LIMIT: Final = 256
 """Owed replies of a unit that are kept one by one; of earlier ones only the number is kept. A unit that is dead for an
 hour is probed about 400 times.
@@ -47,8 +50,8 @@ _EXCEPTION: Final = 0x80
 class MarkerKind(Enum):
     """Kinds of marker requests: harmless ones whose reply proves that no older reply will come.
 
-    They are tried in this order, after the kind that the unit answered last, and without those that it did not answer.
-    Regular checks (rule 7) use only `_OF_CHECKS`, in the order given there.
+    The kind that the unit answered last is tried first, then the others in this order; kinds that it did not answer are
+    left out. The regular checks of rule 7 use only the kinds in `_OF_CHECKS`, in the order given there.
     """
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
@@ -62,7 +65,7 @@ _OF_CHECKS: Final = (MarkerKind.OTHER_LENGTH, MarkerKind.RETURN_QUERY_DATA)
 
 @dataclass(frozen=True, slots=True)
 class Marker:
-    """A harmless request that the session sends itself, to learn from its reply that no older reply will come (rule 4).
+    """A harmless request that the session sends itself; its reply proves that no older reply will come (rule 4).
 
     Attributes:
         kind: the kind of request.
@@ -81,10 +84,10 @@ class OwedReply:
         request: the request, prepared.
         function: its function code.
         sent: when its last byte left, in seconds.
-        until: when its reply must have come even from a unit that breaks the order (rule 5).
+        until: time up to which other requests of the same function wait for this reply (rule 5).
         call, position: the call that made the request, and its position there; ``call`` is None for a marker request,
             or for a cancelled call.
-        times: attempts in a row that this entry stands for; above 1 only when the list is full.
+        times: number of attempts in a row that this entry stands for; above 1 only when the list is full.
     """
 
     request: Request
@@ -100,7 +103,7 @@ class OwedReply:
         return may_answer(self.request, pdu)
 
     def is_of(self, call: object, position: int) -> bool:
-        """Whether this request was an earlier attempt at the request at ``position`` of ``call``."""
+        """Whether this is an attempt at the request at ``position`` of ``call``; False for a marker request."""
         return self.call is call and self.position == position and call is not None
 
 
@@ -112,10 +115,10 @@ class UnitDoubt:
         owed: the replies that may still come, in the order of their requests.
         older: number of further owed replies by function code, requested before all of ``owed``.
         pending: owed replies because of which new requests with the same function code wait (rule 5).
-        unasked: the function code of a frame that the unit sent unasked; None if there was no such frame.
+        unasked: the function code of a frame that the unit sent without a request; None if there was no such frame.
         delay: seconds that its last late reply had taken; None before the first, and after a reply in time.
         last: the request that the unit answered last; None before the first.
-        alike: replies in a row with the same shape as the one before (rule 7).
+        alike: number of replies in a row that agree in function and length with the one before (rule 7).
         silent: kinds of marker requests that the unit did not answer.
         works: the kind of marker request that the unit answered last; None before the first.
         good: a read that the unit answered without an exception; None before the first.
@@ -137,7 +140,7 @@ class UnitDoubt:
     # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
-        """Record a request that got no reply, in time or before the connection ended: its reply may still come late."""
+        """Record a request that was not answered in time, or before the connection ended: its reply may still come."""
         self.pending = [one for one in self.pending if one.until > reply.sent]
         if len(self.pending) >= OWED_LIMIT:
             self.pending.remove(min(self.pending, key=lambda one: one.until))
@@ -153,21 +156,21 @@ class UnitDoubt:
         self.owed.append(reply)
 
     def is_owed_since(self, request: Request, sent: float) -> bool:
-        """Whether the reply to the attempt at ``request`` whose last byte left at ``sent`` is the last one owed."""
+        """Whether the latest owed reply is that to the attempt at ``request`` whose last byte left at ``sent``."""
         return bool(self.owed) and self.owed[-1].request is request and self.owed[-1].sent == sent
 
     def is_older(self, pdu: bytes) -> bool:
-        """Whether a received PDU must be one of the late replies of which only the number is known (``older``).
+        """Whether a received PDU is counted as one of the late replies in ``older``, of which only the number is known.
 
-        A reply to 08/00 is not: its number identifies its request.
+        False for a reply to 08/00, whose data identify its request.
         """
         function = pdu[0] & ~_EXCEPTION
         return function in self.older and pdu[0] != ReturnQueryData.code
 
     def older_came(self, pdu: bytes) -> None:
-        """Count one late reply less in ``older``.
+        """Record that one of the late replies in ``older`` was received: reduce the number for its function code.
 
-        It is taken for the earliest of its function, so that no wait ends too early.
+        ``pending`` stays unchanged: a new request must not be sent too early because of it.
         """
         function = pdu[0] & ~_EXCEPTION
         left = self.older[function] - 1
@@ -177,14 +180,11 @@ class UnitDoubt:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the requests in ``owed`` that a received PDU could answer late.
-
-        The reply belongs to the first (rule 2).
-        """
+        """Return the owed replies in ``owed`` that a received PDU could be; it is taken for the first (rule 2)."""
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
-        """Record that a late reply has come; requests sent before its own get no reply any more (rule 2)."""
+        """Record that a late reply has come; requests sent before its request get no reply any more (rule 2)."""
         index = self.owed.index(reply)
         if reply.times > 1:
             self.owed[index] = replace(reply, times=reply.times - 1)
@@ -195,7 +195,7 @@ class UnitDoubt:
         self._count(reply.function)
 
     def _count(self, function: int) -> None:
-        """Remove one late reply with this function code from ``pending``, because it has come."""
+        """Remove the earliest reply with this function code from ``pending``, because a late reply has come."""
         for index, owed in enumerate(self.pending):
             if owed.function == function:
                 del self.pending[index]
@@ -204,7 +204,7 @@ class UnitDoubt:
     def answered(self, request: Request) -> None:
         """Forget all late replies of the unit: its reply to ``request`` proves that none is left (rule 2).
 
-        A frame that was sent unasked is forgotten too, unless it had the function code of ``request``.
+        A frame sent without a request (``unasked``) is forgotten too, unless it had the function code of ``request``.
         """
         self.owed.clear()
         self.older.clear()
@@ -214,11 +214,9 @@ class UnitDoubt:
     # Requests that may be sent.
 
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
-        """Whether a late reply to another request, or a further unasked one, could be taken for the reply to this one.
+        """Whether a late reply, or a frame sent without a request, could be taken for the reply to this request.
 
-        See rule 3.
-
-        ``call`` and ``position`` say which request it is: earlier attempts at the same request raise no doubt.
+        See rule 3. ``call`` and ``position`` identify the request: late replies to earlier attempts at it do not count.
         """
         function = request.wire[0]
         if self.unasked == function or function in self.older:
@@ -227,10 +225,10 @@ class UnitDoubt:
         return any(request.is_write or _same_shape(owed.request, request) for owed in others)
 
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
-        """Return the earliest time to send a request, because a unit may break the order of replies (rule 5).
+        """Return the earliest time at which a request with this function code may be sent, given late replies (rule 5).
 
-        It is ``now`` if no other request with this function code is owed a reply. ``call`` and ``position`` are as for
-        `in_doubt`.
+        It is ``now`` unless another request with this function code is owed a reply. ``call`` and ``position`` identify
+        the request to send; replies owed to earlier attempts at it do not delay it.
         """
         if not self.pending:
             return now
@@ -245,7 +243,7 @@ class UnitDoubt:
 
     @property
     def is_owed(self) -> bool:
-        """Whether the unit may still send late replies, or has sent a frame unasked."""
+        """Whether the unit may still send late replies, or has sent a frame without a request."""
         return bool(self.owed or self.older or self.unasked is not None)
 
     @property
@@ -258,8 +256,9 @@ class UnitDoubt:
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
         """Return the next marker request to send (see `Marker`); None if the unit answers no kind of marker.
 
-        ``number``, 0…65535, is the data of 08/00; no marker that is still owed a reply may have used it. ``is_check``:
-        the marker is the regular check of rule 7, for which fewer kinds are used.
+        Args:
+            number: data of a marker of the kind 08/00, 0…65535; no marker whose reply is still owed may have the same.
+            is_check: whether it is sent for the regular check of rule 7, for which fewer kinds are used.
         """
         kinds: Iterable[MarkerKind] = _OF_CHECKS if is_check else MarkerKind
         if self.works is not None and not is_check:
@@ -283,7 +282,7 @@ class UnitDoubt:
         return None if taken else request
 
     def _read_of_other_length(self) -> Request | None:
-        """Return a marker request: a read shorter than one answered before, whose reply looks like no late reply.
+        """Return a read to be used as a marker: shorter than one answered before, so that no owed reply has its length.
 
         None if there is no such read.
         """
@@ -311,13 +310,13 @@ class UnitDoubt:
         self.silent.add(kind)
 
     def revived(self) -> None:
-        """Allow all kinds of marker requests (see `Marker`) again, because a unit that was silent answers."""
+        """Allow all kinds of marker requests (see `Marker`) again, because a unit that was silent has answered."""
         self.silent.clear()
 
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Record a request that was answered in time, and count such replies in a row with the same shape (rule 7)."""
+        """Record a request that was answered in time; ``alike`` counts how many in a row were alike (rule 7)."""
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
@@ -335,7 +334,7 @@ class UnitDoubt:
 def may_answer(request: Request, pdu: bytes) -> bool:
     """Whether a received PDU could be the normal reply, or an exception reply, to a request.
 
-    Judged without its values.
+    Judged by function code, length and first bytes; the values in the reply are not looked at.
     """
     if pdu[0] & ~_EXCEPTION != request.wire[0]:
         return False
@@ -349,7 +348,7 @@ _READS: Final = (ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputR
 
 
 def _same_shape(request: Request, other: Request) -> bool:
-    """Whether a normal reply to one of two requests could be taken for a reply to the other."""
+    """Whether the normal replies to two requests have the same length and first bytes, or may have them."""
     return (
         request is other
         or UNKNOWN_LENGTH in (request.expected_size, other.expected_size)
@@ -362,10 +361,12 @@ def _may_be_reply_to(part: Request, owed: OwedReply) -> bool:
 
 
 class Doubts:
-    """The late replies that all units of one link may still send; kept while connections change, and for the next link.
+    """The late replies that all units of one link may still send.
+
+    The record outlives connections, and is passed on to the next link to the same endpoint.
 
     Attributes:
-        units: the state of each unit that a request was sent to.
+        units: the record of each unit that a request was sent to.
     """
 
     __slots__ = ("_number", "units")
@@ -382,20 +383,23 @@ class Doubts:
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request (see `Marker`) for a unit.
+        """Return the next marker request (see `Marker`) for a unit; None if the unit answers no kind of marker.
 
-        None if the unit answers no kind. ``is_check``: see `UnitDoubt.marker`.
+        ``is_check``: see `UnitDoubt.marker`.
         """
         self._number = (self._number + 1) & 0xFFFF
         return self.of(unit).marker(self._number, is_check=is_check)
 
     def in_doubt(self) -> list[int]:
-        """Return the units whose next reply could be a late one or one sent unasked, in ascending order."""
+        """Return the units that may still send a late reply or have sent a frame without a request, ascending."""
         return sorted(unit for unit, doubt in self.units.items() if doubt.is_owed)
 
     @property
     def is_owed(self) -> bool:
-        """Whether late replies may still come, or requests wait for them; the next link to the endpoint must know."""
+        """Whether late replies may still come, or requests wait for them.
+
+        Then the next link to the endpoint needs this record.
+        """
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:

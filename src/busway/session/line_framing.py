@@ -4,7 +4,7 @@ Knows which receiver goes with which framing and its options; knows no port and 
 
 1. On a wire, RTU sends after t3.5 of silence. ASCII needs none, its frames have start and end characters; over
    a network the converter at the wire keeps the silence.
-2. The end delimiter of ASCII may change at any time (function 08/03); what is sent follows what is received.
+2. Function 08/03 may change the end delimiter of ASCII at any time; frames are sent with the delimiter of the receiver.
 """
 
 from collections.abc import Callable, Container
@@ -25,7 +25,7 @@ from ..pdu.functions import STANDARD, FunctionTable
 class LineFraming:
     """How one station (master or server) speaks RTU or ASCII: receiver, encoder, silent times.
 
-    Created by `line_framing`.
+    Created by the function `line_framing`.
 
     Attributes:
         receiver: finds the frames in received bytes.
@@ -44,7 +44,10 @@ class LineFraming:
         self.send_gap: float = 0.0 if self._ascii is not None or not timing.character else timing.t3_5
 
     def begin_again(self) -> None:
-        """Replace the receiver by a new one, which has received nothing; an ASCII delimiter set meanwhile stays."""
+        """Replace the receiver by a new one, which has received nothing.
+
+        An ASCII delimiter set by function 08/03 stays.
+        """
         delimiter = None if self._ascii is None else self._ascii.delimiter
         self.receiver = self._make()
         self._rtu = self.receiver if isinstance(self.receiver, RtuReceiver) else None
@@ -64,9 +67,9 @@ class LineFraming:
         return encode_rtu(unit, pdu)
 
     def skip_requests(self, now: float) -> bool:
-        """Skip requests that were recognised without the receiver, as `RtuReceiver.skip_requests` does.
+        """Record that requests were answered without the receiver, as `RtuReceiver.skip_requests` does.
 
-        Returns whether that was possible; always False with ASCII and with strict timing.
+        Returns False, and records nothing, if the receiver needs the bytes; always with ASCII and with strict timing.
         """
         return self._rtu is not None and self._rtu.skip_requests(now)
 
@@ -96,7 +99,7 @@ def line_framing(
         timing: character times of a wire or of a network.
         parameters: options of the framing; None for the defaults.
         functions: the functions whose lengths are known.
-        units: the own units of a server; may be a live view.
+        units: the own units of a server; a container whose content changes may be given.
         echo: whether the port echoes the bytes that are sent.
         strip_parity: only for ASCII: whether the eighth bit of a character is ignored.
         started: when the port was opened, in the clock of later calls; None if the line is known to be idle.

@@ -38,7 +38,7 @@ from .responder import (
 
 _DIAGNOSTICS: Final = int(FunctionCode.DIAGNOSTICS)
 _MOST_RIGHTS: Final = 256
-"""Most sets of rights whose fast path is kept; when there are more, all fast paths are dropped and built anew."""
+"""Most sets of rights whose fast path is kept; if there are more, all fast paths are dropped and built again."""
 MOST_READS: Final = 4096
 """Most reads that one fast path knows by all their bytes: enough for a poller of 4096 different ranges. Other reads are
 answered by the function for their unit and function code: that takes 1.0 µs instead of 0.4.
@@ -53,16 +53,19 @@ _MOST_FUNCTIONS: Final = 4096
 
 
 class ClientRights(Protocol):
-    """Interface of what a policy permits to certain clients; objects of clients with equal rights are equal."""
+    """Interface of the rights that a policy gives to a client.
+
+    The objects of clients with the same rights are equal.
+    """
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return a function that answers requests with one function code from their bytes.
+        """Return a function that answers all requests of the class ``kind`` to a unit from their bytes.
 
-        ``kind`` is the request class of that code. None if each request needs a decision of the policy.
+        None if the policy must decide about each request.
         """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read request is always permitted, without a rate limit: then the same read needs no check later."""
+        """Whether a read is permitted always and without a rate limit, so that repetitions of it need no check."""
 
 
 class Authorizer(Protocol):
@@ -73,7 +76,7 @@ class Authorizer(Protocol):
         """A number that changes when earlier decisions, or earlier results of `rights_of`, are no longer valid."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
-        """Return what the access rules permit to a client."""
+        """Return the rights of a client, by which its requests are answered on the fast path."""
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None
@@ -117,7 +120,7 @@ class RequestPipeline:
         responder: answers permitted requests.
         authorizer: permits requests; None permits all.
         observers: are told what becomes of requests.
-        clock: returns the time in seconds; from it come the durations that observers get.
+        clock: returns the time in seconds, to measure the durations that observers get.
     """
 
     def __init__(
@@ -143,14 +146,14 @@ class RequestPipeline:
 
     @property
     def generation(self) -> int:
-        """A number that changes when the functions that answer requests from their bytes are no longer valid."""
+        """A number that changes when the functions returned by `fast_path` are no longer valid."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
     def fast_path(self, client: ClientIdentity) -> "FastPath":
-        """Return the functions that answer requests from their bytes, shared by all clients with the same rights.
+        """Return the functions that answer a client's requests from their bytes.
 
-        A session calls it again when `generation` has changed.
+        Clients with the same rights share them. A session calls it again when `generation` has changed.
         """
         generation = self.generation
         if self._fast_of != generation or len(self._fast) > _MOST_RIGHTS:
@@ -228,7 +231,8 @@ class FastPath:
             the same reads again and again.
         functions: by the two bytes of unit and function code, the function that computes the reply PDU
             (`busway.pdu.fast_answers`); None where all requests take the generic path.
-        frames: as ``reads``, for RTU frames that come over a network, by their eight bytes: a known frame needs no CRC.
+        frames: like ``reads``, for RTU frames over a network, by all their eight bytes: the CRC of a frame found here
+            need not be checked.
         forwards: reads that a gateway forwards, by the same ten bytes as ``reads``.
     """
 
@@ -243,9 +247,9 @@ class FastPath:
         self.forwards: ForwardPlans = ForwardPlans()
 
     def bind(self, unit: int, function: int) -> Answer | None:
-        """Find and keep the function that answers one function code of a unit from bytes.
+        """Find the function that answers one function code of a unit from bytes; store and return it.
 
-        None if such requests must take the generic path; that is kept too.
+        None, which is stored too, if such requests must take the generic path.
         """
         answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:
@@ -260,7 +264,7 @@ class FastPath:
         return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
 
     def learn_read(self, adu: bytes) -> bool:
-        """Store the bytes of a read just answered, so that the same read is recognised next time.
+        """Store how to answer a read that was just answered on the generic path, for the next time.
 
         ``adu`` is the whole request on TCP. Returns whether there is room for more reads.
         """
@@ -270,16 +274,16 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def learn_frame(self, frame: bytes) -> None:
-        """Store the eight bytes of an RTU frame with a read just answered, to recognise the same frame next time."""
+        """Store how to answer an RTU frame of eight bytes, which holds a read just answered, for the next time."""
         if len(self.frames) < MOST_READS:
             plan = self._plan(frame[0], frame[1:-2])
             if plan is not None:
                 self.frames[frame] = plan
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
-        """Find out how a read that is not known yet is forwarded, and keep that.
+        """Find out how a read that is not known yet is forwarded, and store that.
 
-        Returns whether this read is forwarded undecoded from now on; False also if it is known already.
+        Returns True if from now on this read is forwarded on the fast path. False also if it was known before.
         """
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:
@@ -298,9 +302,9 @@ class FastPath:
         return plan if plan is not None and self._permits(unit, served, pdu) else None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
-        """Return unit and request class of a function code, or twice None if the device cannot answer it from bytes.
+        """Return unit and request class for a function code, if the unit's device can answer it from bytes.
 
-        The class alone is None if the function is not known.
+        (None, None) if it cannot; the class alone is None if the function is not in the table.
         """
         served = self._responder.serves(unit)
         if served is None or served.device is None or not served.is_direct or not served.device.enabled(function):
@@ -314,17 +318,17 @@ class FastPath:
 
 
 class _NoUnits:
-    """The responder of a server that has no units."""
+    """The responder of a server without units; it answers nothing."""
 
     functions = STANDARD
     generation = 0
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return None: a server without units has none that could answer."""
+        """Return None: there are no units."""
         return None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return `SILENCE`: a server without units does not answer."""
+        """Return `SILENCE`: the request gets no reply."""
         return SILENCE
 
 

@@ -5,15 +5,14 @@ Knows callers, units and the order among them; knows no clock and no bytes.
 1. Round robin over callers, one request each. A new caller is served before the one that was served last, so a flood
    of one caller delays the others by the request in flight and no more.
 2. Of one caller, writes go before reads to other units, but never past its own earlier requests to the same unit.
-3. A unit that must not be asked now (``eligible``) holds up its own requests only.
+3. A unit that must not be asked now (``eligible`` returns False) delays its own requests only.
 4. The queue is bounded; a call that does not fit is refused before anything was sent.
 5. For a caller that acts for many (a client of a gateway), the units it asks can be served in turn (``units_in_turn``).
-6. Where several requests may be sent at once, a caller's turn may be more than one of them (``burst``), because
-   requests that leave together are answered together. A turn never waits for more room: if only one request may be
-   sent, it is one.
+6. Where several requests may be sent at once, a caller may send up to ``burst`` of them in its turn, because requests
+   that leave together are answered together. It does not wait until so many can be sent: if only one can, it is one.
 7. The priority hosts of a gateway go first (`Call.is_priority`). When each waiting priority host has had a turn, one
-   other caller has a turn, so none waits for ever. A flood of other callers delays a priority host by what is in flight
-   and one turn; in a queue that they have filled there are still `RESERVED_PLACES` for it.
+   other caller has a turn, so none waits for ever. A flood of other callers delays a priority host by the requests in
+   flight and one turn. If they have filled the queue, it still accepts `RESERVED_PLACES` requests of priority hosts.
 """
 
 from collections import deque
@@ -23,14 +22,14 @@ from ..errors import Overloaded
 from .call import Call
 
 BURST = 8
-"""Largest turn, in requests, of a gateway's client while others wait. Requests that leave together are answered
-together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single ones 45.
+"""Most requests that a gateway's client may send in its turn while others wait. Requests that leave together are
+answered together, in one segment for the server and one for the client: 8 at once take 10 µs each, 4 take 15, single
+ones 45.
 It is half of the requests that may be in flight, so that two clients have their turns at once.
 """
 
 RESERVED_PLACES = 64
-"""Places beyond the limit of a queue that only priority hosts may take: enough for the open requests of four
-connections.
+"""Number of requests of priority hosts that a queue accepts beyond its limit: enough for four connections.
 """
 
 Eligible = Callable[[Call], bool]
@@ -71,8 +70,9 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Record that a request to this unit is sent, so that other units of the caller come before it, if units take
-        turns.
+        """Record that a request to this unit is sent.
+
+        If units are served in turn, it goes to the end of their order.
         """
         served = self.served
         if served is not None and len(self.units) > 1:
@@ -80,9 +80,9 @@ class _Caller:
             served[unit] = None
 
     def _unit_in_turn(self, served: dict[int, None], eligible: Eligible | None) -> Call | None:
-        """Return the caller's oldest call to the unit that has waited longest since its last request.
+        """Return the caller's oldest call to that unit whose last request was sent longest ago.
 
-        Units that ``eligible`` excludes are left out; None if no unit is left.
+        Calls for which ``eligible`` returns False are left out; None if no call is left.
         """
         oldest: dict[int, Call] = {}
         for call in self.calls:
@@ -92,7 +92,7 @@ class _Caller:
 
 
 class _Round:
-    """A circular list of the callers of a queue: the order in which they may send."""
+    """The callers of a queue in the order in which they send next (round robin)."""
 
     __slots__ = ("callers", "last")
 
@@ -118,9 +118,9 @@ class RequestQueue:
     """The bounded queue of the calls of a link that have requests left to send.
 
     Attributes:
-        limit: number of places for calls; for priority hosts there are `RESERVED_PLACES` more.
-        size: how many calls are queued.
-        waiting: how many places the queued calls take (`Call.places`); ``limit`` applies to this number.
+        limit: how much the queue holds, in `Call.places`; `RESERVED_PLACES` more for priority hosts.
+        size: number of queued calls.
+        waiting: the sum of `Call.places` of the queued calls, to which ``limit`` applies.
         burst: requests of one caller that may be sent before the next caller's turn, if that many may be sent at once.
         begun: calls with both sent and waiting requests; kept only if ``burst`` is above 1.
         units_in_turn: whether the units of a caller are served in turn, instead of its requests in their order.
@@ -158,7 +158,8 @@ class RequestQueue:
     def add(self, call: Call) -> None:
         """Queue a call after the others of its caller.
 
-        Raises `Overloaded` if the queue is full; then nothing was sent.
+        Raises:
+            Overloaded: the queue is full; nothing was sent.
         """
         limit = self.limit + RESERVED_PLACES if call.is_priority else self.limit
         if self.waiting + call.places > limit:
@@ -168,7 +169,10 @@ class RequestQueue:
         self._count(caller, call)
 
     def clear(self) -> None:
-        """Forget all calls and turns, also in the midst of a change that an interrupt has ended."""
+        """Forget all calls and the order of callers.
+
+        Safe even if an exception has interrupted another method half-way.
+        """
         self.size = self.waiting = self._passed = self._allowed = 0
         self.begun.clear()
         self._callers.clear()
@@ -177,9 +181,7 @@ class RequestQueue:
         self._last = None
 
     def add_again(self, call: Call) -> None:
-        """Queue a call that has a request to repeat, before the other calls of its caller and regardless of the
-        limit.
-        """
+        """Queue a call with a request to repeat: before its caller's other calls, and even if the queue is full."""
         caller = self._callers.get(call.caller) or self._new_caller(call)
         if call not in caller.calls:  # else its other requests still wait
             call.places = 1  # its other requests gave up their places when they were sent
@@ -210,10 +212,10 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Return how many requests one caller may send in its turn, if ``room`` more may be in flight.
+        """Return how many requests the caller that is picked next may send, if ``room`` more requests may be in flight.
 
-        All of them for a sole caller. With several callers 1, or if ``burst`` is above 1: ``burst``, or an equal part
-        of ``room`` where that is more.
+        A sole caller may send ``room``. With several callers it is 1; if ``burst`` is above 1, it is ``burst`` or an
+        equal part of ``room``, whichever is more.
         """
         callers = len(self._callers)
         if callers == 1:
@@ -221,7 +223,7 @@ class RequestQueue:
         return 1 if self.burst == 1 else max(self.burst, room // callers)
 
     def sent(self, call: Call, count: int) -> None:
-        """Record that ``count`` requests of a picked call were sent.
+        """Record that ``count`` requests of a call returned by `pick` were sent.
 
         The call leaves the queue if it has none left to send.
         """
@@ -235,9 +237,9 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """Return a further call of the caller that `pick` chose last, so that its turn goes on.
+        """Return a further call of the caller that `pick` chose last, which may send more requests in its turn.
 
-        None if that caller has no call left, or none that ``eligible`` allows.
+        None if that caller has no call left for which ``eligible`` returns True.
         """
         caller = self._last
         if caller is None or not caller.calls:
@@ -248,11 +250,10 @@ class RequestQueue:
         return call
 
     def pick(self, eligible: Eligible | None = None) -> Call | None:
-        """Return the call whose request is sent next; its caller's turn is then over.
+        """Return the call whose request is sent next, and put its caller at the end of the round robin.
 
-        The call itself stays in the queue.
-
-        None if no queued call may be sent, as judged by ``eligible``; without it every call may.
+        The call stays in the queue. None if there is no call for which ``eligible`` returns True; without ``eligible``
+        every call may be picked.
         """
         others = self._others
         if len(self._callers) == 1 and others.callers:  # the usual case
@@ -269,7 +270,7 @@ class RequestQueue:
         return call
 
     def peek(self, eligible: Eligible | None = None) -> Call | None:
-        """Return the call that `pick` would return now, without ending its caller's turn.
+        """Return the call that `pick` would return now; the order of callers stays unchanged.
 
         None if no call may be sent.
         """
@@ -281,7 +282,7 @@ class RequestQueue:
         return None
 
     def take_turn(self, call: Call) -> None:
-        """End the turn of the caller of this call: that caller, with those before it, goes to the end of the round."""
+        """Put the caller of this call, and the callers skipped before it, at the end of the round robin."""
         caller = self._last = self._callers[call.caller]
         round_ = caller.round
         round_.last = caller
@@ -295,7 +296,7 @@ class RequestQueue:
             caller.has_served(call.unit)
 
     def _rounds(self) -> tuple[_Round, ...]:
-        """Return both rounds, of priority hosts and of other callers; the one to be served now comes first."""
+        """Return the callers of priority hosts and the other callers, in the order in which they are served now."""
         if self._passed >= self._allowed:
             return self._others, self._priority
         return self._priority, self._others

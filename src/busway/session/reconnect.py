@@ -4,7 +4,7 @@ Knows outcomes and times; knows no socket. ``jitter`` is passed in (it returns a
 
 1. After a connection that brought a valid reply, the next request reconnects at once.
 2. After a connection that could not be opened, or ended without a valid reply, there is a pause. It doubles each time.
-   Only a valid reply resets it: a peer that accepts and closes is not a peer that works.
+   Only a valid reply resets it: a peer that accepts connections and closes them does not work.
 3. A connection that ends without any request sent, or is closed because it is unused, changes neither pause nor count.
 4. Every change of state is reported once. Failed attempts in a row are counted, and reported when the peer answers.
 """
@@ -76,7 +76,7 @@ class Reconnect:
 
     Attributes:
         state: the current state.
-        failures: attempts and connections in a row that brought no valid reply.
+        failures: number of attempts and connections in a row that brought no valid reply.
         not_before: when the next attempt may be made, in the clock of ``now``.
     """
 
@@ -100,7 +100,7 @@ class Reconnect:
             had_reply: for `LOST`: whether the connection had brought a valid reply.
 
         Returns:
-            A message for the operator, or an empty text if there is nothing new.
+            A message for the log, or an empty text if there is nothing new.
         """
         before, failed = self.state, self.failures
         target = TRANSITIONS.get((before, event))
@@ -117,14 +117,14 @@ class Reconnect:
         return _news(event, reason, failed, target, new_state=before is not target)
 
     def begin_again(self) -> None:
-        """Have no connection and no attempt in progress, and no pause; failures so far still count."""
+        """Reset to the state DOWN, in which the next attempt may be made at once; the number of failures stays."""
         self.state = ConnectionState.DOWN
 
     @property
     def is_flapping(self) -> bool:
-        """Whether a pause follows several connections in a row without a valid reply.
+        """Whether the link pauses after at least two attempts or connections in a row without a valid reply.
 
-        Then calls fail at once, and do not wait.
+        Then calls fail at once instead of waiting for the next attempt.
         """
         return self.state is ConnectionState.BACKING_OFF and self.failures > 1
 
@@ -138,7 +138,7 @@ class Reconnect:
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
     """Return the log message for a connection event; empty if it needs none.
 
-    ``failed``: connections in a row without a valid reply before the event. ``state``: the state after it.
+    ``failed``: attempts and connections in a row without a valid reply before the event. ``state``: the state after it.
     """
     if event is ConnectionEvent.VALID_REPLY:
         if failed:

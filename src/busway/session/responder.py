@@ -3,8 +3,8 @@
 Knows no device, policy or gateway.
 
 1. `Responder.answer` returns the reply or an awaitable of it, or `LATER` (the responder calls `RequestContext.reply`
-   once, later), `SILENCE` (the request gets no reply), or a `Forwarding`, which the session begins. It raises `Refusal`
-   for an exception reply with the code of the `Refusal`.
+   once, later), `SILENCE` (the request gets no reply), or a `Forwarding`, whose requests the session sends. It raises
+   `Refusal` for an exception reply with the code of the `Refusal`.
 2. `Responder.serves` returns whether a unit is served, with its device if the device is in this process. Requests to
    such a device may take the fast path; then they are not passed to `answer` (`busway.session.pipeline`).
 """
@@ -52,7 +52,7 @@ class ClientIdentity:
         is_priority: whether the client is a priority host.
         listener_names: further URLs by which access rules may name the listener: as it was configured, and every
             address that it is bound to.
-        audit_text: how lines of the audit log name the client; the audit log fills it in, empty before.
+        audit_text: text for the client in lines of the audit log; set by the audit log, empty before.
     """
 
     __slots__ = ("audit_text", "is_priority", "listener", "listener_names", "peer", "role")
@@ -77,7 +77,7 @@ _UNKNOWN: Final = ClientIdentity()
 
 
 class Judged:
-    """The authorizer's decision about a request, with the rule behind it.
+    """The authorizer's decision about a request, and the rule that decided it.
 
     Attributes:
         rule: name of the rule that permits or denies the request.
@@ -99,7 +99,7 @@ class Judged:
 
 
 class RequestContext:
-    """Circumstances of one request: client, unit, listener; and the way to give its reply later.
+    """What a responder gets with a request: client, unit and listener, and methods to reply later.
 
     Attributes:
         client: who sent the request; also as ``peer``, ``listener``, ``role`` and ``is_priority``.
@@ -168,7 +168,7 @@ class RequestContext:
         return self.client.is_priority
 
     def replacing(self, values: Replaced) -> None:
-        """Report the old values that a write replaces; the responder calls it in one step with the write.
+        """Report the old values that a write replaces; the responder calls it in the same atomic step as the write.
 
         ``values`` has one element for each range to be written, in the order of `Request.spans` (for file records, for
         each group). Raises `Refusal` where a rule forbids the write because of these values; then the write is not
@@ -181,9 +181,9 @@ class RequestContext:
                 judged.check(values)
 
     def inside(self, finish: Callable[["RequestContext", Message | Deferral], None]) -> "RequestContext":
-        """Return a context for a responder that another responder asks.
+        """Return a copy of this context, for a responder that passes the request on to another responder.
 
-        Its late reply goes to the function ``finish``.
+        A late reply given to the copy is passed to ``finish`` and not to the client.
         """
         made = RequestContext(
             unit=self.unit,
@@ -199,11 +199,11 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether a late reply is no longer accepted: it was given, or the request has ended otherwise."""
+        """Whether a late reply is no longer accepted: one was given, or the request has ended without one."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
-        """Give the reply that `LATER` promised; `SILENCE` ends the request without one.
+        """Give the late reply to a request for which `LATER` was returned; `SILENCE` ends it without a reply.
 
         A second reply, or one after the client left, is ignored.
         """
@@ -225,13 +225,14 @@ class RequestContext:
             gone()
 
     def watch(self, ended: Callable[[Message | Deferral | None], None]) -> None:
-        """Register a function called once with the outcome: the reply, `SILENCE`, or None if the client leaves before
-        it.
+        """Register a function to be called once with the outcome of this request.
+
+        The outcome is the reply, `SILENCE`, or None if the client disconnects first.
         """
         self._watchers = (*self._watchers, ended)
 
     def end(self, outcome: Message | Deferral | None) -> None:
-        """Report the outcome of this request to the functions registered with `watch`, unless that was done before."""
+        """Report the outcome of this request to the functions registered with `watch`; later calls do nothing."""
         watchers, self._watchers = self._watchers, ()
         for ended in watchers:
             ended(outcome)
@@ -241,15 +242,16 @@ class ForwardingTarget(Protocol):
     """Interface of a unit on another server to which requests are forwarded."""
 
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
-        """Forward one or several requests.
+        """Forward one or several requests; the results are reported to ``asker``.
 
-        ``asker`` gets each answer by its ``answer``, ``reply`` or ``refuse``, with the elements of ``tags`` and
-        ``asked`` that belong to the request; possibly before this method returns.
+        For each request its method ``answer``, ``reply`` or ``refuse`` is called, possibly before this method returns,
+        with the request, and with the element of ``tags`` at the same position, by which the caller recognises the
+        request.
         """
 
 
 class ForwardedMessage(Protocol):
-    """A request as it is sent to another server, with the translation of its reply for the client."""
+    """Interface of a request in the form in which it is sent to another server; translates the reply for the client."""
 
     def of_data(self, data: bytes) -> Message:
         """Return the client's reply to a read, built from the data that the other server sent."""
@@ -259,18 +261,18 @@ class ForwardedMessage(Protocol):
 
 
 class Forwarding:
-    """A request that a gateway forwards to one or more targets, with the client that waits for its answer.
+    """A request that a gateway forwards to one or more targets; it collects their answers and replies to the client.
 
-    The session begins it: it calls ``ask`` of each target, with `ALONE`. When all have answered, the client gets the
-    reply.
+    The session that gets it from `Responder.answer` calls ``ask`` of each target, with this object as ``asker``. Each
+    target calls `answer`, `reply` or `refuse`. After the last of these calls the client gets the reply.
 
     Args:
-        context: the request.
+        context: the request of the client.
         asks: each target with the request to it.
         reply: the client's reply unless a target refuses the request; None: the reply of the first target that answers.
 
     Attributes:
-        asks: as above.
+        asks: as given.
         peer, is_priority: the client's address, and whether it is a priority host.
         batches: the gateway's batches that contain its requests; they add and remove themselves.
     """
@@ -294,23 +296,26 @@ class Forwarding:
         context.gone = self._client_gone
 
     def answer(self, tags: Sequence[None], asked: Sequence[ForwardedMessage], data: Sequence[bytes]) -> None:
-        """Answer the client with data that were read upstream; called by a target.
+        """Called by a target with the data that it has read: the client's reply is built from them.
 
-        The sequences have one element each.
+        The sequences have one element each: None, the request, and its data.
         """
         self._answered(asked[0].of_data(data[0]))
 
     def reply(self, tag: None, asked: ForwardedMessage, reply: Message) -> None:
-        """Answer the client with the reply of the server to which the request was forwarded."""
+        """Called by a target with the reply of the other server, which is translated for the client."""
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Record that a target refused the request: the client gets this exception code, not the intended reply."""
+        """Called by a target that refused the request: the client gets an exception reply with this code."""
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
     def send(self) -> None:
-        """Do nothing: the answer to a single request was sent when it was given."""
+        """Do nothing. A target calls it after its answers, so that several can be sent together.
+
+        Here there is only one.
+        """
 
     def _answered(self, reply: Message) -> None:
         if self._reply is None:
@@ -326,7 +331,7 @@ class Forwarding:
 
 
 ALONE: Final = (None,)
-"""The tags passed to `ForwardingTarget.ask` for a request that is forwarded by itself."""
+"""The argument ``tags`` of `ForwardingTarget.ask` for a single request."""
 Outcome = Message | Awaitable[Message] | Deferral | Forwarding
 
 
@@ -342,12 +347,12 @@ class ServedUnit:
     """A unit for which a responder answers, with its device if that can be used directly, for speed.
 
     Attributes:
-        unit: the unit as which its device is configured; the first of them if the only device of a server has several.
+        unit: the configured unit of its device; the first if the only device of a server has several.
         device: the device if it is in this process, else None. With a device, `Responder.answer` calls
             `RequestContext.replacing` before it executes a write.
         is_direct: whether requests may reach the device by the fast path.
-        units: all units as which its device is configured; if left out, ``unit`` alone. Rules about any of them hold,
-            even if the device answers as further units, such as 0 and 255: a client denied on unit 1 must not reach the
+        units: all configured units of its device; ``unit`` alone if left out. A rule about one of them holds for the
+            device under every number, also where it answers as 0 and 255: a client denied on unit 1 must not reach the
             same device by another unit.
     """
 
@@ -376,14 +381,17 @@ class Responder(Protocol):
         """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding` (see the module).
+        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding`, as rule 1 says.
 
         Called for requests to unknown units as well.
         """
 
 
 class SerialUnits:
-    """The units 1…247 for which a responder answers on a serial line, for ``in``; follows changes of the responder."""
+    """The units 1…247 that a responder serves, as a container for ``in``.
+
+    Changes of the responder take effect at once.
+    """
 
     def __init__(self, responder: Responder) -> None:
         self._responder = responder

@@ -27,7 +27,7 @@ class ClientCounters:
 
     Attributes:
         exceptions: replies that are exception replies; they do not count in ``replies``.
-        retries: requests arranged to be sent again.
+        retries: requests queued to be sent again.
         bad_replies: replies to a request that break the protocol or do not fit the request.
         late_replies: replies that came after the timeout of their request.
         foreign_replies: frames that answer no request of this link.
@@ -85,7 +85,11 @@ class CallTracker:
         self.deadlines: int = 0
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call. Raises `Overloaded` if the queue is full; then nothing was sent."""
+        """Queue a call and start to track it.
+
+        Raises:
+            Overloaded: the queue is full; nothing was sent.
+        """
         try:
             self.queue.add(call)
         except Overloaded as error:
@@ -95,25 +99,25 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Start to track a call; `submit` does so for queued calls.
-
-        Called alone for a call that is sent without queueing.
-        """
+        """Start to track a call. Used for a call that is sent without queueing; for others `submit` does it."""
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1
 
     def begin_again(self) -> None:
-        """Forget all calls, because an interrupt may have ended a change of them half-way; `resume` takes one back."""
+        """Forget all calls: an exception such as KeyboardInterrupt may have left them inconsistent.
+
+        `resume` adds one again.
+        """
         self.queue.clear()
         self.finished.clear()
         self.deadlines = 0
 
     def resume(self, call: Call, now: float) -> None:
-        """Take a call back after `begin_again`, with the outcomes that it has; its connection was lost meanwhile.
+        """Add a call again after `begin_again`, with the outcomes that it has; its connection was lost meanwhile.
 
-        Requests that were sent are repeated or fail as after any lost connection (rule 1); the others wait for their
-        turn, regardless of the limit of the queue.
+        Requests that were sent are repeated or fail as after any lost connection (rule 1). The others are queued, even
+        if the queue is full.
         """
         call.open = call.outcomes.count(None)
         if call.deadline is not None:
@@ -142,9 +146,9 @@ class CallTracker:
         reason: Callable[[], ModbusError],
         in_flight: Collection[tuple[int, int]] = (),
     ) -> None:
-        """End the unsent requests of a call; ``reason`` is called once for each of them and returns its error.
+        """End all requests of a call that are not in flight, each with an error of its own, created by ``reason``.
 
-        ``in_flight`` holds (``id`` of the call, position) of the requests already sent; those go on.
+        ``in_flight`` holds (``id`` of the call, position) of the requests in flight; those go on.
         """
         self.queue.remove(call)
         for position, outcome in enumerate(call.outcomes):
@@ -169,11 +173,10 @@ class CallTracker:
         )
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """End every call in the queue because no connection could be opened.
+        """End every call in the queue, because no connection could be opened.
 
-        Each open request gets a copy of ``error``.
-
-        With ``keep_repeated`` a call that is about to be repeated stays in the queue.
+        Each open request gets a copy of ``error``. If ``keep_repeated``, a call of which a request is about to be
+        repeated stays in the queue.
         """
         kind = error.kind if isinstance(error, LinkDown) else "other"
         for call in list(self.queue):
@@ -187,7 +190,7 @@ class CallTracker:
                     self._given_up(call, position, copy, now)
 
     def next_deadline(self) -> float | None:
-        """The earliest deadline among the calls in the queue; None if no queued call has a deadline."""
+        """Return the earliest deadline among the calls in the queue; None if no queued call has a deadline."""
         if not self.deadlines:
             return None
         return min((one.deadline for one in self.queue if one.deadline is not None), default=None)
@@ -202,9 +205,8 @@ class CallTracker:
 
         Args:
             now: the time.
-            in_flight: (``id`` of the call, position) of the requests already sent; these are not ended here.
-            reason: returns the error for a call that was held back for a particular reason; None for the usual error.
-                Called only for requests that were never sent.
+            in_flight: (``id`` of the call, position) of the requests in flight; these are not ended here.
+            reason: called for requests that were never sent; returns the error, or None for the usual one.
         """
         if not self.deadlines:
             return
@@ -223,7 +225,7 @@ class CallTracker:
                     self._given_up(call, position, error, now)
 
     def _given_up(self, call: Call, position: int, error: ModbusError, now: float) -> None:
-        """End a request that will not be sent; a write that waited for its repetition ends as `WriteOutcomeUnknown`."""
+        """End a request that will not be sent; a write that was sent before ends as `WriteOutcomeUnknown`."""
         if position in call.attempts:
             error.attempt = call.attempts[position] - 1  # the one after it was never begun
         if error.attempt and call.requests[position].is_write:
@@ -232,7 +234,7 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def failed(self, call: Call, position: int, error: ModbusError, now: float, *, again: bool) -> None:
-        """Handle a sent request without valid answer: repeat it if that is allowed (rule 1), else end it with an error.
+        """Handle a sent request without valid answer: repeat it if rule 1 allows that, else end it with an error.
 
         ``again`` False forbids a repetition. An error of a write becomes `WriteOutcomeUnknown`, because the write may
         have been executed.
@@ -251,7 +253,10 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def repeat(self, call: Call, position: int) -> None:
-        """Repeat a read whose reply may have been taken for a late one; this uses up none of its retries."""
+        """Repeat a read whose reply was not used, because it may have been a late one.
+
+        This does not count as a retry.
+        """
         call.repeated = {**call.repeated, position: call.repeated.get(position, 0) + 1}
         self._again(call, position)
 

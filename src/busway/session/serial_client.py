@@ -7,15 +7,15 @@ RTU and ASCII differ only in the framing that is passed in.
 2. A reply of another unit keeps the timer running. So does a damaged frame: it is counted, and the request may be
    repeated as after a timeout.
 3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
-   the same unit before that much time has passed since the timeout. Frames that come until then are late and dropped.
+   the same unit before that much time has passed since the timeout. Frames received until then are late and dropped.
 4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
    sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.
 5. Nothing is sent before t3.5 after the last byte on the line, ``request_gap`` after a reply and ``unit_switch_gap``
-   before a request to another unit. A unit with a gap of its own is left alone for it; others are served meanwhile.
+   before a request to another unit. A unit with a gap of its own gets no request for that time; others do.
 6. Dead units cost the line no more than a probe (`unit_breaker`); their requests fail with `UnitSuspended`.
 7. A request that was cancelled, or whose deadline is over, stays in flight until its reply comes or its time is over.
-8. A frame that began before the request had left and t3.5 had passed is no reply to it.
+8. A frame is no reply to a request if it began before t3.5 had passed since the last byte of the request.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -55,8 +55,7 @@ OWED_FOR: Final = 2.0
 """
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""Decay of a unit's usual response time, which is that of its slowest recent reply: each faster reply takes a tenth
-off.
+"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
 """
 
 
@@ -79,7 +78,7 @@ class _RequestInFlight:
         begun, sent: when its first byte left and when its last byte leaves, in the clock of ``now``.
         expires: when it times out.
         damage: bytes of the last damaged frame since it was sent.
-        early: whether a frame came that began too early to be its reply (rule 8).
+        early: whether a frame was received that began too early to be its reply (rule 8).
     """
 
     call: Call | None
@@ -111,7 +110,7 @@ class SerialClientSession:
         valid_reply: whether the port, since it was opened, has brought a reply that answers a request.
         state: state of the master.
         breakers: the circuit breakers of the units.
-        doubts: the outstanding late replies of the units.
+        doubts: the late replies that units may still send.
         notes: texts for a trace about late replies and markers; the driver empties the list.
         characters_take_time: whether sending takes the computed time of the characters, as on a wire. On a
             pseudo-terminal it does not: a reply may come before the computed end of its request.
@@ -166,7 +165,7 @@ class SerialClientSession:
             serial: turnaround, gaps and drain.
             breaker: when units are suspended.
             endpoint: URL of the link, for errors.
-            doubts: outstanding replies of an earlier link to the same endpoint.
+            doubts: the late replies owed to an earlier link to the same endpoint.
         """
         self.parameters: ClientParameters = parameters
         self.recycle: str = ""
@@ -198,17 +197,16 @@ class SerialClientSession:
     # Calls of the application.
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set pauses by unit: the seconds for which the unit gets no request after each of its replies."""
+        """Set for some units the seconds after each of their replies in which the unit gets no request."""
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
         """Queue a call.
 
         Raises:
-            InvalidRequest: a unit above 247, or a broadcast of a request that is no write.
-            Overloaded: the queue is full.
-            UnitSuspended: the circuit breaker of the unit is open.
-            In all cases nothing was sent.
+            InvalidRequest: a unit above 247, or a broadcast of a request that is no write; nothing was sent.
+            Overloaded: the queue is full; nothing was sent.
+            UnitSuspended: the circuit breaker of the unit is open; nothing was sent.
         """
         unit = call.unit
         if not BROADCAST_UNIT < unit <= LAST_SERIAL_UNIT:
@@ -221,7 +219,7 @@ class SerialClientSession:
         self._try_at = 0.0
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Return None always: on a shared line every request waits for its turn in the queue."""
+        """Return None always: on a serial line every call has to be queued with `submit`."""
         return None
 
     def _check_unit(self, call: Call) -> None:
@@ -259,9 +257,9 @@ class SerialClientSession:
         return is_flying
 
     def serve_units_in_turn(self) -> None:
-        """Serve the units that each caller asks in turn, not its requests in their order.
+        """From now on, take the requests of one caller unit by unit in rotation, and not in the order of its calls.
 
-        For a gateway's upstream links.
+        For a gateway's upstream links, where one client may flood one unit.
         """
         self._tracker.queue.units_in_turn = True
 
@@ -272,10 +270,7 @@ class SerialClientSession:
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests may have to wait for silence before they are sent.
-
-        On a serial line true while the port is open.
-        """
+        """Whether requests may have to wait for silence before they are sent: always True while the port is open."""
         return self._connected
 
     @property
@@ -291,7 +286,10 @@ class SerialClientSession:
     # Events of the port.
 
     def connected(self, now: float) -> None:
-        """Tell the session that the port is open. Only after t3.5 of silence is the line known to be idle."""
+        """Tell the session that the port is open.
+
+        It sends nothing before t3.5 of silence shows that the line is idle.
+        """
         self._connected = True
         self._receiver.flush(now)
         self._receiver.expect_nothing()
@@ -330,9 +328,9 @@ class SerialClientSession:
             )
 
     def begin_again(self) -> None:
-        """Forget all calls and the port, because an interrupt may have ended a change of them half-way.
+        """Forget all calls and the port: an exception such as KeyboardInterrupt may have left them inconsistent.
 
-        The reply to the request in flight stays owed. The driver has closed the port, and gives its calls back with
+        The reply to the request in flight stays owed. The driver has closed the port, and then passes its calls to
         `resume`.
         """
         if self._connected:
@@ -354,13 +352,13 @@ class SerialClientSession:
         self.breakers.none_decided()
 
     def resume(self, call: Call, now: float) -> None:
-        """Take a call back after `begin_again`: what was sent is repeated or fails as after a lost connection."""
+        """Queue a call again after `begin_again`: what was sent is repeated or fails as after a lost connection."""
         self._tracker.resume(call, now)
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End all waiting calls with one error, because the port could not be opened.
 
-        With ``keep_repeated`` a call with a request that is about to be repeated stays in the queue.
+        If ``keep_repeated``, a call of which a request is about to be repeated stays in the queue.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
@@ -384,10 +382,9 @@ class SerialClientSession:
     # Sending.
 
     def transmit(self, now: float) -> list[bytes]:
-        """Return the frame to send now, as the only element, or an empty list.
+        """Return the frame to send now, as the only element of a list; an empty list if there is none.
 
-        Its timeout begins when its last character has
-        left.
+        Its timeout begins when its last character has left.
         """
         queue = self._tracker.queue
         if not self._connected or self.state is not MasterState.IDLE or not queue.size or self.recycle:
@@ -436,7 +433,10 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read must wait, because a repeated read of another call is counting the unit's late replies."""
+        """Whether a read must wait until another call's read has been repeated often enough to use up all late replies.
+
+        See rule 6 of `late_replies`.
+        """
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
             return False
@@ -458,8 +458,8 @@ class SerialClientSession:
     def _marker_before(self, call: Call) -> Marker | None:
         """Return the marker request to send before the next request of a call; None if there is none to send.
 
-        A marker is harmless, and makes sure that no late reply is taken for the reply to the next request. A restart
-        needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
+        A marker is a harmless request whose reply shows that no late reply can be taken for the reply to the next one.
+        Function 08/01 (restart) needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
         unit = call.unit
         doubt = self.doubts.units.get(unit)
@@ -497,9 +497,9 @@ class SerialClientSession:
                 self._tracker.give_up(call, now, partial(self._suspended, call, pause))
 
     def _send_marker(self, marker: Marker, call: Call, now: float) -> bytes:
-        """Send a marker request: a harmless one whose reply proves that no late reply follows. Returns its frame.
+        """Return the frame of a marker request, and await its reply, which proves that no late reply will come.
 
-        The call that waits for it keeps its position in the queue.
+        The call for which it is sent keeps its position in the queue.
         """
         frame = self._framing.encode(call.unit, marker.request.wire)
         self.counters.markers += 1
@@ -538,10 +538,10 @@ class SerialClientSession:
             self._found(found, now)
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
-        """Process bytes with a parity or framing error that the port marked, or after which the port lost some.
+        """Process bytes of which the port marked one as damaged (parity or framing error), or after which it lost some.
 
-        The frame in progress is discarded, and so is a frame that these bytes complete. ``overrun``: characters were
-        lost.
+        The frame in progress is discarded, and so is a frame that these bytes complete. ``overrun``: whether characters
+        were lost.
         """
         self._last_byte = max(self._last_byte, now)
         marked = [found for found in self._receiver.receive(data, now) if isinstance(found, Damaged)]
@@ -568,7 +568,7 @@ class SerialClientSession:
             self._of_awaited_unit(awaited, found, now)
 
     def _is_early(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
-        """Whether a received frame began before the request had left and t3.5 had passed (rule 8)."""
+        """Whether a received frame began before t3.5 had passed since the last byte of the request (rule 8)."""
         if not self.characters_take_time or self._framing.is_network:
             return frame.ended < awaited.begun
         if self._serial.early_replies:
@@ -601,10 +601,9 @@ class SerialClientSession:
             self._reply(awaited, frame, now, doubt)
 
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
-        """Whether a reply of the right function that does not fit the request in flight must belong to an older
-        request.
+        """Whether a reply that does not fit the request in flight is the late reply to an older request.
 
-        If it does not, the reply is a broken one.
+        If not, it is a broken reply. Its function code is that of the request.
         """
         last = doubt.last
         return (
@@ -627,7 +626,10 @@ class SerialClientSession:
         doubt.unasked = frame.pdu[0] & 0x7F
 
     def _ask_at_once(self, awaited: _RequestInFlight, frame: SerialFrame) -> None:
-        """Repeat the read in flight now, because its reply may have been taken for a late one."""
+        """Repeat the read in flight now if ``frame``, which was taken for a late reply, may have been its own reply.
+
+        The reply to the present attempt is then owed too.
+        """
         call = awaited.call
         if call is None or awaited.request.is_write or not may_answer(awaited.request, frame.pdu):
             return
@@ -637,10 +639,10 @@ class SerialClientSession:
         self._tracker.repeat(call, awaited.position)
 
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
-        """Count and drop a late reply; it is owed no more.
+        """Drop a late reply, count it, and remove it from the replies that are owed.
 
-        If `UnitDoubt.is_older` says so, it is counted off ``doubt.older``. Else it is the reply to the first of
-        ``owed``, and requests sent before that one get no reply any more.
+        Where only the number of owed replies is known (`UnitDoubt.is_older`), that number is reduced. Otherwise it is
+        the reply to the first of ``owed``, and requests sent before that one get no reply any more.
 
         Args:
             doubt: the late replies of the unit.
@@ -679,9 +681,10 @@ class SerialClientSession:
     def _reply(
         self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
     ) -> None:
-        """End the request in flight with a reply. ``owes_own``: the reply may belong to an earlier attempt.
+        """End the request in flight with the reply in ``frame``.
 
-        In that case the request in flight may still get a reply of its own, late.
+        ``owes_own``: True if it may be the late reply to an earlier attempt at the same request; then the reply to the
+        latest attempt may still come.
         """
         pdu = frame.pdu
         outcome: Message | ModbusError
@@ -720,7 +723,7 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to a marker request: no late reply of this unit can come after it."""
+        """Handle the reply to a marker request: it proves that no late reply of this unit will come."""
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -750,14 +753,14 @@ class SerialClientSession:
         self._pace[unit] = max(frame.ended - awaited.sent, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _keep_gap(self, frame: SerialFrame) -> None:
-        """Start the pause in which this unit gets no further request after its reply (`set_unit_gaps`)."""
+        """Start the pause after a reply in which its unit gets no request (`set_unit_gaps`)."""
         gap = self._unit_gaps.get(frame.unit)
         if gap:
             before = self._not_asked_before.get(frame.unit, 0.0)
             self._not_asked_before[frame.unit] = max(before, frame.ended + gap)
 
     def _idle(self, last_byte: float) -> None:
-        """End the transaction on the line; the silent times count from the end of the last frame."""
+        """End the transaction on the line; pauses before the next request count from ``last_byte``, its last byte."""
         self.state = MasterState.IDLE
         self._awaited = None
         self._try_at = 0.0
@@ -768,7 +771,7 @@ class SerialClientSession:
     # Timeouts.
 
     def deadline(self) -> float | None:
-        """The time at which `tick` or `transmit` has something to do, by the clock of ``now``; None for never."""
+        """Return the time at which to call `tick` or `transmit`, by the clock of ``now``; None for never."""
         first = self._next_step()
         times = [self._receiver.deadline()]
         if self._tracker.deadlines:
@@ -814,9 +817,9 @@ class SerialClientSession:
         self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
     def _why_not_sent(self, call: Call) -> NoReply | None:
-        """Return the error of a call whose deadline passed while late replies kept it waiting.
+        """Return the error of a call whose deadline passed while it waited because of late replies.
 
-        None if that was not the reason.
+        None if it waited for another reason.
         """
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not self._is_in_doubt(doubt, call):
@@ -839,7 +842,10 @@ class SerialClientSession:
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
-        """End the call in flight if its deadline has passed; the line still awaits its reply (rule 7)."""
+        """End the call in flight if its deadline has passed.
+
+        The line still waits for the reply to its request (rule 7).
+        """
         call = awaited.call
         if call is not None and call.deadline is not None and now >= call.deadline:
             awaited.call = None
@@ -847,7 +853,7 @@ class SerialClientSession:
             self._tracker.failed(call, awaited.position, error, now, again=False)
 
     def _turned_around(self, awaited: _RequestInFlight, now: float) -> None:
-        """End a broadcast, because the turnaround delay for the servers to execute it is over."""
+        """End a broadcast: the turnaround delay, in which the servers execute it, is over."""
         self._idle(now)
         if awaited.call is not None:
             self._tracker.conclude(awaited.call, awaited.position, awaited.request)
@@ -879,7 +885,7 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """Handle a marker request without reply: a call that waits for it fails once its attempts are used up."""
+        """Handle a marker request without reply: the call for which it was sent fails once its attempts are used up."""
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0
@@ -925,7 +931,7 @@ class SerialClientSession:
 
 
 def _fits(request: Request, pdu: bytes) -> bool:
-    """Whether a PDU with the right function code can be the reply to a request."""
+    """Whether a PDU with the function code of a request is an exception reply or a valid normal reply to it."""
     try:
         request.accept(pdu)
     except MalformedPdu:

@@ -14,9 +14,10 @@ RTU and ASCII differ only in the framing that is passed in.
    requests back to back both are executed, and only the last is answered. An answer is counted when it has left.
 5. A unit in listen-only mode answers and executes nothing, until a restart that is not answered either. The other
    units of the line are not affected.
-6. Function 08/03 changes the delimiter of what comes after its own answer.
-7. Over a network, where answers leave at once, plainly valid requests are answered from their bytes (`FastPath`), and
-   RTU frames with known reads without a look at anything else. On a wire the line is slower than the generic path.
+6. Function 08/03 is still answered with the old delimiter; the new one applies to all later frames.
+7. Over a network, where answers leave at once, valid requests are answered on the fast path (`FastPath`), and RTU
+   frames with known reads by their bytes alone. On a wire the line is slower than the generic path, so this would gain
+   nothing.
 """
 
 from collections.abc import Callable, Container
@@ -68,11 +69,9 @@ class _Answer:
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count the request as one without reply, for the diagnostics.
+        """Count the request as one without reply, for the diagnostics; an exception reply is counted as exception too.
 
-        An exception reply is counted as an exception as well.
-
-        ``write_failed``: the port did not accept the reply.
+        ``write_failed``: whether the port did not accept the reply.
         """
         diagnostics = self.context.diagnostics
         if isinstance(self.reply, ExceptionResponse):
@@ -91,11 +90,12 @@ class SerialServerSession:
     """State of one serial line on a server, for all units that the server answers for there.
 
     Attributes:
-        deferred, failures: as in `TcpServerSession`; the driver empties them.
+        deferred: replies that the driver has to await; the driver empties the list.
+        failures: failures of the responder to log; the driver empties the list.
         requests: requests for own units so far, broadcasts included.
-        foreign: frames on the line so far that were not for own units, and replies of other stations.
+        foreign: frames on the line so far that were requests to other units, or replies of other stations.
         damaged_frames: damaged frames so far.
-        abandoned: answers that were not sent because another frame came first (rule 4).
+        abandoned: answers that were not sent because another frame was received first (rule 4).
     """
 
     __slots__ = (
@@ -136,10 +136,10 @@ class SerialServerSession:
 
         Args:
             pipeline: answers the requests.
-            units: the own units, 1…247; may be a live view.
+            units: the own units, 1…247; a container whose content changes may be given.
             framing: the framing, in the role of a server with the same units.
             diagnostics: counters and modes of the units of the line.
-            deliver: sends late answers.
+            deliver: called with each answer that is ready only after `process` has returned.
             client: who sends the requests: the master of the line; None if not known.
             sends_at_once: whether every answer leaves as soon as it is ready, as over a network: then the answer counts
                 at once, and `answer_left` is not called.
@@ -177,11 +177,10 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def answer_known(self, data: bytes, now: float) -> list[bytes] | None:
-        """Answer bytes from a network that are nothing but RTU frames with reads asked before.
+        """Return the replies to bytes from a network, if all of them are RTU frames with reads answered before.
 
-        ``now`` is when they were read.
-
-        Returns the replies in order. None if the bytes have to be passed to `receive`: then nothing was done.
+        ``now`` is when they were read. None if they are not; then nothing was done, and the bytes have to be passed to
+        `receive`.
         """
         if len(data) % _READ_SIZE or not self._takes_more or self._waiting is not None:
             return None
@@ -206,11 +205,7 @@ class SerialServerSession:
         return [body + crc_bytes(body) for body in bodies]
 
     def find(self, data: bytes, now: float) -> list[Received]:
-        """Return the complete frames, and the damaged bytes, in bytes read at ``now``.
-
-        Each is to be passed to `process`, in
-        order.
-        """
+        """Return the complete frames, and the damaged bytes, in bytes read at ``now``, in order, for `process`."""
         self._last_byte = max(self._last_byte, now)
         return self._receiver.receive(data, now)
 
@@ -256,10 +251,10 @@ class SerialServerSession:
         return None
 
     def receive_damaged(self, data: bytes, now: float, *, overrun: bool = False) -> None:
-        """Process bytes with a parity or framing error that the port marked, or after which the port lost some.
+        """Process bytes of which the port marked one as damaged (parity or framing error), or after which it lost some.
 
-        The frame in progress is discarded, and so is a frame that these bytes complete. ``overrun``: characters were
-        lost.
+        The frame in progress is discarded, and so is a frame that these bytes complete. ``overrun``: whether characters
+        were lost.
         """
         self._last_byte = max(self._last_byte, now)
         marked = [found for found in self._receiver.receive(data, now) if isinstance(found, Damaged)]
@@ -267,7 +262,7 @@ class SerialServerSession:
             self.process(found)
 
     def clear_at(self) -> float:
-        """Return the earliest time at which the line has been silent long enough to send a reply."""
+        """Return the earliest time at which a reply may be sent: by then the line has been silent long enough."""
         return self._last_byte + self._framing.send_gap
 
     def tick(self, now: float) -> list[FrameToSend]:
@@ -275,7 +270,7 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self._receiver.tick(now)))]
 
     def deadline(self) -> float | None:
-        """The time at which `tick` has something to do, by the clock of ``now``; None for never."""
+        """Return the time at which to call `tick`, by the clock of ``now``; None for never."""
         return self._receiver.deadline()
 
     def sent(self, frame: bytes, ends: float) -> None:
@@ -296,7 +291,7 @@ class SerialServerSession:
             answer.lost(write_failed=True)
 
     def take_no_more(self) -> None:
-        """Ignore further requests on the line; a reply in progress may still be sent."""
+        """Ignore all further requests; the reply to a request in progress may still be sent."""
         self._takes_more = False
 
     def close(self) -> None:
@@ -321,7 +316,7 @@ class SerialServerSession:
         return NO_FAST_PATH if self._diagnostics.listen_only_units else self._fast
 
     def _answer_from_bytes(self, frame: SerialFrame) -> bytes | None:
-        """Return the reply frame to a plainly valid request; None if it takes the generic path."""
+        """Return the reply frame to a request that the fast path can answer; None if it must take the generic path."""
         fast, unit, pdu = self._fast_path(), frame.unit, frame.pdu
         began = self._pipeline.clock()
         try:
@@ -339,7 +334,7 @@ class SerialServerSession:
         return self._framing.encode(unit, reply)
 
     def _settle(self, context: RequestContext) -> None:
-        """Forget the request in progress, because it has its reply or will get none."""
+        """Forget the request in progress: it was answered, or will get no reply."""
         self._waiting = None
         context._finish = None
 
@@ -368,11 +363,9 @@ class SerialServerSession:
             diagnostics.kept_silent(executed=done)
 
     def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
-        """Whether a unit has executed a broadcast: the outcome of `RequestPipeline.answer` is a normal reply.
+        """Whether a unit has executed a broadcast, judged by what `RequestPipeline.answer` returned for it.
 
-        A failure is counted.
-
-        False also if a responder has not finished yet; then the driver awaits it.
+        An exception is counted. False also if the responder has not finished yet; then the driver awaits it.
         """
         if isinstance(outcome, ExceptionResponse):
             context.diagnostics.failed(outcome.exception)
@@ -395,7 +388,7 @@ class SerialServerSession:
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
         """Send a reply that a responder gave later, by `RequestContext.reply`; `SILENCE` ends the request without one.
 
-        Does nothing for a broadcast, or for a request that was given up.
+        Does nothing for a broadcast, or if the request is no longer the one in progress.
         """
         if self._waiting is not context:
             return  # a broadcast, or given up
@@ -406,7 +399,7 @@ class SerialServerSession:
             context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
-        """Drop the request in progress, or its reply: another frame has come, so the master no longer waits."""
+        """Drop the request in progress, or its reply: another frame was received, so the master no longer waits."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self.abandoned += 1

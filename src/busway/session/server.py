@@ -13,8 +13,8 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 6. Known reads that the responder forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
 7. With a ``share``, one call of `receive` processes at most that many requests; known reads do not count. The bytes
    after them wait in ``rest`` until the driver calls `go_on`.
-8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. With
-   the second alone, a known read would take half as many instructions again (67 instead of 45).
+8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. In
+   the second loop a known read takes half as many instructions again (67 instead of 45).
 """
 
 from collections.abc import Awaitable, Callable, Sequence
@@ -35,7 +35,7 @@ from .transaction_slots import TransactionSlots
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
-"""Cuts reads of twelve bytes into the transaction identifier and the ten bytes by which a known read is found."""
+"""Splits reads of twelve bytes into the transaction identifier and the ten bytes by which a known read is found."""
 _UNIT = 6
 _FUNCTION = 7
 """Offset of the function code in an ADU; `_UNIT` is that of the unit."""
@@ -69,8 +69,8 @@ class TcpServerSession:
         requests: requests received so far.
         discarded: frames that got no answer: foreign protocol identifier, function above 127.
         refused_busy: requests answered 06 because all slots were taken.
-        rest: received bytes that are not processed yet, because the share was used up or `put_off` was called; at most
-            as many as were passed in. Do not pass in more before `go_on` has emptied it.
+        rest: received bytes that are not processed yet, because the share was used up or `put_off` was called. Call
+            `go_on` until it is empty before you pass in more.
         spent: requests processed by the last call, known reads not counted; the driver resets it to 0.
     """
 
@@ -115,8 +115,8 @@ class TcpServerSession:
             pipeline: answers the requests.
             diagnostics: counters and modes of the units of the listener.
             slots: limit of requests that wait for their reply.
-            deliver, deliver_together: send one late reply, or several; without the second, the first is called for
-                each.
+            deliver, deliver_together: called with one reply, or with several, that are ready only after `receive` has
+                returned. Without the second, the first is called for each.
             client: who sends the requests; None if not known.
             share: most requests that one call of `receive` processes, known reads not counted; None for no limit.
         """
@@ -302,7 +302,7 @@ class TcpServerSession:
         return out
 
     def _joined(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept beginning of a frame followed by the first ``size`` bytes of ``buffer``, and their length."""
+        """Return the kept beginning of a frame followed by the first ``size`` bytes of ``buffer``, and the length."""
         assert self._buffer is not None  # since something is unfinished
         self.unfinished = 0
         return self._buffer.join(buffer, size)
@@ -413,7 +413,10 @@ class TcpServerSession:
         return b""
 
     def _finish(self, context: RequestContext, reply: Message | Deferral) -> None:
-        """Send a reply that a responder gave later, by `RequestContext.reply`; `SILENCE` ends it without one."""
+        """Send a reply that a responder gave later, by `RequestContext.reply`.
+
+        `SILENCE` ends the request without one.
+        """
         if self._waiting and context in self._waiting:
             self._waiting.discard(context)
             self._slots.used -= 1

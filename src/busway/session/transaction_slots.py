@@ -4,13 +4,12 @@
 class TransactionSlots:
     """Limit of how many requests may be processed at once, 1…16: NumberMaxOfServerTransaction (TCP/IP §4.4.2.1).
 
-    Each connection has slots of its own, or all connections of a server share them: then the limit is for all
-    together. Those who take a slot add to ``used``, and subtract again; nothing is enforced here.
+    Each connection has slots of its own, or all connections of a server share them. This object only counts: the user
+    adds 1 to ``used`` for each request, and subtracts it again.
 
     Args:
         limit: the most requests.
-        of_each_connection: whether each connection has slots of its own. All are given this object, of which no slot is
-            ever used, and a connection calls `taken` before its first request waits.
+        of_each_connection: whether each connection has slots of its own; if not, all connections share this object.
     """
 
     __slots__ = ("_of_each_connection", "limit", "used")
@@ -21,5 +20,5 @@ class TransactionSlots:
         self._of_each_connection = of_each_connection
 
     def taken(self) -> "TransactionSlots":
-        """Return the slots in which a connection counts its waiting requests; call it once for each connection."""
+        """Return the slots that a new connection has to use: new ones, or this object if all connections share it."""
         return TransactionSlots(self.limit) if self._of_each_connection else self

@@ -3,9 +3,9 @@
 Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1; a test can fix it.
 
 1. Three timeouts in a row open the breaker of a unit: its requests fail at once and cost the line nothing.
-2. After a pause the next request of a caller is the probe: it is sent once, with a short timeout. No request is made up
-   for probing. A failed probe doubles the pause, up to ``longest_pause``; a unit that is back is used again after at
-   most that limit plus the probe's own time.
+2. After a pause the next request of a caller is the probe: it is sent once, with a short timeout. The breaker sends no
+   requests of its own. A failed probe doubles the pause, up to ``longest_pause``; a unit that is back is used again
+   after at most that limit plus the probe's own time.
 3. A probe waits twice as long as the unit (or, if unknown, the slowest on the line) usually takes, and at least
    ``probe_timeout``. With the defaults three dead units cost the others less than a twentieth of the line.
 4. Any valid reply of the unit, even a late one, closes its breaker.
@@ -19,9 +19,7 @@ from ..options.lines import BreakerParameters
 
 
 class BreakerState(Enum):
-    """States of a circuit breaker: closed (requests are sent), open (they fail at once), probing (one request tries the
-    unit).
-    """
+    """States of a circuit breaker: closed (requests are sent), open (they fail at once), probing (one is sent)."""
 
     CLOSED = "closed"
     OPEN = "open"
@@ -52,14 +50,14 @@ class Breakers:
         return BreakerState.CLOSED if breaker is None else breaker.state
 
     def states(self) -> dict[int, BreakerState]:
-        """The state of the circuit breaker of each unit that has timed out and has not answered since, by unit."""
+        """Return the circuit breaker's state for each unit that has timed out and has not answered since, by unit."""
         return {unit: breaker.state for unit, breaker in self._units.items()}
 
     @property
     def doubtful(self) -> Mapping[int, object]:
-        """Units that timed out and have not answered since, as keys; always the same live mapping.
+        """A mapping whose keys are the units that timed out and have not answered since; it stays up to date.
 
-        Its values mean nothing here.
+        Do not use its values.
         """
         return self._units
 
@@ -95,8 +93,8 @@ class Breakers:
     def not_decided(self, unit: int) -> None:
         """Record that a probe ended without showing whether the unit answers, such as by a lost connection.
 
-        The circuit breaker is open again, and the next request that may be sent is the probe. No effect without a
-        probe.
+        The circuit breaker is open again, and the next request that may be sent is the probe. Does nothing if no probe
+        was in flight.
         """
         breaker = self._units.get(unit)
         if breaker is not None and breaker.state is BreakerState.PROBING:

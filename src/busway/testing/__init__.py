@@ -12,7 +12,7 @@
 `virtual_line`  A simulated serial bus without real time: ports, characters with durations, collisions and cut wires
 ==============  ====================================================================================================
 
-Public, also for tests of programs that use the library. Names are imported when they are used.
+Public, also for tests of programs that use the library. The module of a name is imported at its first use.
 
 Where it is decided: when a byte is on the bus, and what a collision does: `virtual_line` (simulated time), `line` (real
 time). What the test device answers: `device`.

@@ -15,7 +15,7 @@ HOSTS: Final = ("localhost", "127.0.0.1", "::1")
 """Names and addresses of this machine, for which server certificates are valid by default."""
 _EXPIRED_DAYS: Final = -1.0
 _STAND_IN: Final = "1.3.6.1.4.1.50316.802.2"
-"""Object identifier as long as the role's: a certificate is built with it, and the role's put in its place."""
+"""Object identifier as long as that of the role extension, which replaces it in the finished certificate."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,7 +24,7 @@ class CertificateFiles:
 
     Attributes:
         certificate, key: paths of the certificate and its private key.
-        authority: path of the authority that the certificate's holder trusts.
+        authority: path of the authority that the holder of the certificate trusts.
         issued: the certificate itself.
     """
 
@@ -43,7 +43,7 @@ class CertificateFiles:
 
 
 class CertificateStore:
-    """A directory with a trusted authority, a foreign authority, and certificates that they sign.
+    """A directory with a trusted and an untrusted authority, and certificates that they sign.
 
     Args:
         directory: an existing directory, where the files are written.

@@ -1,6 +1,6 @@
 """Golden frames: requests and replies whose right bytes are known from the specification.
 
-The exchanges follow the examples of MODBUS Application Protocol V1.1b3, chapter 6, with its misprints set right.
+The exchanges follow the examples of MODBUS Application Protocol V1.1b3, chapter 6; its misprints are corrected.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ class GoldenExchange:
     """One request PDU and the reply PDU that the specification gives for it.
 
     Attributes:
-        name: what is asked, in words.
+        name: what the request asks, in words.
         section: section of MODBUS Application Protocol V1.1b3.
         request, reply: PDUs, function code first.
     """

@@ -1,6 +1,7 @@
 """A serial bus in real time, over pseudo-terminals: programs open its ports as they open real ones.
 
-Knows ptys, a thread and the clock; `VirtualLine` decides what is on the line at which time. It knows no Modbus.
+Knows pseudo-terminals (ptys), a thread and the clock; `VirtualLine` decides what is on the line at which time. It knows
+no Modbus.
 
 ::
 
@@ -8,14 +9,14 @@ Knows ptys, a thread and the clock; `VirtualLine` decides what is on the line at
         with BlockingSerialPort(line.paths[0], settings) as port:
             port.write(request)
 
-1. One thread owns the line and the ptys. In between, it carries out the orders of other threads.
-2. Characters are handed over at the moment their last bit has passed. Where they are shorter than `GRANULARITY`,
-   several are handed over together, as a UART with a buffer does; the last one of a transmission always in its time.
-3. A pty takes some 50 µs from a write until the other end has woken up, unlike a wire. This time is measured when the
-   line is made: transmissions begin, and characters are handed over, that much earlier. The quickest of several samples
-   counts, so that no character arrives before its time.
-4. A pty has no parity bit and no stop bits: the line's baud and parity set the length of a character, not the settings
-   of the programs.
+1. Only the line's thread uses the line and the ptys. It also executes what other threads ask for by calling methods.
+2. A character is delivered at the moment its last bit has passed. Where characters are shorter than `GRANULARITY`,
+   several are delivered together, as by a UART with a buffer; the last one of a transmission is always on time.
+3. A pty takes some 50 µs from a write until the reader has woken up, unlike a wire. This time is measured when the line
+   is created: transmissions begin, and characters are delivered, that much earlier. The shortest of several
+   measurements is used, so that no character arrives before its time.
+4. A pty has no parity bit and no stop bits: the line's baud rate and parity determine the length of a character, not
+   the settings of the programs.
 """
 
 import ctypes
@@ -39,26 +40,26 @@ from .virtual_line import NOISE, LineByte, Transmission, VirtualLine, VirtualPor
 __all__ = ["NOISE", "LineByte", "PacedLine", "Transmission", "VirtualLine", "VirtualPort"]
 
 GRANULARITY = 0.0005
-"""Seconds of characters that may be handed over together, by default.
+"""Characters within this many seconds may be delivered together, by default.
 
 Waking two programs for every character of 115 200 baud would take more than a processor; this is below 1.5 characters
 at every rate, where the specification holds that silence at 750 µs.
 """
 
 SPIN = 0.0001
-"""Seconds before each handing over at which the thread wakes up; the rest is waited for in a loop.
+"""Seconds before each delivery at which the thread wakes up; it waits for the rest in a loop.
 
-A sleeping thread is woken some 50 µs late, and finding out what to hand over takes as long.
+A sleeping thread is woken some 50 µs late, and finding out what to deliver takes as long.
 """
 ROUNDING = 1e-9
-"""Seconds that subtracting and adding a transit may lose at most."""
+"""Most seconds that may be lost by rounding when the time of a pty is subtracted and added."""
 
 TRANSIT_SAMPLES = 11
 """Number of measurements of the time that a pty takes."""
 TIME_TO_FALL_ASLEEP = 0.002
 """Seconds before each measurement: a processor wakes up faster if it has not slept for long."""
 LONGEST_TRANSIT = 0.0002
-"""Most seconds that a pty is taken to need.
+"""Longest time that is assumed for a pty, in seconds.
 
 A machine that is busy while it is measured must not make characters arrive before their time.
 """
@@ -69,7 +70,7 @@ LARGEST_BACKLOG = 4096
 
 @dataclass(slots=True)
 class _Pty:
-    """One pseudo-terminal of a simulated line: this end is the line's, the other one is for programs."""
+    """One pseudo-terminal of a simulated line: the line uses one end, a program opens the other."""
 
     near: int
     far: int
@@ -92,7 +93,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A function call to be made in the thread of the simulated line, and its result."""
+    """A function call that another thread wants the thread of the simulated line to make, and its result."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -101,20 +102,21 @@ class _Order:
 
 @dataclass(slots=True)
 class _Listener:
-    """A thread that waits until the simulated line has been quiet for a time."""
+    """A thread that waits until the simulated line has been silent for a time."""
 
     silence: float
     heard: threading.Event = field(default_factory=threading.Event)
 
 
 class PacedLine:
-    """A serial bus in real time with the given number of ports. A context manager that ends it.
+    """A serial bus in real time with the given number of ports. A context manager that closes it at the end.
 
     Its methods may be called from any thread.
 
     Attributes:
-        paths: path of each port, by number. A path is a link, and stays when its port is unplugged and comes back.
-        settings: baud rate and character format, which set the length of a character.
+        paths: path of each port, by number. A path is a symbolic link; it stays the same when its port is unplugged and
+            plugged in again.
+        settings: baud rate and character format, which determine the length of a character.
         character_time: seconds that one character takes.
         overruns: number of characters that were lost because no program read them.
     """
@@ -137,10 +139,10 @@ class PacedLine:
         Args:
             ports: number of ports, at least 1.
             baud, parity, data_bits, stop_bits: baud rate and character format, as in `SerialSettings`.
-            echo: whether ports hear themselves: all, none, or those with these numbers.
+            echo: whether ports receive what they send: True, False, or the numbers of those that do.
             noise: probability that a character is damaged, 0…1.
             seed: seed of random choices.
-            granularity: seconds of characters that may be handed over together; 0 hands over each by itself.
+            granularity: characters within this many seconds may be delivered together; 0 delivers each by itself.
 
         Raises:
             ValueError: ``ports`` is below 1.
@@ -175,7 +177,7 @@ class PacedLine:
 
     @property
     def settings(self) -> SerialSettings:
-        """Baud rate and character format of the line, which say how long a character takes."""
+        """Baud rate and character format of the line, which determine how long a character takes."""
         return self._line.settings
 
     @property
@@ -230,11 +232,11 @@ class PacedLine:
         self._do(lambda: self._line.mend(*ports))
 
     def inject(self, data: bytes) -> None:
-        """Put characters on the line that no port has sent, such as noise."""
+        """Put characters on the line that no port has sent, to simulate noise."""
         self._do(lambda: self._line.inject(data, max(time.monotonic(), self._line.now)))
 
     def unplug(self, port: int) -> None:
-        """Remove a port like a pulled adapter: its path is gone, and programs that have it open get an error.
+        """Remove a port, as if its adapter was pulled out: the path is gone, programs that have it open get an error.
 
         Raises:
             ValueError: the port is unplugged already.
@@ -266,7 +268,7 @@ class PacedLine:
             raise TimeoutError(f"the line was not quiet for {listener.silence:g} s within {timeout:g} s")
 
     def close(self) -> None:
-        """End the line: its ports vanish, and programs that have one open get an error. May be called twice."""
+        """Close the line: its ports vanish, and programs that have one open get an error. May be called twice."""
         if self._ended:
             return
         self._ended = True
@@ -332,7 +334,7 @@ class PacedLine:
         return wait_ready(watched, [], timeout)
 
     def _take(self, port: int, pty: _Pty, written_at: float) -> None:
-        """Put bytes that a program has written to a port on the simulated line."""
+        """Put bytes that a program has written to a port at ``written_at`` on the simulated line."""
         try:
             data = os.read(pty.near, LARGEST_BACKLOG)
         except BlockingIOError:
@@ -341,7 +343,7 @@ class PacedLine:
         self._last_sound = written_at
 
     def _hand_over(self, passed: list[LineByte], at: float) -> None:
-        """Deliver characters of the line to the programs at the ports, not before the time ``at``."""
+        """Deliver characters of the line to the programs at the ports; wait first if ``at`` is still to come."""
         if not passed:
             return
         self._handed_over_at = self._last_sound = at
@@ -398,7 +400,7 @@ class PacedLine:
 
 
 def _transit_time() -> float:
-    """Return the seconds from a write at one end of a pseudo-terminal until a program at the other wakes up."""
+    """Measure the seconds from a write at one end of a pseudo-terminal until a program at the other end wakes up."""
     pty = _Pty.opened()
     taken = []
     asleep = threading.Semaphore(0)

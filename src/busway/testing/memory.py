@@ -1,7 +1,7 @@
 """Connections in memory: a pair of asyncio transports, where each gets what the other sends.
 
-Knows protocols and ``now``; knows no socket. Without an event loop nothing moves by itself, and a test sees every
-segment.
+Knows protocols and ``now``; knows no socket. Without an event loop bytes are delivered only when the test calls
+`deliver`, and the test sees every segment.
 
 ::
 
@@ -9,7 +9,7 @@ segment.
     pair.open()
     pair.deliver()                                # until nothing is on its way any more
 
-1. Segments arrive in the order in which they were written, cut and joined as the `Passage` of their direction says.
+1. Segments arrive in the order in which they were written; `Passage` says how they are split and merged.
 2. With ``schedule`` (``loop.call_soon``) written bytes arrive without a call; delayed ones wait for `deliver`.
 """
 
@@ -78,7 +78,7 @@ class MemoryTransport(asyncio.Transport):
         self._pair.something_left()
 
     def close(self) -> None:
-        """Close this end of the connection in memory after what was written has arrived."""
+        """Close this end of the connection in memory after all written bytes have arrived."""
         if not self._closing:
             self._closing = True
             assert self._pair is not None
@@ -115,11 +115,11 @@ class MemoryTransport(asyncio.Transport):
         return sum(len(data) for _, data in self.in_transit)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Set the asyncio protocol that gets what arrives at this end."""
+        """Set the asyncio protocol that gets the bytes that arrive at this end."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """Return the asyncio protocol that gets what arrives at this end."""
+        """Return the asyncio protocol that gets the bytes that arrive at this end."""
         assert self._protocol is not None
         return self._protocol
 
@@ -176,7 +176,7 @@ class MemoryPair:
         forth: how bytes travel from the first to the second; at once and whole by default.
         back: how bytes travel from the second to the first.
         schedule: calls a function soon (``loop.call_soon``); None: bytes arrive only in `deliver`.
-        extra: what ``get_extra_info`` of both transports looks names up in.
+        extra: the names and values that ``get_extra_info`` of both transports returns.
 
     Attributes:
         first, second: the transports of the ends.
@@ -203,12 +203,12 @@ class MemoryPair:
         self.second.join(self, second)
 
     def open(self) -> None:
-        """Call ``connection_made`` of both protocols; of the second one first, like a listener that accepts."""
+        """Call ``connection_made`` of both protocols; of the second one first, because a server accepts first."""
         self._protocols[1].connection_made(self.second)
         self._protocols[0].connection_made(self.first)
 
     def something_left(self) -> None:
-        """Schedule a delivery, if there is a scheduler; called by a transport that has sent something or closed."""
+        """Schedule a delivery if ``schedule`` was given; called by a transport after it has sent or closed."""
         if self._schedule is not None and not self._scheduled:
             self._scheduled = True
             self._schedule(self._deliver_scheduled)
@@ -218,13 +218,13 @@ class MemoryPair:
         self.deliver()
 
     def deliver(self, seconds: float = 0.0) -> None:
-        """Move the time by ``seconds``, and deliver all bytes that arrive by then, and replies to them."""
+        """Move the time forward by ``seconds``; deliver all bytes that arrive by then, and those sent in response."""
         self.now += seconds
         while self._step(self.first, self.second) or self._step(self.second, self.first):
             pass
 
     def _step(self, sender: MemoryTransport, receiver: MemoryTransport) -> bool:
-        """Deliver one segment, or the end, of the connection in memory. Returns whether there was one."""
+        """Deliver one segment from sender to receiver, or the end of the stream. Returns whether there was one."""
         if receiver.is_reading():
             data = sender.due(self.now)
             if data:

@@ -7,8 +7,8 @@ Modbus take no longer.
 fixture           gives
 ================  ======================================================================================
 ``simulator``     a function that serves a device until the test ends: ``simulator({"4x1": 42})``
-``paced_line``    a function that makes a serial line of pseudo-terminals: ``paced_line(ports=2)``
-``busway_clock``  time that the test moves by hand, for ``simulator(…, clock=busway_clock)``
+``paced_line``    a function that creates a serial line of pseudo-terminals: ``paced_line(ports=2)``
+``busway_clock``  a clock that the test moves by hand, for ``simulator(…, clock=busway_clock)``
 ================  ======================================================================================
 """
 
@@ -36,22 +36,25 @@ class Simulator(Protocol):
         speed: float = 1.0,
         clock: "Clock | None" = None,
     ) -> "SimulatedDevice":
-        """Serve a simulated device until the test ends; arguments as of `busway.testing.simulated_device`."""
+        """Serve a simulated device until the test ends.
+
+        The arguments are those of `busway.testing.simulated_device`.
+        """
 
 
 class MakePacedLine(Protocol):
     """Type of the function that the pytest fixture ``paced_line`` returns."""
 
     def __call__(self, ports: int = 2, baud: int = 9600, parity: str = "even", **options: Any) -> "PacedLine":
-        """Create a real-time serial line until the test ends; arguments as of `busway.testing.line.PacedLine`."""
+        """Create a serial line that exists until the test ends; the arguments are those of `PacedLine`."""
 
 
 @pytest.fixture
 def simulator() -> Iterator[Simulator]:
     """Fixture: a function that serves a device in a thread until the test ends: ``simulator({"4x1": 42})``.
 
-    Its result has ``endpoint``, ``host`` and ``port``; values by address or name, ``device["4x1"]``; ``fault(…)`` as a
-    context manager; ``reads`` and ``writes`` of clients.
+    Its result is a `SimulatedDevice`: it has ``endpoint``, ``host`` and ``port``; values by address or name,
+    ``device["4x1"]``; the context manager ``fault(…)``; and ``reads`` and ``writes`` of clients.
     """
     from contextlib import ExitStack
 

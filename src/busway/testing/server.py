@@ -34,7 +34,7 @@ from ..server.local import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
-"""Number of requests that a server keeps for its test to look at."""
+"""Number of requests that a server keeps in its list ``requests``."""
 LONGEST_WAIT = 10.0
 """Seconds after which waiting for a condition, which should hold at once, fails."""
 
@@ -43,11 +43,11 @@ class FaultyServer:
     """A Modbus TCP server with faults; an asynchronous context manager. Faults can be added from any thread.
 
     Args:
-        device: the device of every unit; or devices by unit identifier, 0…255.
+        device: the device that answers for every unit; or devices by unit identifier, 0…255.
         fault_profiles: names of fault profiles, or faults.
         seed: seed of random choices.
         clock: clock of delays; the event loop's by default.
-        host: address to listen on; the port is a free one.
+        host: address to listen on; the system chooses a free port.
         functions: the table of functions.
         options: parameters of the named fault profiles; each profile gets those that it has.
 
@@ -108,13 +108,13 @@ class FaultyServer:
             fault_profile: the name of a fault profile, or a fault.
             units: unit identifiers of the requests that it applies to, 0…255; None for all.
             functions: function codes of those requests, 1…127; None for all.
-            addresses: range of items, 0-based, in every table; those requests touch one of them. None for all.
-            probability: part of those requests that it changes, 0…1.
+            addresses: range of items, 0-based, in every table: requests that read or write one of them. None for all.
+            probability: share of those requests that it changes, 0…1.
             schedule: when it is active; None for always.
             options: parameters of the fault profile.
 
         Returns:
-            The added fault: ``on()`` and ``off()`` switch it, ``struck`` counts.
+            The added fault: ``on()`` and ``off()`` switch it, ``struck`` is the number of requests it has changed.
 
         Raises:
             ConfigError: an unknown name or parameter, or a value out of its range.
@@ -163,10 +163,12 @@ class FaultyServer:
             faulty.connection.close()
 
     async def until(self, condition: Callable[[], bool]) -> None:
-        """Wait, in the server's event loop, until a condition holds; checked whenever the server's state changes.
+        """Wait in the server's event loop until ``condition`` returns True.
+
+        It is called whenever the server's state changes.
 
         Raises:
-            TimeoutError: the condition did not hold within `LONGEST_WAIT` seconds.
+            TimeoutError: it did not return True within `LONGEST_WAIT` seconds.
         """
         async with asyncio.timeout(LONGEST_WAIT):
             while not condition():
@@ -174,10 +176,12 @@ class FaultyServer:
                 await self._changed_here.wait()
 
     def wait_until(self, condition: Callable[[], bool]) -> None:
-        """Wait, in any thread but the server's, until a condition holds; checked whenever the server's state changes.
+        """Wait in any thread but the server's until ``condition`` returns True.
+
+        It is called whenever the server's state changes.
 
         Raises:
-            TimeoutError: the condition did not hold within `LONGEST_WAIT` seconds.
+            TimeoutError: it did not return True within `LONGEST_WAIT` seconds.
         """
         with self._changed:
             if not self._changed.wait_for(condition, LONGEST_WAIT):
@@ -197,7 +201,7 @@ class FaultyServer:
         self._change()
 
     def _change(self) -> None:
-        """Wake everything that waits in `wait_until` and `until`, because the server's state has changed."""
+        """Wake all callers of `wait_until` and `until`, because the server's state has changed."""
         self._changed_here.set()
         with self._changed:
             self._changed.notify_all()
@@ -209,10 +213,7 @@ def faulty_server(
 ) -> Iterator[FaultyServer]:  # Any: as FaultyServer says
     """Context manager that runs a `FaultyServer` in a thread of its own, for blocking clients; yields the server.
 
-    Args:
-        device: as in `FaultyServer`.
-        fault_profiles: as in `FaultyServer`.
-        options: as in `FaultyServer`, ``seed``, ``clock``, ``host`` and ``functions`` included.
+    The arguments are those of `FaultyServer`; ``seed``, ``clock``, ``host`` and ``functions`` may be among ``options``.
     """
     server = FaultyServer(device, *fault_profiles, **options)
     thread = _ServerThread(server)
@@ -234,7 +235,7 @@ class _ServerThread:
         self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="busway faults", daemon=True)
 
     def start(self) -> None:
-        """Start the thread and the server; raises the error of the server's start."""
+        """Start the thread and the server; raises the error if the server cannot start."""
         self._thread.start()
         self._started.wait()
         if self._failure is not None:
@@ -261,9 +262,9 @@ class _ServerThread:
 
 
 def _faults_of(fault_profiles: tuple[str | Fault, ...], options: Mapping[str, Any]) -> list[Fault]:
-    """Return the faults with these profiles; each parameter is given to those named profiles that have it.
+    """Create the faults for these profiles; each named profile gets those of ``options`` that are its parameters.
 
-    Raises `ConfigError` for a parameter that none of them has.
+    Raises `ConfigError` for an option that no profile has.
     """
     named = [one if isinstance(one, Fault) else FAULT_PROFILES.named(one) for one in fault_profiles]
     known = {option for one in named if not isinstance(one, Fault) for option in one.options}

@@ -10,8 +10,8 @@ Knows simulations and threads; knows no test framework (`busway.testing.plugin` 
             talk_to(device.endpoint)
         assert device["4x1"] == 43
 
-1. The server lives in a thread: a test may block, sleep or run an event loop of its own, and the device answers.
-2. ``reads`` and ``writes`` have the accesses of clients alone, in order, and not those of the test.
+1. The server runs in a thread: a test may block, sleep or run an event loop of its own, and the device still answers.
+2. ``reads`` and ``writes`` have only the accesses of clients, in order, and not those of the test.
 """
 
 import asyncio
@@ -56,13 +56,14 @@ def simulated_device(
     Args:
         content: values of the device, or a file. A mapping of addresses (``"4x1"``, ``"holding:0"``, ``"0x1"``) to
             values: ``bool`` for bits; an ``int`` is one register, a ``float`` is float32, a text is a string; ``(value,
-            type)`` or ``(value, type, order)`` choose another type; a list goes on from its address. Exactly these
-            items exist. Or the path of a simulation file (``.toml``), the path of a register map (``.csv``), or
-            ``"device:meter"``. Values that a file keeps over restarts are neither restored nor saved.
+            type)`` or ``(value, type, order)`` choose another type; the values of a list follow each other from its
+            address on. The device has exactly these items. Or the path of a simulation file (``.toml``), the path of a
+            register map (``.csv``), or ``"device:meter"``. Values that a file keeps over restarts are neither restored
+            nor saved.
         unit: the unit of values and of a map, 0…255; None for unit 1, which then answers for all units.
         url: where to listen; a free port of 127.0.0.1 by default. Files with listeners of their own listen here too.
-        seed: seed of noise and chance; None for that of the file, or 0.
-        speed: seconds of the device in one second.
+        seed: seed of noise and random values; None for that of the file, or 0.
+        speed: seconds that pass for the device in one real second.
         clock: clock of delays and behaviours, such as a `FakeClock`; the real time by default.
 
     Raises:
@@ -86,8 +87,8 @@ class SimulatedDevice:
     Its methods may be called from any thread.
 
     Attributes:
-        endpoints: URLs of its listeners as they are bound.
-        simulation: the simulation behind it.
+        endpoints: URLs of its listeners, with the ports that the system chose.
+        simulation: the simulation that provides the values.
         reads: reads by clients that were answered, in order (`Access`): ``unit``, ``table``, ``address``, ``count``,
             ``values``, ``function``.
         writes: writes by clients that were executed, in order (`Change`): the same with ``old`` and ``new`` in place of
@@ -131,7 +132,8 @@ class SimulatedDevice:
     def __getitem__(self, key: str) -> Any:  # what its type says
         """Return the value of a point or item: ``device["tank.level"]``, ``device["3/voltage"]``, ``device["4x1"]``.
 
-        An address means the point that was declared at it; otherwise the item, if there is only one unit.
+        An address gives the point that was declared there. Without a point it gives the item, if there is only one
+        unit.
 
         Raises:
             InvalidRequest: there is no such point and no such item, or several units have it.
@@ -172,15 +174,15 @@ class SimulatedDevice:
             fault_profile: the name of a fault profile (`busway.testing.FAULT_PROFILES`).
             units: unit identifier of the requests that the fault applies to, 0…255, or several; None for all.
             functions: function code of those requests, 1…127, or several; None for all.
-            addresses: items that those requests touch: an address, several, or a ``range`` of offsets in any table;
-                None for all.
-            probability: part of those requests that it changes, 0…1.
-            skip: number of those requests that pass unchanged first.
-            times: number of requests that it applies to after them; None for any number.
+            addresses: the fault applies to requests that read or write one of these items: an address, several, or a
+                ``range`` of offsets in any table; None for all.
+            probability: share of those requests that it changes, 0…1.
+            skip: number of those requests that are answered normally first.
+            times: number of requests after these that it applies to; None for any number.
             parameters: the parameters of the fault profile.
 
         Returns:
-            The fault: ``struck`` counts, ``off()`` and ``on()`` switch it within the block.
+            The fault: ``struck`` is the number of requests it has changed, ``off()`` and ``on()`` switch it.
 
         Raises:
             ConfigError: an unknown name or parameter, or a value out of its range.
@@ -234,7 +236,10 @@ class SimulatedDevice:
             self._changed.notify_all()
 
     def _key(self, key: str) -> str | None:
-        """Return the key ``UNIT/NAME`` of the point that a key of the test means; None for an item without a name."""
+        """Return the key ``UNIT/NAME`` of the point that a name or address stands for.
+
+        None for an item without a point.
+        """
         points = self.simulation.points
         if key in points:
             return key
@@ -245,7 +250,7 @@ class SimulatedDevice:
         return found[0] if found else None
 
     def _standing_at(self, key: str) -> list[str]:
-        """Return the keys of the points at an address in any notation; empty if ``key`` is no address."""
+        """Return the keys ``UNIT/NAME`` of the points at an address in any notation; empty if ``key`` is no address."""
         try:
             place = parse_address(key)
         except InvalidRequest:
@@ -272,7 +277,7 @@ class _Thread:
         self.endpoints: list[str] = []
 
     def start(self) -> None:
-        """Start the thread with the device's server; raises what its start raises."""
+        """Start the thread with the device's server; raises the error if the server cannot start."""
         self._thread.start()
         self._started.wait()
         if self._failure is not None:
@@ -303,7 +308,7 @@ class _Thread:
 
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":
-    """Return the declaration of the simulation that a test asks for, by a file or by values by address."""
+    """Return the declaration of the simulation for ``content``, which is a file or values by address."""
     from ..apps.simulator.includes import load_declaration, parse_declaration
 
     if isinstance(content, Mapping):
@@ -334,7 +339,7 @@ def _text(points: "Sequence[SimulatedPointSection]", unit: int | None) -> str:
 
 
 def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
-    """Return the points for values by address. Raises `ConfigError` that names a wrong address."""
+    """Return the points to declare for a mapping of addresses to values. Raises `ConfigError` for a wrong address."""
     from ..config.files.file_error import FileError
     from ..config.files.schema import Source
     from ..config.files.simulation import SimulatedUnitSection
@@ -352,7 +357,7 @@ def _checked(content: Mapping[str, Any]) -> "list[SimulatedPointSection]":
 
 
 def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
-    """Yield for each value at an address the keys of a device file that declare its point."""
+    """Yield for each value at an address a dict with the keys and values that declare its point in a device file."""
     place = parse_address(address)
     if place.table is None:
         raise ConfigError("does not say which table; write 4x1 or holding:0", key=address)
@@ -368,7 +373,7 @@ def _points(address: str, value: Any) -> Iterator[dict[str, Any]]:
 
 
 def _kind(address: str, value: Any) -> dict[str, Any]:
-    """Return the keys of a device file that declare the value of a point, and the type that follows from the value."""
+    """Return the keys of a device file that declare a point's value, and its type, which follows from the value."""
     if isinstance(value, tuple) and 2 <= len(value) <= 3:
         return dict(zip(("value", "type", "order"), value, strict=False))
     if isinstance(value, bool):
@@ -385,7 +390,7 @@ def _kind(address: str, value: Any) -> dict[str, Any]:
 
 
 def _items(addresses: str | Collection[str] | None) -> dict[Table, list[tuple[int, int]]] | None:
-    """Return the addresses that a fault concerns as item ranges by table; None for all."""
+    """Return the addresses that a fault applies to as item ranges by table; None for all."""
     if addresses is None:
         return None
     found: dict[Table, list[tuple[int, int]]] = {}

@@ -1,11 +1,11 @@
 """A simulated serial bus without real time: ports, characters with durations, collisions and cut wires.
 
-Knows character times and which port hears which; knows no clock, no thread and no device: every call is given the
-time, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real ports.
+Knows character times and which port hears which; knows no clock, no thread and no device: the time is an argument of
+every call, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real ports.
 
-1. A character is heard when its last bit has passed, by every other port, and by its sender if that has an echo.
-2. Two ports that send at once damage each other's characters. A port hears nothing while it sends (a driver that sends
-   has its receiver off), unless it has an echo.
+1. A character is received when its last bit has passed, by every other port, and by its sender if that has an echo.
+2. Two ports that send at once damage each other's characters. A port receives nothing while it sends (a driver that
+   sends has its receiver off), unless it has an echo.
 3. Times never run backwards. A write must come before the line is advanced beyond its time.
 """
 
@@ -31,9 +31,9 @@ class LineByte:
     Attributes:
         time: when its last bit passed, in seconds.
         port: number of the port that sent it, or `NOISE`.
-        value: its value as it was heard, 0…255.
+        value: its value as it was received, 0…255.
         damaged: whether the value differs from what was sent.
-        heard_by: numbers of the ports that heard it.
+        heard_by: numbers of the ports that received it.
     """
 
     time: float
@@ -50,7 +50,7 @@ class Transmission:
     Attributes:
         port: number of the port that sent them, or `NOISE`.
         begin, end: from the first start bit to the last stop bit, in seconds.
-        data: the characters as they were heard.
+        data: the characters as they were received.
         damaged: number of characters that differ from what was sent.
     """
 
@@ -62,7 +62,7 @@ class Transmission:
 
 
 class VirtualLine:
-    """A simulated serial bus with the given number of ports, driven by the caller's time.
+    """A simulated serial bus with the given number of ports; the caller passes the time to every method.
 
     Attributes:
         ports: its ports, by number.
@@ -92,7 +92,7 @@ class VirtualLine:
         Args:
             ports: number of ports, at least 1.
             baud, parity, data_bits, stop_bits: baud rate and character format, as in `SerialSettings`.
-            echo: whether ports hear themselves: all, none, or those with these numbers.
+            echo: whether ports receive what they send: True, False, or the numbers of those that do.
             noise: probability that a character is damaged, 0…1.
             seed: seed of random choices; the same seed gives the same run.
             tap_size: most characters that are recorded.
@@ -126,7 +126,7 @@ class VirtualLine:
         return min((port.head_end for port in self._talkers if port.talking), default=None)
 
     def pause_at(self) -> float | None:
-        """Return the time at which the first of the sending ports will have sent everything; None if none sends."""
+        """Return the earliest time at which one of the sending ports will have sent everything; None if none sends."""
         return min((port.free_at for port in self._talkers if port.talking), default=None)
 
     def quiet_at(self) -> float | None:
@@ -159,7 +159,10 @@ class VirtualLine:
         self._cut.difference_update(ports or range(len(self.ports)))
 
     def inject(self, data: bytes, now: float) -> float:
-        """Put characters on the line that no port has sent. Returns the time at which the last of them has passed."""
+        """Put characters on the line that no port has sent.
+
+        Returns the time at which the last of them will have passed.
+        """
         return self._noise_source.write(data, now)
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
@@ -217,7 +220,7 @@ class VirtualPort:
 
     Attributes:
         number: its number on the line.
-        echo: whether it hears itself.
+        echo: whether it receives what it sends.
         talking: whether it has characters to send.
         free_at: time at which the last character written will have passed, in seconds.
         passed_at: time at which its last character passed, in seconds.
@@ -292,21 +295,21 @@ class VirtualPort:
         return self._outgoing[0][0] + self._line.character_time
 
     def take(self) -> tuple[float, float, int]:
-        """Remove the first waiting character, which has just been sent. Returns its begin, end and value."""
+        """Remove the first waiting character, which was just sent. Returns when it began and ended, and its value."""
         begin, value = self._outgoing.popleft()
         self.talking = bool(self._outgoing)
         end = self.passed_at = begin + self._line.character_time
         return begin, end, value
 
     def hear(self, value: int, damaged: bool) -> None:
-        """Store a character that came over the line until this port reads it."""
+        """Store a character received from the line until this port reads it."""
         self._data.append(value)
         if damaged and self._line.settings.parity is not Parity.NONE:
             self._errors += 1
 
 
 def gathered(tap: Iterable[LineByte], character_time: float, silence: float | None = None) -> list[Transmission]:
-    """Return a line's recorded characters, in order, as transmissions; see `VirtualLine.transmissions`.
+    """Group a line's recorded characters, in order, into transmissions; see `VirtualLine.transmissions`.
 
     Args:
         tap: the recorded characters.

@@ -2,7 +2,7 @@
 
 Knows sockets that listen, and how their connections begin; knows no Modbus.
 
-1. A limited number of new connections in a turn of the loop: open connections have their turn as well.
+1. In one turn of the event loop only a limited number of connections is accepted, so that open ones are served too.
 2. If the system lacks resources for another connection (file handles, memory), it still reports waiting clients. Then
    nothing is accepted for a second; open connections are not affected.
 3. A connection is accepted in one call, from the socket to its protocol, so it always has an owner that closes it.
@@ -19,7 +19,7 @@ from .epoll.watcher import READABLE, EpollSet
 
 ACCEPTED_PER_TURN: Final = 64
 PAUSE_SECONDS: Final = 1.0
-"""Seconds until accepting is tried again, as in asyncio: by then resources may be free."""
+"""Seconds until accepting is tried again after an error, as in asyncio: by then resources may be free."""
 
 Protocols = Callable[[], asyncio.BaseProtocol]
 
@@ -46,15 +46,17 @@ async def accept_from(
     """Start to accept connections, each with a new transport and protocol. Returns the acceptor.
 
     Args:
-        listening: bound and non-blocking; the acceptor's own when this has returned.
-        protocols: makes the protocol of a new connection; buffered, or replaced by a buffered one in `connection_made`.
+        listening: bound, non-blocking socket; the acceptor closes it.
+        protocols: creates the protocol of a new connection: a buffered one, or one that replaces itself by a buffered
+            one in `connection_made`.
         loop: the event loop.
-        epoll_set: where acceptor and connections wait; None leaves both to the loop.
+        epoll_set: watches the listening socket and the connections; None to let the event loop do that.
         backlog: connections that the system may hold until they are accepted.
-        failed: called with the error if a waiting client cannot be accepted; without an epoll set the loop logs it.
+        failed: called with the error if a waiting client cannot be accepted. Without an epoll set the event loop logs
+            the error instead.
 
     Raises:
-        OSError: it cannot listen, or not be watched.
+        OSError: the socket cannot listen, or cannot be watched.
     """
     if epoll_set is not None:
         return EpollAcceptor(epoll_set, listening, protocols, backlog=backlog, failed=failed)
@@ -62,7 +64,7 @@ async def accept_from(
 
 
 class EpollAcceptor:
-    """Accepts connections through an epoll set; arguments as of `accept_from`. Raises `OSError`."""
+    """Accepts connections through an epoll set; its arguments and errors are those of `accept_from`."""
 
     def __init__(
         self,
@@ -90,7 +92,7 @@ class EpollAcceptor:
                 return
 
     def _accept(self) -> bool:
-        """Accept one client at the listening socket. Returns whether another may wait."""
+        """Accept one client at the listening socket. Returns whether another one may be waiting."""
         try:
             connection, peer = self._listening.accept()
         except (BlockingIOError, InterruptedError):
@@ -157,10 +159,10 @@ class LoopAcceptor:
         self._server = server
 
     def accept_no_more(self) -> None:
-        """Stop accepting connections. Those just accepted still arrive within a few turns of the event loop.
+        """Stop accepting connections; those just accepted still arrive within a few turns of the event loop.
 
-        asyncio forgets a connection whose acceptance has begun when its listener is closed: it would stay open, in
-        without an owner, until the garbage collection finds it.
+        The listener is closed only after that. If it were closed at once, asyncio would forget connections that it is
+        just accepting; they would stay open without an owner until garbage collection.
         """
         for bound in self._server.sockets:
             with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness

@@ -1,8 +1,8 @@
 """The one receive buffer that all connections of an event loop share.
 
-The loop calls ``get_buffer``, receives and calls ``buffer_updated`` in one step, so what one connection received is
-worked through before the next one receives. 1000 idle connections then hold one buffer, not a thousand. On loops that
-hand a buffer to the system first and let it be filled later (Windows' proactor), each connection needs its own.
+The event loop calls ``get_buffer``, receives and calls ``buffer_updated`` without a break between, so the bytes of one
+connection are processed before the next one receives. 1000 idle connections then need one buffer instead of 1000. An
+event loop that passes a buffer to the system to be filled later (Windows' proactor) gives each connection its own.
 """
 
 from typing import TYPE_CHECKING
@@ -12,11 +12,11 @@ if TYPE_CHECKING:
     import asyncio
 
 RECEIVE_SIZE = 65_536
-"""What one receive call takes at most: some 5000 read requests."""
+"""Most bytes that one receive call returns: some 5000 read requests."""
 
 _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, bytearray]" = WeakKeyDictionary()
 _windows: dict[int, memoryview] = {}
-"""The window made last, by its size: a view of a buffer takes 312 bytes, which no idle connection needs for itself."""
+"""The view created last, by its size: a view takes 312 bytes, so connections share it."""
 
 
 def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:

@@ -1,7 +1,7 @@
 """Reserve of file descriptors: the last ones that the process may open are kept for Modbus connections.
 
-Knows the system's limit; knows no socket. The web page, the status and the metrics ask here before they keep a
-connection: the system gives out the lowest free number, so a high number says that few are left.
+Knows the system's limit; knows no socket. The web page, the status and the metrics ask this file before they keep a
+connection. The system gives out the lowest free number, so a high number shows that few are left.
 """
 
 import sys

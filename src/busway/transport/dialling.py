@@ -21,7 +21,7 @@ from .epoll.watcher import EpollSet, can_watch
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
-"""The epoll set of each event loop. It lives as long as its connections, and keeps the loop alive no longer."""
+"""The epoll set of each event loop. It exists as long as its connections, so it does not keep the loop alive."""
 
 
 async def open_stream(
@@ -36,7 +36,7 @@ async def open_stream(
     """Open a TCP connection for an asyncio protocol and return its transport.
 
     Args:
-        protocol: makes the protocol of the connection, an `asyncio.BufferedProtocol`.
+        protocol: creates the protocol of the connection, an `asyncio.BufferedProtocol`.
         host: host name or address of the peer.
         port: its TCP port.
         local_address: local address to connect from; None lets the system choose.
@@ -97,14 +97,14 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
 
 
 def _with_zone(address: Any) -> Any:  # of whatever family
-    """Return a socket address with the zone of a link-local IPv6 address in the host, because uvloop needs it there."""
+    """Return a socket address as (host, port), with the zone of a link-local IPv6 address in the host for uvloop."""
     if len(address) == 4 and address[3]:
         return f"{address[0]}%{address[3]}", address[1]
     return address
 
 
 def dial_through(interface: str, host: str, port: int, local_address: str | None, timeout: float) -> socket.socket:
-    """Open a TCP connection through a network interface and return its blocking socket. Raises `OSError`.
+    """Open a TCP connection through a network interface and return its blocking socket.
 
     Args:
         interface: name of the network interface.
@@ -112,6 +112,9 @@ def dial_through(interface: str, host: str, port: int, local_address: str | None
         port: its TCP port.
         local_address: local address to connect from; None lets the system choose.
         timeout: seconds allowed for each address of the host; the socket keeps it as its timeout.
+
+    Raises:
+        OSError: the host name cannot be resolved, or no address of it can be connected to.
     """
     attempts = _Attempts(interface, local_address)
     for connection, address in attempts.towards(socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)):
@@ -135,9 +138,9 @@ class _Attempts:
         self.problem = OSError("the host has no address")
 
     def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
-        """Yield an unconnected socket, with the interface and local address set, and the address to connect it to.
+        """Yield for each usable address of the peer a socket, with interface and local address set, and the address.
 
-        ``found`` are the peer's addresses, as ``getaddrinfo`` returns them; those that cannot be used are left out.
+        ``found`` are the peer's addresses, as ``getaddrinfo`` returns them.
         """
         for family, kind, protocol, _, address in found:
             try:
@@ -158,9 +161,9 @@ class _Attempts:
 
     @contextlib.contextmanager
     def noting_failure(self, connection: socket.socket) -> Iterator[None]:
-        """Return a context manager that closes the socket if its block fails; an `OSError` is kept in ``problem``.
+        """Return a context manager that closes the socket if its block raises.
 
-        An `OSError` does not leave the block; other exceptions do.
+        An `OSError` is stored in ``problem`` and suppressed; other exceptions are raised.
         """
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(connection.close)

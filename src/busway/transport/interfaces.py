@@ -1,7 +1,7 @@
-"""The network interfaces of this host: names, addresses, netmasks and gateways, as far as the system tells.
+"""The network interfaces of this host: names, addresses, netmasks and gateways, for display.
 
-Knows Linux; elsewhere there is nothing to show. They are the operating system's to set, and ours to show
-(Messaging on TCP/IP V1.0b §4.3.3).
+Works on Linux only; on other systems there are none. The operating system configures the interfaces; this file only
+reads them (Messaging on TCP/IP V1.0b §4.3.3).
 """
 
 import contextlib
@@ -23,10 +23,10 @@ class Interface:
     """One address of one network interface of this host, with netmask and gateway.
 
     Attributes:
-        name: as the system calls it.
-        address: numeric.
+        name: the system's name of the interface: ``eth0``.
+        address: numeric IP address.
         netmask: ``255.255.255.0``, or ``/64`` for IPv6.
-        gateway: where its default route goes; empty without one.
+        gateway: address of the default gateway of the interface; empty without one.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Interface:
 def interfaces_with(host: str) -> tuple[Interface, ...]:
     """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family.
 
-    Only Linux tells them; on other systems there are none.
+    Empty on systems other than Linux.
     """
     if sys.platform != "linux":
         return ()

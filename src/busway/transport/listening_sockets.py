@@ -1,7 +1,7 @@
 """Creates bound sockets for listeners, one for each address, on a named network interface if one is given.
 
-Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them; the server adds what it
-could not open.
+Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them; the server adds which
+listener could not be opened.
 
 1. An empty host means every address, of IPv4 and of IPv6, and both get the same port. A family that the system does not
    have is left out.
@@ -31,11 +31,11 @@ def bound_sockets(
     the port, the same for all sockets.
 
     Args:
-        addresses: results of ``getaddrinfo``, all of one kind of socket and one port.
+        addresses: results of ``getaddrinfo``, all of one socket type and one port.
         interface: name of the only network interface to listen on; None for all.
 
     Raises:
-        OSError: an address cannot be bound; then none is.
+        OSError: an address cannot be bound; then all sockets are closed again.
         ConfigError: this system cannot bind a socket to an interface.
     """
     if interface is not None and not hasattr(socket, "SO_BINDTODEVICE"):

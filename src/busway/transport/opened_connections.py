@@ -1,7 +1,7 @@
-"""Counts the connections that this process has opened as a client, for the status of a server in it.
+"""Counts the connections that this process has opened as a client; a server in the same process reports the number.
 
-Clients and servers do not import each other; clients register here how to count their connections, and servers ask
-here for the sum (NbLocalConnection of Messaging on TCP/IP V1.0b §5.1.2).
+Clients and servers do not import each other. Clients register here a function that counts their connections, and
+servers ask here for the sum (NbLocalConnection of Messaging on TCP/IP V1.0b §5.1.2).
 """
 
 from collections.abc import Callable
@@ -15,5 +15,5 @@ def counted_by(count: Callable[[], int]) -> None:
 
 
 def dialled_connections() -> int:
-    """Return the number of client connections that this process has open, by all registered functions."""
+    """Return the number of open client connections of this process, summed over all functions of `counted_by`."""
     return sum(count() for count in _counts)

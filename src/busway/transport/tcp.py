@@ -1,6 +1,6 @@
 """Sets the options of TCP sockets, and explains their errors.
 
-Knows sockets; knows no Modbus. The only place where an `OSError` of a network connection becomes a `LinkDown`.
+Knows sockets; knows no Modbus. Only here an `OSError` of a network connection becomes a `LinkDown`.
 """
 
 import contextlib
@@ -18,7 +18,7 @@ from .serial.waiting import wait_ready
 def configure(connection: socket.socket, parameters: SocketParameters) -> None:
     """Set the options of a connected TCP socket; options that the system lacks are left out. Raises `OSError`.
 
-    Does nothing to a socket that is not of IPv4 or IPv6.
+    Does nothing to a socket that is neither IPv4 nor IPv6.
     """
     if connection.family not in (socket.AF_INET, socket.AF_INET6):
         return
@@ -39,7 +39,7 @@ def configure(connection: socket.socket, parameters: SocketParameters) -> None:
 def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None:
     """Set the buffer sizes of a socket, if the parameters give any.
 
-    Set on a listening socket, they hold for the connections that it accepts.
+    Connections that a listening socket accepts inherit its sizes.
     """
     if parameters.receive_buffer is not None:
         connection.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, parameters.receive_buffer)
@@ -48,10 +48,10 @@ def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None
 
 
 def discard_on_close(connection: Any) -> None:
-    """Make a later close reset the TCP connection, so that bytes the peer has not accepted are dropped.
+    """Make a later close reset the TCP connection, so that bytes the peer has not received yet are dropped.
 
     Args:
-        connection: a socket, or what ``get_extra_info("socket")`` of a transport returns; None does nothing.
+        connection: a socket, or what ``get_extra_info("socket")`` of a transport returns. Does nothing for None.
     """
     if connection is not None:
         with contextlib.suppress(OSError):  # it has ended already
@@ -91,7 +91,7 @@ def peer_has_ended(connection: Any) -> bool:  # Any: a socket, or what a transpo
 
 
 _ENDED = frozenset({7, 8})
-"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN has come."""
+"""TCP_CLOSE and TCP_CLOSE_WAIT of the kernel's tcp_states.h: reset, or the peer's FIN was received."""
 
 
 def _set_if_known(connection: socket.socket, name: str, value: int) -> None:
@@ -150,7 +150,7 @@ def network_kind(error: BaseException) -> LinkDownKind:
 
 
 def network_reason(error: BaseException) -> str:
-    """Return the reason of a network error as text for an operator, such as "the host cannot be reached"."""
+    """Return the reason of a network error in words for a log or message, such as "the host cannot be reached"."""
     if isinstance(error, socket.gaierror):
         return f"the host name cannot be resolved ({error.strerror})"
     if isinstance(error, TimeoutError) and not getattr(error, "errno", None):

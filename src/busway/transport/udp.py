@@ -1,11 +1,11 @@
 """UDP sockets of clients, for asyncio and for blocking links.
 
-Knows sockets; knows no Modbus. The user of a socket says which datagrams are whole frames; others are dropped and
-counted.
+Knows sockets; knows no Modbus. The caller passes a function that tells which datagrams are whole frames; others are
+dropped and counted.
 
 1. A lost datagram is not sent again: callers that wait for an answer have a timeout.
-2. An ICMP error (no listener at the other end) does not end the connection: the next datagram may be answered, and any
-   host can send such a message.
+2. An ICMP error (nothing listens at the peer's port) does not end the connection: the next datagram may be answered,
+   and any host can send such a message.
 3. A client receives datagrams only from the address to which it sends.
 """
 
@@ -38,7 +38,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What asyncio calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Keep the transport of the opened UDP socket, for sending."""
+        """Store the transport of the opened UDP socket, for sending."""
         self._transport = cast(asyncio.DatagramTransport, transport)  # uvloop's is of no such class
 
     def datagram_received(self, data: bytes, addr: Any) -> None:  # Any: of whatever family
@@ -153,7 +153,7 @@ class BlockingDatagramSocket:
     def recv_into(self, buffer: bytearray) -> int:
         """Receive the next datagram that is a whole frame into ``buffer``, and return its size.
 
-        Raises `BlockingIOError` if no such datagram has come.
+        Raises `BlockingIOError` if no such datagram has been received.
         """
         while True:
             try:

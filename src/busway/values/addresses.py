@@ -23,8 +23,8 @@ A register may be followed by a bit, 0 the least significant: ``4x17.3``, ``%MW1
 Rules:
 
 1. ``0x10`` is coil number 10, which is offset 9. It is never hexadecimal: ``0x`` is the prefix of coils as ``4x`` is
-   that of holding registers. ``0x1F`` is refused, not guessed. Sixteen in hexadecimal is ``coil:0x10``.
-2. An ``int`` is an offset, ``40001`` too: item 40002. Only the text ``"40001"`` is the notation.
+   that of holding registers. ``0x1F`` is refused. Sixteen in hexadecimal is ``coil:0x10``.
+2. An ``int`` is an offset, also ``40001``: that is item 40002. Only the text ``"40001"`` is the notation.
 3. A bare decimal text such as ``"10"`` is refused, because table and base are ambiguous, unless the caller names
    the table; then it is an offset. Text of five or six digits that begins with 0, 1, 3 or 4 stays the notation, and is
    refused where it names another table than the caller's.
@@ -72,16 +72,16 @@ _LOOKS_HEXADECIMAL: Final = re.compile(r"0[xX]([0-9a-fA-F]{1,16})")
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """The address of one register or bit in a table, or of one bit of a register, however it was written.
+    """The address of one register or bit in a table, or of one bit of a register.
 
     Attributes:
-        table: which of the four tables; None if the caller's function decides.
+        table: which of the four tables; None if the called function decides.
         offset: the item as on the wire, 0…65535.
         bit: a bit of the register, 0 (least significant)…15; None for the whole item.
-        text: the notation it was given in; empty if it was not given as text or number.
+        text: the text from which it was parsed; empty if it was not parsed.
 
     Raises:
-        InvalidRequest: offset or bit out of range, or a bit of something that is a bit. Nothing was sent.
+        InvalidRequest: offset or bit out of range, or a bit of a coil or discrete input. Nothing was sent.
     """
 
     table: Table | None
@@ -117,7 +117,7 @@ def parse_address(
 
     Args:
         value: an offset, a text in one of the notations, or an `Address`, which is returned with the table filled in.
-        table: the table that the caller means; None if the notation must name it, or it may stay open.
+        table: the table that the caller means; None if the notation names it, or the result may have no table.
         base: number of the first item, 0 or 1; None for each notation's own base.
 
     Raises:

@@ -61,7 +61,7 @@ class BitsCodec:
         return swapped(registers, self._swaps)
 
     def parse(self, text: str) -> tuple[bool, ...]:
-        """Return the sixteen bits for the text of a number: ``0b101``, ``0x5`` and ``5`` are bits 0 and 2.
+        """Return the sixteen bits of a number given as text: ``0b101``, ``0x5`` and ``5`` set the bits 0 and 2.
 
         Raises:
             ValueError: the text is no number 0…65535.
@@ -73,7 +73,7 @@ class BitsCodec:
 
 
 class BitCodec:
-    """Converts one bit of each register, always the same one, to ``bool``."""
+    """Converts one bit of each register to ``bool``; its number 0…15 is fixed for the codec."""
 
     def __init__(self, name: str, bit: int, order: ByteOrder) -> None:
         self._name = name
@@ -83,7 +83,7 @@ class BitCodec:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Position of the bit in its register as sent: the byte, 0 or 1, and the mask of the bit in that byte."""
+        """Position of the bit in the two bytes of the register on the wire: byte 0 or 1, and the mask in that byte."""
         is_low = self._bit < 8
         return int(is_low is not bool(self._swaps)), 1 << (self._bit & 7)
 
@@ -122,7 +122,7 @@ class BitCodec:
             held: the two present bytes of the register, in wire order.
 
         Raises:
-            InvalidRequest: ``value`` is no state. Nothing was sent.
+            InvalidRequest: ``value`` is not True, False, 1 or 0. Nothing was sent.
         """
         if value not in (True, False):
             raise unfit([value], 0, self._name, self.expects)

@@ -13,8 +13,8 @@ def counted(count: int, noun: str, verb: Literal["", "is", "was", "follows"] = "
 
     Args:
         count: how many there are, 0 or more.
-        noun: the word for one of them; a regular English noun.
-        verb: what follows, in the form for one; nothing if left out.
+        noun: a regular English noun in the singular.
+        verb: a verb to append, in the singular; none by default.
     """
     if count == 1:
         return f"1 {noun} {verb}".rstrip()

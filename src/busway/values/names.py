@@ -1,6 +1,6 @@
 """Names of value types, orders and tables for type checkers, so that a wrong name is found before the program runs.
 
-Knows texts only; `types`, `orders` and `codes.Table` say what they mean, and a test holds the lists together.
+Knows texts only; `types`, `orders` and `codes.Table` say what they mean, and a test keeps the lists equal.
 """
 
 from typing import Literal, TypeAlias

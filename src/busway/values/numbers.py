@@ -1,14 +1,14 @@
 """Conversion between registers and integers, floats and binary-coded decimals.
 
-Knows the three number formats and their ranges. Knows nothing of type names beyond quoting its own in errors, and
-nothing of registers: the caller has checked that the length is a multiple of the value's size.
+Knows the three number formats and their ranges. Knows type names only to quote them in errors. The caller has checked
+that the length of the data is a multiple of the value's size.
 
 Rules:
 
 1. A block of values is converted by one ``struct`` call, after at most a few byte swaps of the whole block. The common
    orders cost no more than the plain one.
-2. Nothing is cut or rounded away: what does not fit is refused. The one exception is what a float is: a number is
-   stored as the nearest one the format has, and one too small for it as zero; one too large is refused.
+2. A value that does not fit is refused; nothing is cut off. Only floats are rounded, to the nearest number that the
+   format has (a very small one to zero); one that is too large is refused.
 3. ``bool`` is not a number here, and a float is not an integer, not even ``3.0``.
 4. Every bit pattern survives wire → value → wire, except NaNs where Python itself drops bits: float16 keeps only the
    sign, and a signalling float32 becomes quiet. float64 keeps all; float32 keeps the payload of a quiet NaN.
@@ -214,7 +214,7 @@ class ThreeRegisterCodec:
 
 
 class BcdCodec:
-    """Converts registers to binary-coded decimals without sign, four digits in each register, and back."""
+    """Converts registers that hold unsigned binary-coded decimals, four digits in each, to integers, and back."""
 
     def __init__(self, name: str, order: ByteOrder) -> None:
         self._digits = order.size * 2
@@ -261,8 +261,8 @@ class BcdCodec:
         """Return the number for a decimal text.
 
         Raises:
-            ValueError: the text is no decimal number, or has too many digits. Hexadecimal is refused, because it could
-                mean the digits or the value.
+            ValueError: the text is no decimal number, or has too many digits. Hexadecimal such as ``0x12`` is refused:
+                it could mean 12 or 18.
         """
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:

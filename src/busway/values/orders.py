@@ -82,8 +82,8 @@ class ByteOrder:
 
     Attributes:
         size: bytes of a value: 2, 4, 6 or 8.
-        mask: rule 1 of this file, 0…size - 1; of 6 bytes 0…7: 1 swaps bytes, the rest says which registers are
-            exchanged (rule 4).
+        mask: which parts are swapped, as the sum of 1 (bytes of each register), 2 and 4 (registers; rules 1 and 4 of
+            this file): 0 for ``ABCD``, 2 for ``CDAB``.
     """
 
     size: int
@@ -98,8 +98,8 @@ class ByteOrder:
     def swaps(self) -> tuple[str, ...]:
         """The swaps, in sequence, that turn values from wire order into big-endian order; for `swapped`.
 
-        Each is the type code of an `array` whose items are byte-swapped, or two digits: positions of registers to
-        exchange among three, ``02`` for the first and the last.
+        Each swap is the type code of an `array` whose items are byte-swapped (``H``, ``I`` or ``Q``), or two digits:
+        which two of three registers are exchanged, such as ``02`` for the first and the last.
         """
         if self.size == 6:
             return tuple(each for each in ("H" if self.mask & 1 else "", _EXCHANGES[self.mask & 6]) if each)
@@ -114,7 +114,7 @@ class ByteOrder:
 
     @property
     def is_reversed(self) -> bool:
-        """Whether the first of `swaps` reverses whole values, so that they can be read as little-endian instead."""
+        """Whether the first of `swaps` reverses all bytes of a value; `struct` can then read it as little-endian."""
         return self.size != 6 and bool(self.mask & (self.size >> 1))
 
     @property
@@ -158,13 +158,15 @@ def byte_order(text: str, size: int) -> ByteOrder:
 
 
 def _between_three_and_others(text: str, size: int, given_size: int, mask: int) -> int:
-    """Return the mask of an order for values of ``size`` bytes, given a mask for another size; one size is 6.
+    """Return the mask for values of ``size`` bytes, given the mask of the same order for ``given_size`` bytes.
+
+    Used if one of the two sizes is 6 (three registers); then the masks are not simply related.
 
     Args:
         text: the order as written, for errors.
         size: size that is wanted, in bytes.
         given_size: size that the order is written for, in bytes.
-        mask: its mask.
+        mask: the mask for ``given_size``.
 
     Raises:
         InvalidRequest: the order cannot be applied to the other size.
@@ -194,7 +196,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
 
 
 def _exchanged(data: Wire, first: int, other: int) -> bytes:
-    """Return registers with those at two positions, 0…2, exchanged in each group of three."""
+    """Return values of three registers each, with the registers at positions ``first`` and ``other`` exchanged."""
     items = array("H")
     items.frombytes(data)
     items[first::3], items[other::3] = items[other::3], items[first::3]

@@ -1,7 +1,7 @@
 """Makes text from devices and certificates safe to print on one line of a terminal, a log or a table.
 
-Knows characters only. Names in devices and certificates are chosen by others and end up on terminals and in logs. There
-a line break forges a line, an escape sequence changes what was printed before it, and a bidirectional control turns the
+Knows characters only. Names in devices and certificates are chosen by others, who may be hostile. Printed unchanged, a
+line break forges a line, an escape sequence changes what was printed before it, and a bidirectional control turns the
 rest of the line around.
 """
 

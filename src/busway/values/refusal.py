@@ -20,7 +20,7 @@ def shown(value: object) -> str:
 
 
 def unfit(values: list[object], index: int, name: str, expects: str, hint: str = "") -> InvalidRequest:
-    """Return the error that ``values[index]`` does not fit a value type.
+    """Create the error for ``values[index]``, which does not fit a value type.
 
     Args:
         values: the values that were to be encoded.

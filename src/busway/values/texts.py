@@ -19,15 +19,15 @@ from .refusal import shown, unfit
 
 
 class StringCodec:
-    """Converts registers to texts, and back; each text has a field of equally many registers.
+    """Converts registers to texts, and back; every text takes the same number of registers.
 
     Args:
         name: name of the value type, for errors.
         length: most bytes of a text.
         encoding: ``ascii``, ``latin-1`` or ``utf-8``.
-        padding: ``nul`` or ``space``, which fills the rest of the field.
+        padding: ``nul`` or ``space``, which fills the rest of the registers.
         order: order of the bytes of a register.
-        half: ``low`` or ``high`` for one character in each register, in this byte; empty for two.
+        half: ``low`` or ``high`` if each register has one character, in this byte; empty if it has two.
         upper: whether small letters become capitals.
     """
 
@@ -64,7 +64,7 @@ class StringCodec:
         return [self._text(whole[start : start + self._length], data) for start in range(0, len(whole), self._size)]
 
     def encode(self, values: list[object]) -> bytes:
-        """Return the registers, in wire order, that hold these texts, each padded to the length of its field.
+        """Return the registers, in wire order, that hold these texts, each padded to the full number of registers.
 
         Raises:
             InvalidRequest: a text is too long, does not fit the encoding, or contains a NUL. Nothing was sent.

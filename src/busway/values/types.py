@@ -59,20 +59,20 @@ class Codec(Protocol):
     """Interface of the converter of a value type between registers and values; its caller checks lengths.
 
     Attributes:
-        expects: what values the type can hold, in words: ``a whole number 0…65535``.
+        expects: which values the type can hold, in words: ``a whole number 0…65535``.
     """
 
     expects: str
 
     # Any: which Python type comes follows from a name at run time, and a union would make every caller cast.
     def decode(self, data: Wire) -> list[Any]:
-        """Return the values that registers in wire order hold. Raises `BadReply` if the bytes mean nothing."""
+        """Return the values that registers in wire order hold. Raises `BadReply` if the bytes are no such value."""
 
     def encode(self, values: list[object]) -> bytes:
         """Return the registers, in wire order, that hold these values. Raises `InvalidRequest` if one does not fit."""
 
     def parse(self, text: str) -> Any:
-        """Return the value for a text. Raises ``ValueError`` or `InvalidRequest` if there is none."""
+        """Return the value for a text. Raises ``ValueError`` or `InvalidRequest` if the text is no such value."""
 
 
 Value = TypeVar("Value")
@@ -80,7 +80,9 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True, slots=True)
 class ValueType(Generic[Value]):
-    """A value type with its byte order, ready to convert; created by `value_type`. Equal if name and order are.
+    """A value type with its byte order; converts registers to values and back. Created by `value_type`.
+
+    Two value types are equal if their names and orders are.
 
     Attributes:
         name: the name in full, ``float32``.
@@ -95,7 +97,7 @@ class ValueType(Generic[Value]):
 
     @property
     def expects(self) -> str:
-        """What values the type can hold, in words: ``a whole number 0…65535``."""
+        """Which values the type can hold, in words: ``a whole number 0…65535``."""
         return self._codec.expects
 
     def registers_for(self, count: int) -> int:
@@ -105,7 +107,7 @@ class ValueType(Generic[Value]):
             count: number of values, 1 or more.
 
         Raises:
-            InvalidRequest: the count is no such number. Nothing was sent.
+            InvalidRequest: ``count`` is no integer above 0. Nothing was sent.
         """
         if isinstance(count, bool) or not isinstance(count, int) or count < 1:
             raise InvalidRequest(f"count is {shown(count)}, but it is a number of {self.name} values, 1 or more")
@@ -118,11 +120,11 @@ class ValueType(Generic[Value]):
             data: bytes in wire order, two for each register, a whole number of values.
 
         Returns:
-            One value for each ``registers`` registers, in their order; none for no bytes.
+            One value for each ``registers`` registers, in their order; an empty list for no bytes.
 
         Raises:
             InvalidRequest: the length is no whole number of values.
-            BadReply: the bytes mean nothing in this type: a BCD digit above 9, bytes outside the string's encoding.
+            BadReply: the bytes are no value of this type: a BCD digit above 9, bytes outside the string's encoding.
         """
         size = 2 * self.registers
         if len(data) % size:
@@ -134,8 +136,8 @@ class ValueType(Generic[Value]):
         """Return the registers, in wire order, that hold values of this type.
 
         Args:
-            values: values as `decode` gives them; one value goes in as ``[value]``. Number types take every integer
-                (and float types every real number) that fits, of other libraries too, but not ``bool``.
+            values: values as `decode` returns them; a single value is given as ``[value]``. Number types accept every
+                integer, and float types every real number, that fits, also those of other libraries, but not ``bool``.
 
         Raises:
             InvalidRequest: a value does not fit, or the type is only for reading. Nothing was sent.
@@ -148,23 +150,23 @@ class ValueType(Generic[Value]):
 
     @property
     def is_part(self) -> bool:
-        """Whether the type is ``bit``, ``field``, ``int8`` or ``uint8``, a part of a register; `merge` keeps the rest.
+        """Whether a value is a part of a register: ``bit``, ``field``, ``int8`` or ``uint8``. `merge` keeps the rest.
 
-        False for texts with one character in each register: `merge` writes the other halves too.
+        False for texts with one character in each register: writing one overwrites the unused bytes too.
         """
         return isinstance(self._codec, BitCodec | FieldCodec)
 
     @property
     def bit_place(self) -> tuple[int, int] | None:
-        """Position of a ``bit:N`` in its register as sent: byte 0 or 1 and the mask in it; None for other types."""
+        """Where the bit of a ``bit:N`` type is on the wire: byte 0 or 1, and mask in the byte. None for other types."""
         return self._codec.place if isinstance(self._codec, BitCodec) else None
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """Return the registers with one value written, and the bits that do not belong to it unchanged.
+        """Return registers with one value written into them; bits that do not belong to the value stay unchanged.
 
         Args:
             value: as for `encode`.
-            held: the registers' present bytes, ``2 * registers`` bytes; only looked at where `is_part`.
+            held: the present ``2 * registers`` bytes of the registers; used only where `is_part`.
 
         Raises:
             InvalidRequest: the value does not fit. Nothing was sent.
@@ -177,7 +179,7 @@ class ValueType(Generic[Value]):
 
         Args:
             text: integers in decimal, ``0x…`` or ``0b…``; BCD in decimal only; floats as Python writes them, ``inf``
-                and ``nan`` too; strings as they stand; ``bits`` as the register's number (``0b101`` has bits 0 and 2);
+                and ``nan`` too; strings unchanged; ``bits`` as the register's number (``0b101`` sets bits 0 and 2);
                 ``bit:N`` as on, off, true, false, 1, 0. Spaces around numbers and states do not matter.
 
         Raises:
@@ -228,17 +230,17 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
-    """Convert registers into values of a type, one for each group of registers; as `ValueType.decode`.
+    """Convert registers into values of a type, like `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
         type: a name such as ``float32``, or a `ValueType`, which keeps its own order unless ``order`` is given.
         order: byte and register order.
-        count: number of values that the bytes have to hold; None for as many as there are.
+        count: number of values that the bytes must hold exactly; None for as many as there are.
 
     Raises:
         InvalidRequest: no such type or order, or the length is not that of ``count`` values.
-        BadReply: the bytes mean nothing in this type.
+        BadReply: the bytes are no value of the type.
     """
     wanted = value_type(type, order)
     if count is not None and len(data) != 2 * wanted.registers_for(count):
@@ -249,7 +251,7 @@ def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: i
 
 
 def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "ABCD") -> bytes:
-    """Convert values of a type into registers, in wire order; as `ValueType.encode`.
+    """Convert values of a type into registers, in wire order, like `ValueType.encode`.
 
     Args:
         values: values of the type, in a sequence.
@@ -263,7 +265,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
 
 
 def parse_value(text: str, type: str | ValueType[Any]) -> Any:
-    """Return the value of a type for a text from a command line or a file; as `ValueType.parse`.
+    """Return the value of a type for a text from a command line or a file, like `ValueType.parse`.
 
     Raises:
         InvalidRequest: no such type, or the text is no value of the type. Nothing was sent.

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from itertools import pairwise
 
 import pytest
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from processor_time import cpu_seconds
@@ -254,7 +255,7 @@ def readable_items(items: Sequence[PlainItem], rules: ReadRules) -> list[PlainIt
 
 
 @given(maps(7, 80), device_rules(80), COSTS)
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 def test_no_way_to_put_few_items_into_reads_is_cheaper(
     items: list[PlainItem], rules: ReadRules, cost: ReadCost
 ) -> None:
@@ -294,7 +295,7 @@ def by_walking_registers(items: Sequence[PlainItem], rules: ReadRules, cost: Rea
 
 
 @given(maps(30, 300), device_rules(300), COSTS)
-@settings(max_examples=150)
+@settings(max_examples=examples(150))
 def test_an_independent_search_over_registers_finds_nothing_cheaper(
     items: list[PlainItem], rules: ReadRules, cost: ReadCost
 ) -> None:
@@ -305,7 +306,7 @@ def test_an_independent_search_over_registers_finds_nothing_cheaper(
 
 
 @given(maps(60, 2000), device_rules(2000), COSTS)
-@settings(max_examples=200)
+@settings(max_examples=examples(200))
 def test_none_of_the_usual_rules_is_cheaper_on_any_map(
     items: list[PlainItem], rules: ReadRules, cost: ReadCost
 ) -> None:

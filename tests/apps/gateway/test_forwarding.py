@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from authorizing import AuthorizedPipeline
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -260,7 +261,7 @@ POLICY = busway.Policy.of(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(STEPS, max_size=14), st.booleans(), st.sampled_from([1, 3, 16]), st.sampled_from([None, POLICY]))
 def test_whoever_asks_gets_the_answers_of_the_generic_path(
     steps: list[tuple[Any, Any, Any, Any]], share_reads: bool, room: int, policy: busway.Policy | None
@@ -292,7 +293,7 @@ TROUBLES = st.one_of(
 )
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(
     st.lists(TROUBLES, max_size=25),
     st.booleans(),

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -214,7 +215,7 @@ def _line(name: str, devices: dict[int, PlainDevice]) -> tuple[Upstream, Instant
     return line, link
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(
     st.lists(ROUTES, min_size=1, max_size=4),
     st.lists(st.tuples(st.integers(1, 5), pdus()), min_size=1, max_size=6),
@@ -317,7 +318,7 @@ STEPS = st.one_of(
 )
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.lists(STEPS, max_size=40), st.sampled_from([0.5, 1.0, 2.0]), st.sampled_from([None, 3]))
 def test_a_remembered_value_is_never_older_than_its_time_to_live_nor_than_a_write(
     steps: list[tuple[str, Any, int]], live: float, limit: int | None

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 
 import pytest
 from captured import Talk, captured
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -176,7 +177,7 @@ PARTS = st.lists(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(PARTS, st.sampled_from([Framing.MBAP, Framing.RTU]))
 def test_any_conversation_is_paired_and_every_request_is_told_once(
     parts: list[tuple[bool, bytes, float]], framing: Framing

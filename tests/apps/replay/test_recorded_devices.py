@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 from captured import SERVER, Talk, captured
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -179,7 +180,7 @@ ANSWERS = st.one_of(
 )
 
 
-@settings(max_examples=50)
+@settings(max_examples=examples(50))
 @given(st.lists(st.tuples(st.sampled_from([0, 1, 255]), PDUS, ANSWERS), max_size=10), st.booleans())
 def test_any_conversation_gives_a_file_that_can_be_loaded_or_a_sentence(
     said: list[tuple[int, bytes, bytes]], flag: bool

@@ -6,6 +6,7 @@ from ipaddress import IPv4Address
 
 import pytest
 from captured import CLIENT, SERVER, Talk, captured
+from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -213,7 +214,7 @@ PARTS = st.lists(
 )
 
 
-@settings(max_examples=60)
+@settings(max_examples=examples(60))
 @given(PARTS, st.randoms(use_true_random=False), st.sampled_from(list(Framing)[:3]), st.integers(0, 100_000))
 def test_any_packets_give_events_and_no_error(
     parts: list[tuple[bool, bytes]], chance: object, framing: Framing, bit: int

@@ -31,7 +31,7 @@ class Level(IntEnum):
 
 
 class Strength(Enum):
-    """How strongly the specifications ask for what a check tests; a failed should is only a warning."""
+    """How strongly the specifications ask for what a check tests: must or should. A failed should is only a warning."""
 
     MUST = "must"
     SHOULD = "should"
@@ -80,7 +80,7 @@ class Facet(Enum):
 
 
 class FrameDamage(Enum):
-    """How the frame of a request is damaged on purpose; the value describes the damage for reports."""
+    """Ways to damage the frame of a request on purpose; the value describes the damage in reports."""
 
     PROTOCOL_1 = "protocol identifier 1"
     PROTOCOL_FFFF = "protocol identifier FFFF"
@@ -107,7 +107,10 @@ class FrameDamage(Enum):
 
 
 class TlsChange(Enum):
-    """How a connection differs, on purpose, from one that a secure device must accept; the value is for reports."""
+    """Ways in which a check breaks a rule of TLS on purpose, so that a secure device must refuse the connection.
+
+    The value is the text for reports.
+    """
 
     PLAIN = "without TLS"
     TLS_1_0 = "by TLS 1.0"
@@ -128,13 +131,13 @@ _ANY_EXCEPTION: Final = 255
 
 @dataclass(frozen=True, slots=True)
 class Accepts:
-    """What a device may do after one request; anything else is a fault. As text: the possibilities in words.
+    """What a device may do after one request; anything else is a fault. ``str()`` gives it in words.
 
     Attributes:
         reply: whether a normal reply may come. Its form is checked against the request if the request is valid.
         exact: the only PDU that a normal reply may have; None for any.
         exceptions: the exception codes that may come.
-        silence: whether the device may not answer.
+        silence: whether the device may give no answer.
         closed: whether the device may close the connection instead of answering.
         wrong_with: returns what is wrong with the PDU of a normal reply, empty if nothing is; None for no such test.
     """
@@ -199,11 +202,11 @@ class Reopen:
 
 @dataclass(frozen=True, slots=True)
 class BesideIt:
-    """Step of a check: send a request over a second connection while the first stays open.
+    """Step of a check: send a request over a second connection while the first one stays open.
 
     Attributes:
         ask: the request.
-        change: how the handshake of the second connection breaks the rules of TLS; None for a correct one.
+        change: the rule of TLS that the second connection breaks; None for a correct handshake.
     """
 
     ask: Ask
@@ -276,7 +279,7 @@ class Items:
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """The device to be checked, as far as the choice and the contents of the checks depend on it.
+    """The device to be checked: how it is reached, and which items checks may read and write.
 
     Attributes:
         framing: ``mbap``, ``rtu`` or ``ascii``.
@@ -299,12 +302,12 @@ class Target:
 
 @dataclass(frozen=True, slots=True)
 class Evidence:
-    """Bytes that were sent or received in a check, or an event such as the end of the connection, for reports.
+    """Bytes that a check sent or received, or an event such as the end of the connection; shown in reports.
 
     Attributes:
         sent: True for bytes to the device, False for bytes from it.
         data: the bytes; empty for an event.
-        words: what the bytes mean, by the dissector; or the event.
+        words: the meaning of the bytes, from the dissector; for an event, what happened.
     """
 
     sent: bool

@@ -45,10 +45,10 @@ class FrameSearch(Protocol):
         """Take received bytes, and return the frames that they complete; ``function`` is the code asked for last."""
 
     def finish(self, function: int) -> list[Frame]:
-        """Return the frames that count as complete because nothing more comes; ``function`` as of `receive`."""
+        """Return the frames that are complete if no more bytes come; ``function`` as of `receive`."""
 
     def take_rest(self) -> bytes:
-        """Return the received bytes that are in no frame, or in an unfinished one; on a line they are forgotten."""
+        """Return the received bytes that are in no complete frame. On a serial line they are then forgotten."""
 
 
 class MbapSearch:
@@ -74,7 +74,7 @@ class MbapSearch:
         return []
 
     def take_rest(self) -> bytes:
-        """Return the bytes that broke the stream, or else those of an unfinished frame.
+        """Return the bytes that broke the stream; if none did, the bytes of an unfinished frame.
 
         Nothing is forgotten: no frame can follow on a broken stream, and an unfinished frame may be completed.
         """
@@ -97,7 +97,7 @@ class RtuSearch:
         return self._found(function, is_over=False)
 
     def finish(self, function: int) -> list[Frame]:
-        """Return frames whose CRC fits though they are shorter than they announce, because nothing more comes."""
+        """Return frames with a right CRC that are shorter than they announce: no more bytes will come."""
         return self._found(function, is_over=True)
 
     def _found(self, function: int, *, is_over: bool) -> list[Frame]:
@@ -116,10 +116,10 @@ class RtuSearch:
         return rest
 
     def _next(self, function: int, *, is_over: bool) -> tuple[int, int] | None:
-        """Return start and end of the next frame in the bytes kept; None if there is none yet.
+        """Return start and end of the next frame in the received bytes; None if there is none yet.
 
         The length that a reply announces is tried first: in one frame of 256 the second byte of the CRC is 0, and then
-        the CRC fits without this byte too. ``is_over``: nothing more comes.
+        the CRC fits without this byte too. ``is_over``: no more bytes will come.
         """
         data = self._kept
         for start in range(len(data) - 3):

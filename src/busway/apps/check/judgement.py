@@ -83,7 +83,7 @@ def is_refused_function(exchange: CheckedExchange) -> bool:
 
 
 def _without_strangers(exchange: CheckedExchange, framing: str) -> tuple[Sequence[Frame], list[Finding]]:
-    """Return the frames that can be the reply, and findings for everything else that came."""
+    """Return the frames that may be the reply, and a finding for other frames and bytes that came."""
     faults = []
     frames = list(exchange.frames)
     if framing == "mbap":
@@ -137,7 +137,10 @@ def _of_exception(pdu: bytes, accepts: Accepts) -> list[Finding]:
 
 
 def _wrong_form(asked: bytes, pdu: bytes) -> str:
-    """Return why lengths or limits of a normal reply do not fit the request; empty if they do, or it is not valid."""
+    """Return in words how length or limits of a normal reply do not fit the request; empty if they fit.
+
+    Empty also if the request itself is not valid.
+    """
     request = STANDARD.decode_request(asked) if asked[0] < 0x80 else None
     if not isinstance(request, Request):
         return ""

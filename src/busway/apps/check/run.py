@@ -5,10 +5,10 @@ Knows wires, frames, judgements and the clock; knows no single check.
 1. Basic checks come first. A facet that one of them has shown to be wrong fails no other check: a wrong unit is
    overlooked, and after any other failure the rest is undecided.
 2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
-3. To find out that a request is not answered takes less than the timeout: a read of the probe is sent after it, when
-   ``quiet`` seconds are over or something came; what comes before the reply of the probe is the answer. Two frames on a
-   line need that gap, and a device that drops one of two requests in a segment fails only the checks about that. On a
-   serial line the timeout is waited for if the request may be answered, since no other frame may come between.
+3. To find out that a request is not answered, a run does not wait for the whole timeout: after ``quiet`` seconds, or
+   once something came, it sends a read of the probe. What comes before the reply to the probe is the answer. Two frames
+   on a line need that gap, and a device that drops one of two requests in a segment fails only the checks about that.
+   On a serial line the timeout is waited for if the request may be answered, since no other frame may come between.
 4. The scratch items are read before the first check that writes, written back after the last one, and read again.
 """
 
@@ -159,7 +159,7 @@ class _Conversation:
     # Asking.
 
     def ask(self, ask: Ask) -> CheckedExchange:
-        """Send one request and return the exchange: what came back within the timeout, or until the end.
+        """Send one request and return the exchange: what came back within the timeout, or until the connection ended.
 
         Opens the connection if there is none. If the device closes it, the exchange says so.
 
@@ -248,7 +248,7 @@ class _Conversation:
         return lambda found: any(not sent.endswith(one.raw) for one in found) or len(found) > 1 or _is_echo_alike(found)
 
     def _received(self, function: int, ends: Callable[[Sequence[Frame]], bool]) -> tuple[list[Frame], bytes, bool]:
-        """Receive until ``ends`` is true of the frames that came, the timeout is over or the connection ends.
+        """Receive until ``ends`` returns True for the frames so far, the timeout is over or the connection ends.
 
         Returns:
             The frames, the bytes that are in none, and whether the device closed the connection.
@@ -274,9 +274,9 @@ class _Conversation:
         return frames, rest, False
 
     def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> CheckedExchange:
-        """Send a read of the probe after a request that may stay unanswered; what comes before its reply is the answer.
+        """After a request that may stay unanswered, send a read of the probe, and return the exchange of the request.
 
-        The request was sent just before. Returns its exchange (rule 3).
+        The request has just been sent. What comes before the reply to the probe is its answer (rule 3).
         """
         if self._target.framing != "mbap":
             if ask.accepts.reply or ask.accepts.exceptions:  # the device may answer: it must not be interrupted
@@ -319,7 +319,7 @@ class _Conversation:
         return CheckedExchange(ask, unit, transaction, frame, before, b"", closed, is_deaf)
 
     def _must_hear_on(self, ask: Ask) -> bool:
-        """Whether the device must answer a read sent after this request, because the end of the request is clear."""
+        """Whether the device must answer a correct read that follows this request: it can tell the request's end."""
         if self._target.framing == "mbap":
             return ask.damage in (None, FrameDamage.PROTOCOL_1, FrameDamage.PROTOCOL_FFFF)
         return ask.damage is None and ask.pdu[0] in STANDARD
@@ -329,7 +329,7 @@ _BETWEEN_PIECES: Final = 0.01
 
 
 def _is_echo_alike(found: Sequence[Frame]) -> bool:
-    """Whether the first frame is of a function whose replies repeat the request, so that it need not be an echo."""
+    """Whether the first frame is of function 05, 06, 08 or 22, whose replies repeat the request."""
     return bool(found) and found[0].pdu[0] in (5, 6, 8, 22)
 
 
@@ -392,7 +392,10 @@ class CheckRun:
 
     @property
     def _is_worth_it(self) -> bool:
-        """Whether further checks can find anything: the device lives, and no failed check hides their results."""
+        """Whether further checks can find anything.
+
+        They cannot if the device no longer answers, or after a failed basic check that leaves all others undecided.
+        """
         return not self.is_dead and not self._hidden_by
 
     # One check.
@@ -437,7 +440,7 @@ class CheckRun:
         return Result(check, outcome, reason, evidence)
 
     def _learn(self, check: Check, outcome: Outcome) -> None:
-        """Note what the outcome of a check means for later ones: facets that are wrong, functions that are missing."""
+        """Remember from a check's outcome which facets are wrong and which functions are missing, for later checks."""
         failed = outcome in (Outcome.FAILED, Outcome.WARNED)
         if check.facet is not None and failed:
             overlooked = _OVERLOOKED | (_LINES_TOO if self._target.framing != "mbap" else frozenset())
@@ -451,7 +454,7 @@ class CheckRun:
                 self._closed_functions[check.function] = (Outcome.UNDECIDED, f"{check.id} failed before")
 
     def _judged(self, check: Check) -> tuple[Outcome, str]:
-        """Take the steps of a check up to the first fault, and return its outcome and the reason for it.
+        """Execute the steps of a check until one fails, and return the check's outcome with the reason for it.
 
         Raises:
             LinkDown: no connection can be made.
@@ -469,7 +472,10 @@ class CheckRun:
         return Outcome.PASSED, ""
 
     def _outcome(self, check: Check, faults: Sequence[Finding]) -> tuple[Outcome, str] | None:
-        """Return the outcome and reason that findings in one exchange give a check; None if it goes on."""
+        """Return the outcome of a check, and its reason, if the faults of one exchange decide it.
+
+        None if the check goes on.
+        """
         failure = Outcome.FAILED if check.word is Strength.MUST else Outcome.WARNED
         if check.facet is not None:
             for fault in faults:
@@ -482,7 +488,7 @@ class CheckRun:
         return None
 
     def _taken(self, step: Step) -> Iterator[CheckedExchange]:
-        """Take one step of a check, and yield its exchanges, which are to be judged; many steps have none."""
+        """Execute one step of a check, and yield the exchanges to be judged; many steps have none."""
         talk = self._talk
         match step:
             case Ask():
@@ -501,7 +507,7 @@ class CheckRun:
     def _asked_beside(self, ask: Ask, change: TlsChange | None) -> CheckedExchange:
         """Send a request over a second connection, while the first stays open, and return the exchange.
 
-        A device that refuses the connection has closed it.
+        If the device refuses the connection, the exchange says that the device closed it.
 
         Raises:
             LinkDown: the first connection cannot be made.

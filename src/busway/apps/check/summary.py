@@ -40,7 +40,7 @@ class Summary:
 
     @property
     def failures(self) -> tuple[Result, ...]:
-        """The results that make the run a failure: failed checks, without those that failed in the earlier run too."""
+        """The results for which the run counts as failed: failed checks that did not fail in the earlier run."""
         return tuple(
             one
             for one in self.results

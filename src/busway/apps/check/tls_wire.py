@@ -120,10 +120,10 @@ def _context(settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange
 
 
 def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> ClientCertificate:
-    """Return the user's certificate for a changed handshake.
+    """Return the client certificate that the user has given for a changed handshake.
 
     Raises:
-        CannotOffer: the user has given none, or one that is not of this kind, or its facts cannot be read.
+        CannotOffer: the user has given none, it does not have the fault to be tested, or it cannot be read.
     """
     word = next(word for word, one in CERTIFICATES.items() if one is change)
     if change not in given:
@@ -146,7 +146,7 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
 
 
 def _load_foreign(context: ssl.SSLContext) -> None:
-    """Load into a context a new client certificate of a new authority, which the device cannot know.
+    """Load into a TLS context a new client certificate from a new authority, which the device does not know.
 
     Raises:
         CannotOffer: the package for certificates is not installed.
@@ -164,7 +164,7 @@ def _load_foreign(context: ssl.SSLContext) -> None:
 
 
 class ChangedChannel:
-    """A TLS connection whose socket does not block, with the methods of a plain socket that `NetworkWire` uses."""
+    """A TLS connection with a non-blocking socket, which has the methods of a socket that `NetworkWire` needs."""
 
     def __init__(self, channel: ssl.SSLSocket) -> None:
         self._channel = channel

@@ -136,7 +136,7 @@ class NetworkDialer(_RealTime):
 
 
 class _ChangedDialer(_RealTime):
-    """Opens connections whose TLS handshake is changed, so that a secure device must refuse them."""
+    """Opens connections with a TLS handshake that breaks one rule, so that a secure device must refuse them."""
 
     has_connections = True
 
@@ -158,7 +158,7 @@ class _ChangedDialer(_RealTime):
         return NetworkWire(changed_channel(self._settings, self._change, self._certificates), self._settings)
 
     def changed(self, change: TlsChange) -> "Dialer":
-        """Return a dialer whose connections have this changed handshake instead."""
+        """Return a dialer whose TLS handshake is changed in another way."""
         return _ChangedDialer(self._settings, change, self._certificates)
 
 

@@ -105,6 +105,6 @@ def _too_fast(
 
 
 def _rounded(value: float) -> str:
-    """Return a number as text with two significant digits, about 5 % higher, as a recommendation."""
+    """Return a number about 5 % higher, as text with two significant digits; used to recommend a period."""
     text = f"{value * 1.05:.2g}"
     return text if "e" not in text else f"{float(text):.0f}"

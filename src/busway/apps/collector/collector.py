@@ -417,9 +417,10 @@ class Collector:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the newest commit of the store.
+        """The number of the newest commit of the store; 0 in a new store.
 
-        Before the first commit since the start it is a number below that of the first; 0 in a new store.
+        Before the first commit of this run it is a number not below the last commit of earlier runs, and below the next
+        one.
         """
         assert self._committer is not None
         return self._committer.writer.newest_commit
@@ -436,16 +437,16 @@ class Collector:
         return await asyncio.to_thread(self._committer.flush)
 
     def note_interval(self, interval: StateInterval) -> None:
-        """Store an interval in which a device was not read for a reason that polling does not know.
+        """Store an interval in which a device was not read for a reason that the poller does not know.
 
-        An example is that another collector of a fleet polled it. An interval is given when it begins, with the end
-        None, and again when it ends.
+        An example is that another collector of a fleet polled the device. An interval is given twice: when it begins,
+        with the end None, and when it ends.
         """
         assert self._committer is not None
         self._committer.add_interval(interval)
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Register a function that is called with each commit after it was made, in the thread that commits.
+        """Register a function to be called with each new commit, in the thread that commits.
 
         The function must be quick; its errors are logged and counted.
         """
@@ -473,8 +474,8 @@ class Collector:
         """Return the measured load of each link since the start of the collector, by name of the link.
 
         Returns:
-            Two shares of the whole time, each 0…1: that of all requests, and that of the probes of silent devices,
-            which the first includes.
+            Two shares of the whole time, each 0…1: the time of all requests; and the part of it that probes of silent
+            devices took.
         """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
         return {
@@ -537,7 +538,7 @@ class Collector:
 
     @property
     def readers_lost(self) -> int:
-        """Number of batches that iterations over `samples`, now ended, have missed because they were too slow."""
+        """Number of batches that ended iterations over `samples` have missed, because they were too slow."""
         return self._readers.lost
 
     @property
@@ -638,7 +639,7 @@ class Collector:
         return done
 
     def changed_links(self, configuration: CollectorConfiguration) -> frozenset[str]:
-        """Return the names of the links polled now that a reload with this configuration would end or begin anew."""
+        """Return the names of the polled links that a reload with this configuration would end or restart."""
         return frozenset(name for name, link in self._links.items() if link.key != _key_of(configuration, name))
 
     def _end_maintenance_of_others(self) -> None:
@@ -736,7 +737,10 @@ class Collector:
                 await self._write_learnt()
 
     def _mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to all times from before the wall clock was set, in the store and in memory."""
+        """Correct times in the store and in memory by ``shift`` nanoseconds, after a wrong wall clock was put right.
+
+        Only times that this process took from the wrong clock are changed.
+        """
         if not shift:
             return
         assert self._committer is not None
@@ -805,7 +809,7 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 def _descriptions(configuration: CollectorConfiguration) -> list[PointDescription]:
-    """Return for each point of a configuration what the store keeps beside its samples, such as the unit of measure."""
+    """Return the descriptions of all points of a configuration, such as units of measure, which the store keeps."""
     return [each for device in configuration.devices.values() for each in device.descriptions()]
 
 

@@ -66,7 +66,7 @@ class CollectedDevice:
         rules: limits and ranges of reads that it allows.
         items: the points that are read, by poll class.
         cost: the assumed cost of its reads until the real one is learnt.
-        fixed: whether the seconds per register of ``cost`` are certain, because its line is known.
+        fixed: whether the seconds per register in ``cost`` are certain, because the baud rate of its line is known.
     """
 
     name: str
@@ -85,7 +85,7 @@ class CollectedDevice:
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def descriptions(self) -> list[PointDescription]:
-        """Return for each point what the store keeps beside its samples, such as the unit of measure."""
+        """Return the descriptions of the device's points, such as units of measure, which the store keeps."""
         return [
             PointDescription(self.name, point.name, point.unit_of_measure, point.type == "bit", point.was or None)
             for point in self.points
@@ -130,7 +130,10 @@ class CollectorConfiguration:
 
     @property
     def hosts(self) -> Mapping[str, Sequence[str]]:
-        """By link, the machines of a fleet that can reach it, the preferred one first; without links that all reach."""
+        """The machines that can reach a link, the preferred one first, by name of the link.
+
+        No entry if all machines can.
+        """
         return {each.name: each.hosts for each in self.file.link if each.hosts}
 
     @property
@@ -153,7 +156,7 @@ class CollectorConfiguration:
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
-        """Return the admission test of each link: the part of its time that polling takes, and what does not fit."""
+        """Return the result of the admission test of each link: its load, and the poll periods that it cannot keep."""
         found = []
         for name, link in self.links.items():
             books = [
@@ -259,7 +262,7 @@ def _shared_places(sink: TopicSink, options: DeliveryOptions, devices: Iterable[
 
 
 def _rooted(section: SinkSection, name: str) -> SinkSection:
-    """Return a copy of a sink's options whose relative paths start at the folder of the collector file."""
+    """Return a copy of a sink's options in which relative paths are joined to the folder of the collector file."""
     files = {key for key, option in keys_of(type(section)).items() if Mark.FILE in option.marks}
     paths = {key: within(name, getattr(section, key)) for key in files & section.model_fields_set}
     if section.url.startswith(_FILE):
@@ -333,7 +336,7 @@ _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
 def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
-    """Return an error of a profile as one of the collector file, at the device that names the profile."""
+    """Return an error of a profile as an error of the collector file, at the device that names the profile."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
     is_path = "/" in section.profile or "." in section.profile
@@ -426,7 +429,7 @@ def _by_class(
 
 
 def _cost(settings: LinkSettings, line_baud: int | None, pause: float) -> tuple[ReadCost, bool]:
-    """Return the assumed cost of reads over a link, and whether its seconds per register are certain.
+    """Return the assumed cost of reads over a link, and whether its seconds per register are certain (known baud rate).
 
     Args:
         settings: the settings of the link.

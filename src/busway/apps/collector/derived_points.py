@@ -49,7 +49,7 @@ class DerivedPoints:
         return not (self._accumulators or self._inputs or self._counted)
 
     def absent(self) -> list[Point]:
-        """Return the members of groups of variable size that the device does not have, so that they are not read.
+        """Return the members of variable groups that the device does not have now, so that they are not read.
 
         While the size of a group is not known, all its members are among them.
         """
@@ -103,7 +103,7 @@ class DerivedPoints:
         return changed
 
     def failed(self, points: Sequence[str], reason: int) -> None:
-        """Record that a read of points failed, so that computed points that use them get samples with this reason."""
+        """Record that a read of points failed: computed points that use them then get bad samples with this reason."""
         if self._group is not None:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)

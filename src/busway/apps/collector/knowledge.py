@@ -29,7 +29,7 @@ class LearntHole:
     Attributes:
         table: the table of the range.
         start: the first refused register or bit, 0-based.
-        end: the one after the last; equal to ``start`` for a border, which is before ``start``.
+        end: the one after the last. A border has no items: it is before ``start``, and ``end`` equals ``start``.
         code: the exception code that the device answered; 0 if it did not answer.
         pinned: whether the fact stays when what was learnt is forgotten, unless pinned facts are forgotten too.
     """
@@ -100,7 +100,7 @@ class DeviceKnowledge:
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
-        """Whether a read from ``start`` to before ``end`` would touch a refused range or cross a border, as learnt."""
+        """Whether a read of ``start`` … ``end - 1`` would touch a refused range or cross a border, as far as learnt."""
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
@@ -135,7 +135,7 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """Return a copy without what was learnt, apart from pinned facts; with ``pinned``, without those too."""
+        """Return a copy without the learnt facts; pinned facts are kept, unless ``pinned`` is True."""
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -158,10 +158,12 @@ class DeviceKnowledge:
 
 
 class Knowledge:
-    """What the collector has learnt about all devices, by name; iterating gives pairs of name and facts, sorted.
+    """The facts that the collector has learnt about all devices.
+
+    Iterating gives pairs of device name and facts, sorted.
 
     Args:
-        devices: what is known from before, by device; None for nothing.
+        devices: facts known from before, by device; None for none.
     """
 
     def __init__(self, devices: Mapping[str, DeviceKnowledge] | None = None) -> None:
@@ -230,7 +232,7 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """Return the pairs of profile and firmware of which two or more devices have learnt the same facts, sorted."""
+        """Return each pair of profile and firmware of which several devices have learnt the same facts, in order."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 

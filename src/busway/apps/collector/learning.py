@@ -111,7 +111,7 @@ class CostLearner:
             self._last_slope = self._slope()
 
     def end_probes(self) -> None:
-        """Correct the price of a register by the reads that were sent to learn it, one soon after the other."""
+        """Correct the learnt seconds per register by the reads that were sent to measure them."""
         if not self._fixed:
             found = _slope_of(self._probed, WIDTHS, READS_OF_A_WIDTH)
             self._last_slope = self._last_slope if found is None else found
@@ -138,7 +138,10 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """Return the cost for ``slope`` seconds per register; the base is at least `LEAST_BASE` of the quickest."""
+        """Return the cost of reads for ``slope`` seconds per register.
+
+        The base is at least the part `LEAST_BASE` of the quickest read.
+        """
         least = LEAST_BASE * min(seconds for _, seconds in self._seen)
         base = median(seconds - slope * width for width, seconds in self._seen)
         if base < least:  # what one wide read lost on its way looks like a price
@@ -174,8 +177,8 @@ def _slope_of(seen: Iterable[tuple[float, float]], widths: int, reads: int) -> f
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
     """Return reads of different widths, narrowest first, with which to measure what reads of a device cost.
 
-    Besides ``reads``, one of each width, they are about half of the widest one and its narrowest item, unless that
-    would split an atomic group. So all lie within ranges that a plan reads.
+    They are one read of each width in ``reads``; and about half of the widest one, and its narrowest item, unless these
+    belong to an atomic group. So all lie within ranges that a plan reads.
 
     Args:
         reads: the reads of a device's plans.
@@ -230,11 +233,11 @@ def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
 
 @dataclass(slots=True)
 class _Part:
-    """A read that a device refused, and how the reads of its two halves ended.
+    """A read that a device refused, and the results of reading its two halves.
 
     Attributes:
         read: the refused read.
-        halves: the halves that are to be read, or were.
+        halves: the two halves that are to be read, or were.
         succeeded: how many halves were accepted.
     """
 
@@ -244,7 +247,7 @@ class _Part:
 
 
 class _Purpose(Enum):
-    """What a test read finds out."""
+    """What a test read finds out, such as whether the device answers at all, or whether it refuses one item."""
 
     CONTROL = "control"  # whether the device answers at all
     ITEM = "item"  # whether one item is refused alone
@@ -260,7 +263,7 @@ class _Question:
     Attributes:
         purpose: what it finds out.
         read: the read to send.
-        part: the refused read that it examines; None for a control or a width.
+        part: the refused read that it belongs to; None for a test of whether the device answers, or of a width.
         silences: how often the read had no reply, in a row.
     """
 
@@ -272,7 +275,12 @@ class _Question:
 
 @dataclass(slots=True)
 class _Wait:
-    """How many refusals of a read are ignored before its parts are tried again: ``left`` now, ``next`` time."""
+    """How many refusals of a read are ignored before test reads look for the reason again.
+
+    Attributes:
+        left: refusals still to be ignored.
+        next: how many are ignored after the next test without a result.
+    """
 
     left: int = 0
     next: int = 4
@@ -347,7 +355,7 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Learn from the result of the test read that `question` returns. Only while `is_asking`.
+        """Learn from the result of the test read that `question` returns. To be called only while `is_asking`.
 
         Args:
             outcome: the result of the read.
@@ -390,7 +398,10 @@ class MapLearner:
         self._split(read)
 
     def _give_up(self) -> None:
-        """Count a refused read as unexplained because all its parts succeed, and ignore its next refusals."""
+        """Record that a refused read cannot be explained, because all its parts succeed.
+
+        Its next refusals are ignored.
+        """
         self.inconclusive += 1
         assert self._cause is not None
         wait = self._waits.setdefault((self._cause.table, self._cause.start, self._cause.width), _Wait())
@@ -398,7 +409,7 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Queue a narrower test read after silences of ``read``; it shows whether the device answers at all."""
+        """Queue a narrower test read after ``read`` got no reply: it shows whether the device answers at all."""
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
@@ -517,7 +528,7 @@ class MapLearner:
 
 
 def _bundles(items: Sequence[Any]) -> list[list[Any]]:
-    """Return items by start, in lists that reads must not separate: atomic groups, and items that overlap."""
+    """Return items by start, in groups that one read must fetch together: atomic groups, and items that overlap."""
     found: list[list[Any]] = []
     end = -1
     for one in sorted(items, key=lambda each: (each.start, -each.width)):
@@ -531,7 +542,7 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """Yield, for each way to cut a read in two, the items of either side and the width that they need."""
+    """Yield both sides of each possible cut of a read in two: its items, and the width of a read of them."""
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):

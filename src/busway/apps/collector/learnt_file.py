@@ -14,7 +14,7 @@ class LearntFile:
     """The file in which a collector keeps what it learns about devices, to use it after a restart.
 
     Attributes:
-        path: the path of the file; it need not exist.
+        path: path of the file, which need not exist.
     """
 
     def __init__(self, path: Path) -> None:
@@ -30,7 +30,7 @@ class LearntFile:
         return read_knowledge(read_text(str(self.path)), str(self.path)) if self.path.exists() else Knowledge()
 
     def write(self, text: str) -> None:
-        """Replace the whole file by a text (`Knowledge.text`), unless that text was written last. Waits for the disk.
+        """Replace the whole file by a text (`Knowledge.text`) if it differs from the last one. Waits for the disk.
 
         Raises:
             OSError: the file cannot be written; it is as before.

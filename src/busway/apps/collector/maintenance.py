@@ -97,7 +97,7 @@ class MaintenanceBook:
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to each begin of maintenance recorded before the computer's wall clock was set."""
+        """Correct the begins of maintenance by ``shift`` nanoseconds that were taken from a wrong wall clock."""
         for row in list(self._rows.values()):
             if row.begin < EARLIEST:
                 self._rows[row.device] = replace(row, begin=row.begin + shift)

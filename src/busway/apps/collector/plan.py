@@ -41,7 +41,7 @@ __all__ = [
 
 
 class ReadItem(Protocol):
-    """Interface of an item, the place of one value in a table of a device; a `Point` has it."""
+    """Interface of an item: the registers or bits in a table that hold one value. `Point` implements it."""
 
     @property
     def table(self) -> Table:
@@ -153,16 +153,16 @@ def plan_reads(
 
 
 def predicted(reads: Iterable[PlannedRead], cost: ReadCost) -> float:
-    """Return the seconds that planned reads take together at the given cost, whatever cost the plan assumed."""
+    """Return the seconds that planned reads take together at the given cost."""
     return sum(cost.of(read.table, read.width) for read in reads)
 
 
 def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -> list[ItemRange]:
-    """Return the parts of a read that belong to no known item, no readable range and no exact block, in order.
+    """Return the parts of a read, in order, that lie in no known item, no readable range and no exact block.
 
     Args:
         read: the read.
-        known: all items of the device, in any order; those of other tables are ignored.
+        known: all items of the device, in any order; items of other tables are ignored.
         rules: the readable ranges and exact blocks of the device.
     """
     declared = [
@@ -260,7 +260,7 @@ def _plan_table(
 
 
 class _Borders:
-    """Decides which ranges of one table may be read, and which may be read together, by the rules of a device."""
+    """Decides by a device's rules which ranges of a table may be read, and which of them by one read."""
 
     def __init__(self, table: Table, rules: ReadRules) -> None:
         self._label = table.label
@@ -297,8 +297,9 @@ class _Borders:
     def cut_between(self, left: _Place, right: _Place) -> bool:
         """Whether two neighbouring ranges must not be fetched by one read.
 
-        They must not if either of them or the hole between them touches an exact block, if a border lies between them,
-        if they are not in one readable range, or if the hole is forbidden or, without readable ranges, not bridged.
+        This is so if a border lies between them, if they are not in one readable range, or if one of them or the gap
+        between them touches an exact block; also if the gap is forbidden, or the device has no readable ranges and gaps
+        are not bridged.
         """
         end, start = left[1], right[0]
         has_hole = start > end
@@ -358,7 +359,7 @@ def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
 
 
 def _without_inner(places: list[_Place]) -> list[_Place]:
-    """Return ranges sorted by start, without those inside another one, so that their ends are sorted too."""
+    """Return ranges without those that lie inside another one, sorted by start and thereby by end."""
     places.sort(key=_END, reverse=True)
     places.sort(key=_START)
     kept: list[_Place] = []
@@ -410,13 +411,16 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
 
 
 def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read for each range that a block has; blocks with the same range share a read."""
+    """Return one read for each block of items; blocks with the same range share a read."""
     same = groupby(blocks, key=lambda block: (block.start, block.end))
     return [_read(table, start, end, list(each), cost) for (start, end), each in same]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read for each range, with its items: each item belongs to the first read that covers it."""
+    """Return a read for each range, with the items that it fetches.
+
+    An item belongs to the first read that covers it.
+    """
     starts = [block[0] for block in blocks]
     taken = bytearray(len(blocks))
     reads: list[PlannedRead] = []

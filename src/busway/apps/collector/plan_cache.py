@@ -40,11 +40,13 @@ Classes = frozenset[str]
 
 @dataclass(slots=True)
 class _KeptPlan:
-    """A plan in the cache, with the range of costs in which it is at most `WORTH` slower than the fastest (rule 4).
+    """A plan in the cache, and the costs for which it is known to be good enough (rule 4).
+
+    Costs are given as one number: how many registers take as much time as the fixed part of a request.
 
     Attributes:
         plan: the plan.
-        least, most: between which numbers of registers a request counts for as much time as these registers do.
+        least, most: between these two numbers the plan is at most `WORTH` slower than the fastest one.
     """
 
     plan: DevicePlan
@@ -52,12 +54,12 @@ class _KeptPlan:
     most: float
 
     def is_good_at(self, price: float) -> bool:
-        """Whether the plan is known to be good enough where a request costs as much as ``price`` registers."""
+        """Whether the plan is good enough if the fixed part of a request takes as much time as ``price`` registers."""
         return self.least / NEAR <= price <= self.most * NEAR
 
 
 def _price_of(cost: ReadCost) -> float:
-    """Return how many registers cost as much as a request does whatever its width."""
+    """Return how many registers take as much time as the fixed part of a request (``base``)."""
     return cost.base / cost.per_register
 
 
@@ -135,7 +137,7 @@ class PlanBook:
         return with_knowledge(self._rules, self._map.knowledge)
 
     def points(self) -> list[Any]:  # the caller's kind of ReadItem
-        """Return all polled points of the device, each once, those included that it does not have at present."""
+        """Return all polled points of the device, each once, including points that it does not have now."""
         return list(self._all)
 
     @property
@@ -160,7 +162,10 @@ class PlanBook:
         self.made = 0
 
     def set_absent(self, items: Iterable[ReadItem]) -> None:
-        """Exclude points that the device does not have at present from all plans; replaces those excluded before."""
+        """Exclude points that the device does not have now from all plans.
+
+        Points excluded by an earlier call are read again.
+        """
         absent = frozenset(id(one) for one in items)
         if absent != self._absent:
             self._absent = absent
@@ -213,7 +218,10 @@ class PlanBook:
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Replace cached read plans by new ones where these are enough faster by the learnt cost (rule 3)."""
+        """Compare the cached plans with new ones for the cost learnt since.
+
+        Replace those that are much slower (rule 3).
+        """
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled
@@ -302,12 +310,12 @@ class PlanBook:
     def forget(self, known: DeviceKnowledge) -> None:
         """Replace the refused ranges and largest reads of the device by ``known``, and drop all plans.
 
-        For a user who had some facts forgotten or pinned.
+        Called after a user had some facts forgotten or pinned.
         """
         self._map = MapLearner(known, self._cost)
         self._plans.clear()
 
 
 def _once(items: Iterable[ReadItem]) -> list[ReadItem]:
-    """Return the items without duplicate objects, in order."""
+    """Return the items in order, each object once."""
     return list({id(one): one for one in items}.values())

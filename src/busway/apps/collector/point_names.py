@@ -1,10 +1,9 @@
 """The names of points over time: which points a configuration renames, and to what.
 
-Pure. The manifest of a store, the alarms and the totals of counters all go by this, so that none of them follows
-another point than the others.
+Pure. The manifest of a store, the alarms and the totals of counters all use the renames found here, so that they agree.
 
-1. A point that says ``was`` takes over the point that has that name, once: what it has taken over is remembered, so a
-   line that stays in the file renames nothing again, also where another point has got the name meanwhile.
+1. A point with the key ``was`` takes over the history of the point that has that name, once. What it has taken over is
+   remembered: a key that stays in the file renames nothing again, even if another point has got the old name meanwhile.
 2. All names of a configuration change at once, so points may exchange theirs. A name that another point has and keeps
    is not given a second time.
 """
@@ -33,7 +32,7 @@ class PointNames:
     _next: int = -1
 
     def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
-        """Return the points that a new configuration renames: by the point's number, its new description.
+        """Return the new descriptions of the points that a new configuration renames, by number of the point.
 
         Changes nothing. A point whose new name another point has and keeps is left out.
         """
@@ -48,7 +47,7 @@ class PointNames:
         return moves
 
     def describe(self, described: Iterable[PointDescription]) -> Mapping[PointKey, str]:
-        """Adopt the point names of a new configuration: rename points (``was``), and add those that are new.
+        """Use the point names of a new configuration: rename points (``was``), and add new points.
 
         Returns:
             The new name of each renamed point, by its device and its old name.

@@ -86,7 +86,12 @@ class _CompiledRead:
 
 @dataclass(frozen=True, slots=True)
 class _QueuedWrite:
-    """A command's write that waits for its turn on the link; arguments as of `LinkPoller.write`."""
+    """A command's write that waits for its turn on the link.
+
+    Attributes:
+        perform: makes the write on the link and reports its result itself.
+        drop: called instead if polling ends first; None for nothing.
+    """
 
     perform: Callable[[], Awaitable[None]]
     drop: Callable[[], None] | None
@@ -290,7 +295,7 @@ class LinkPoller:
 
         Args:
             name: name of the device.
-            points: names of its points; others are ignored.
+            points: names of its points; names of other points are ignored.
             period: seconds between two reads.
             seconds: how long this lasts from now on. Replaces an earlier lease of the device.
         """
@@ -397,7 +402,10 @@ class LinkPoller:
             pass
 
     def mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to each begin of a current silence or maintenance from before the clock was set."""
+        """Correct the begins of current silences and maintenance by ``shift`` nanoseconds.
+
+        Only begins that were taken from a wrong wall clock are corrected, after the clock was put right.
+        """
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None and begun.begin < EARLIEST:
@@ -521,7 +529,8 @@ class LinkPoller:
         """Pass on bad samples for a failed read, and learn from the failure.
 
         Returns:
-            The outcome of the turn so far: ``before``, of its earlier reads, combined with that of this read.
+            The outcome of the turn so far: ``before``, which is the outcome of its earlier reads, combined with this
+            failure.
         """
         reason, result = _judged(error)
         device.last_error = str(error)
@@ -559,7 +568,7 @@ class LinkPoller:
             self._tell_unread(device)
 
     def _tell_unread(self, device: PolledDevice) -> None:
-        """Log each point that no allowed read can fetch any more; one that was refused is not asked for again."""
+        """Log each point that no allowed read can fetch any more, and is therefore no longer read, with the reason."""
         unread = {each.item.name: each.reason for each in device.book.unreadable}
         for point, reason in unread.items():
             if point not in device.unread:
@@ -569,7 +578,7 @@ class LinkPoller:
         device.unread = unread
 
     def _give_unread(self, device: PolledDevice, middle: int, half: int) -> None:
-        """Pass on a bad sample for each point that is not asked for, unless each has one already (rule 3)."""
+        """Pass on a bad sample for each point that is never asked for, unless the point has one already (rule 3)."""
         if device.unread_given:
             return
         device.unread_given = True
@@ -616,7 +625,7 @@ class LinkPoller:
 
 
 def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
-    """Return why no allowed read fetches an item: what the device answered, or that the configuration forbids it."""
+    """Return the reason why no read fetches an item: what the device answered, or a rule of the configuration."""
     for hole in known.holes:
         if hole.table is item.table and hole.start < item.start + item.width and item.start < hole.end:
             return exception_reason(hole.code) if hole.code else Reason.TIMEOUT
@@ -624,7 +633,7 @@ def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
-    """Return the reason for the samples of a read that failed, and what the error shows about the device."""
+    """Return the reason for the bad samples of a failed read, and what its error shows about the device."""
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS
         return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED

@@ -22,7 +22,7 @@ class PreviewedRead:
         poll_class: name of the poll class.
         first: address of the first register or bit that the request reads.
         count: registers or bits that the request reads.
-        points: number of points that the request reads, those of other poll classes included.
+        points: number of points that the request reads, including points of other poll classes.
         seconds: how long the request and its reply are expected to take.
         undeclared: the addresses in the read that belong to no point and no readable range, such as ``4x5…4x9``.
     """
@@ -38,13 +38,13 @@ class PreviewedRead:
 
 @dataclass(frozen=True, slots=True)
 class CollectorPreview:
-    """What a collector would do if it were started: its reads, the load of each link, what it knows of devices.
+    """What a collector would do if it were started: its reads, the load of each link, and what it knows of devices.
 
     Attributes:
         reads: the reads of all devices and poll classes.
         unreadable: points that no allowed read can fetch; each is device, point and reason.
         loads: the result of the admission test for each link.
-        learnt: pairs of a device and a sentence: what earlier runs learnt about the device, or what this one would.
+        learnt: pairs of a device and a sentence: a fact that earlier runs learnt, or what a run would find out.
     """
 
     reads: tuple[PreviewedRead, ...]

@@ -46,7 +46,7 @@ def _of_device(
 
 
 def _first(point: Point, *sections: ReportSection | None) -> ReportRule:
-    """Return the report rule of a point: its own, or that of the first section that has one, or else "every sample"."""
+    """Return the report rule of a point: its own, or that of the first section with one, or "every sample"."""
     if point.storing is not None:
         return point.storing
     return next((each.described() for each in sections if each is not None), ReportRule())

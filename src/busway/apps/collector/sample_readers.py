@@ -41,12 +41,12 @@ class _Reader:
 
 
 class SampleReaders:
-    """Gives the samples of one collector to all iterations that follow them. For one event loop.
+    """The programs that follow the samples of one collector; passes new samples to each. Used in one event loop only.
 
-    True if there is such an iteration.
+    ``bool()`` is True if there is such a program.
 
     Attributes:
-        lost: batches that iterations now ended have missed, because they were too slow.
+        lost: batches that programs which no longer follow have missed, because they were too slow.
     """
 
     def __init__(self) -> None:
@@ -58,11 +58,11 @@ class SampleReaders:
         return bool(self._readers)
 
     def begin(self) -> None:
-        """Let iterations wait for new samples. Before `begin` and after `end` they stop when their queue is empty."""
+        """Make `read` wait for new samples. Before `begin`, and after `end`, it stops when its queue is empty."""
         self._has_begun = True
 
     async def read(self, devices: frozenset[str] | None) -> AsyncGenerator[SampleBatch, None]:
-        """Yield the samples taken from now on, of the named devices (None: of all devices), until `end` is called."""
+        """Yield samples that are taken from now on, until `end` is called; ``devices`` None is all devices."""
         reader = _Reader(devices)
         self._readers.append(reader)
         try:
@@ -78,12 +78,15 @@ class SampleReaders:
             self.lost += reader.lost
 
     def take(self, batches: Sequence[SampleBatch]) -> None:
-        """Queue new samples for all iterations that follow their devices. Never waits; full queues drop old batches."""
+        """Queue new samples for all programs that follow their devices. Never waits.
+
+        A full queue drops its oldest batches.
+        """
         for reader in self._readers:
             reader.take(batches)
 
     def end(self) -> None:
-        """Let each iteration end after the samples already queued for it."""
+        """Let each `read` end after the samples that are queued for it."""
         self._has_begun = False
         for reader in self._readers:
             reader.arrived.set()

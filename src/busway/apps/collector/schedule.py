@@ -58,9 +58,9 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What a turn showed about its device: that it answers, that it is silent, or, for DOWN, nothing.
+    """What the requests of a turn have shown about a device: that it answers, that it is silent, or nothing (DOWN).
 
-    DOWN says that the link was down or lost its connection, that it was overloaded, or that the request was invalid.
+    DOWN: the link was down or lost its connection, it was overloaded, or the request was invalid.
     """
 
     ANSWERED = "answered"  # also by an exception: the device lives
@@ -100,7 +100,7 @@ class PollRound:
 
 @dataclass(frozen=True, slots=True)
 class Turn:
-    """What the link is to do next: send some reads to a device, or make a write.
+    """The next thing to send on a link: some reads of a device, or a write.
 
     Attributes:
         kind: why the device is asked.
@@ -229,7 +229,8 @@ class LinkSchedule:
     def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
         """Return the first due time of each poll class, spread so that devices do not all become due together.
 
-        The fastest class is due after the reads of devices added before; slower ones at one of its later due times.
+        The class with the shortest period is due after the reads of devices that were added before. Classes with longer
+        periods are first due at a later due time of that class.
         """
         shortest = min(periods.values())
         first = now + self._placed % shortest
@@ -358,7 +359,7 @@ class LinkSchedule:
                 self._release(device, now)
 
     def _release(self, device: ScheduledDevice, now: float) -> None:
-        """Queue a round for the poll classes that are due, or add them to a round that waits (rules 2 and 3)."""
+        """Queue a polling round for the poll classes that are due, or add them to the waiting round (rules 2, 3)."""
         if LEASED in device.periods and now >= device.leased_until:
             del device.periods[LEASED], device.due[LEASED]
             device.book.set_class(LEASED, ())
@@ -454,9 +455,9 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a device at its due times again if it answers, else probe it now.
+        """Poll a device at its due times again if it answers; if it is silent, probe it now.
 
-        ``at_once``: a due time that has passed meanwhile is made up for by one round now.
+        ``at_once``: whether one round is made now for due times that have passed meanwhile.
         """
         if not device.lives:
             device.probe_at = now
@@ -499,7 +500,10 @@ class LinkSchedule:
         self._credited_at = now
 
     def _first_silent(self) -> ScheduledDevice | None:
-        """Return the silent device whose probe is due first; None if no device is silent, except in maintenance."""
+        """Return the silent device that must be probed next; None if there is none.
+
+        Devices in maintenance are left out.
+        """
         while self._silent:
             when, _, name = self._silent[0]
             device = self.devices.get(name)
@@ -579,7 +583,7 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Seconds within which a silent device is polled again once it answers, unless the link is overloaded."""
+        """Seconds until a silent device that answers again is polled again, at most; longer on an overloaded link."""
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 

@@ -10,7 +10,10 @@ _log = logging.getLogger("busway.collector")
 
 
 def first_error(group: ExceptionGroup[Exception]) -> Exception:
-    """Return the first error of a group of errors that is not a group itself; the others are notes of it."""
+    """Return the first error in a group of errors, looking into groups inside it.
+
+    The others become notes of this error.
+    """
     first, *others = _errors_of(group)
     for other in others:
         first.add_note(f"another task ended at the same time by {type(other).__name__}: {other}")
@@ -25,6 +28,6 @@ def _errors_of(group: ExceptionGroup[Exception]) -> list[Exception]:
 
 
 def log_defect(task: asyncio.Task[None]) -> None:
-    """Log the error with which a task has ended, if there is one: a done callback of tasks that end by no error."""
+    """Log the error with which a task has ended, if any; a done callback for tasks that should never fail."""
     if not task.cancelled() and task.exception() is not None:
         _log.error("%s ended unexpectedly", task.get_name(), exc_info=task.exception())

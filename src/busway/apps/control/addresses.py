@@ -120,7 +120,7 @@ def control_directories(environment: Mapping[str, str] | None = None) -> list[Pa
 
 
 def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
-    """Return the possible directories for control sockets of this user, existing or not, the preferred one first."""
+    """Return the directories in which control sockets of this user may be, existing or not, the preferred one first."""
     runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
     own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
     temporary = Path(tempfile.gettempdir()) / own

@@ -88,7 +88,7 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """Ask a running program for a resource of its control service, and return the decoded JSON, or else the text.
+    """Ask a running program for a resource of its control service; return the decoded JSON, or text that is no JSON.
 
     Blocks until the response has come.
 
@@ -164,7 +164,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """Return the programs on loopback whose tokens are in a directory; whether they run is not checked."""
+    """Return the programs whose token files for loopback HTTP are in a directory; whether they run is not checked."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:

@@ -47,12 +47,15 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Note the file that was created for the control socket, so that `remove` can remove it."""
+        """Store the path of the file that was created for the control socket or its token, for `remove`."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
     def remove(self) -> None:
-        """Remove the file of the control socket, unless another program has replaced it; the socket stays open."""
+        """Remove the file of the control socket or its token, unless another program has replaced it.
+
+        The socket stays open.
+        """
         made, self._made = self._made, None
         if made is None:
             return
@@ -147,7 +150,7 @@ def is_alive(path: Path) -> bool:
 
 
 def sweep(directory: Path) -> None:
-    """Remove the Unix sockets in a directory at which no program answers: those of programs that died."""
+    """Remove the Unix sockets of dead programs from a directory: those at which no program answers."""
     for path in directory.glob(f"*{SOCKET_SUFFIX}"):
         with contextlib.suppress(OSError):
             if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):

@@ -40,7 +40,7 @@ _JSON: Final = "application/json"
 
 
 class Subject(Protocol):
-    """Interface of the server or gateway that a control service reports on."""
+    """Interface of the server or gateway whose status a control service shows."""
 
     def status(self) -> Any:
         """Return the current status as a dataclass. Called in the event loop of the server or gateway."""

@@ -8,8 +8,9 @@ Pure; knows loads and names. Every collector computes the same from what it sees
 3. Shards move where a collector is further than `BEGIN` from the fair load, and until all are within `END`: between the
    two nothing moves, so loads that change a little move nothing.
 4. A move takes the shard that levels giver and taker best: the fewest moves, since each costs its links a moment.
-5. Where no move levels anything more, two collectors exchange a dearer and a cheaper shard, if that takes at least half
-   of their difference away: where shards are few and unlike, nothing else levels them. One exchange for each at once.
+5. If no move improves the balance any more, two collectors exchange a dearer and a cheaper shard, if that removes at
+   least half of the difference between them: if shards are few and unlike, nothing else levels the loads. Each
+   collector takes part in one exchange at a time.
 6. A collector that drains gives all it has; one that another host cannot reach is never asked to take a pinned shard.
 """
 
@@ -33,7 +34,7 @@ MOST_TRIED: Final = 8
 
 @dataclass(slots=True)
 class Share:
-    """The load and the capacity of one of the collectors that share a plant.
+    """One of the collectors that share a plant, with its load and capacity.
 
     Attributes:
         name: name of the collector.
@@ -69,12 +70,13 @@ class Move:
 
 
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
-    """Return by name of each shard (group of links) without owner the name of the collector that should take it.
+    """Return which collector should take each shard (group of links) that has no owner, by name of the shard.
 
-    The dearest shard goes first, each to the least loaded collector. Shards that no collector may take are left out.
+    The dearest shard goes first; each goes to the least loaded collector. Shards that no collector may take are left
+    out.
 
     Args:
-        free: by name, the cost of each shard without owner, in seconds of line time per second.
+        free: the cost of each shard without owner, by name, in seconds of line time per second.
         shares: the live collectors; they are not changed.
     """
     able = _Takers(Share(each.name, each.host, each.load, each.capacity) for each in shares if not each.draining)
@@ -89,13 +91,13 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
     """Return the moves of shards (groups of links) that make the loads of a zone's collectors fair.
 
-    Empty if the loads are fair enough (rule 3), or if all collectors are draining. At most `MOST_MOVES` moves, and the
-    second one of an exchange.
+    Empty if the loads are fair enough (rule 3), or if all collectors are draining. At most `MOST_MOVES` moves are
+    returned, or one more if the last two are an exchange.
 
     Args:
         owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.
         shares: the live collectors; they are not changed.
-        moving: whether shards move already, so that collectors are levelled until all are within `END`.
+        moving: whether shards are moving now: then the loads are levelled until all are within `END`.
     """
     state = {
         each.name: Share(each.name, each.host, each.load, each.capacity, each.draining)
@@ -115,8 +117,8 @@ def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share],
     """Return the moves of shards (groups of links) away from the collectors that drain; changes the loads in ``state``.
 
     Args:
-        owned: by shard, its owner and cost.
-        state: by name, all collectors.
+        owned: owner and cost of each shard, by name.
+        state: all collectors, by name.
         able: the collectors that do not drain.
     """
     found: list[Move] = []
@@ -166,7 +168,7 @@ def _level(
 def _exchange_all(
     costs: Mapping[str, list[tuple[float, str]]], order: list[Share], fair: float, found: list[Move]
 ) -> None:
-    """Append to ``found`` the exchanges of two shards that level two collectors, one for each collector (rule 5).
+    """Append to ``found`` exchanges of two shards that level the loads of two collectors, one per collector (rule 5).
 
     Args:
         costs: by collector, cost and name of each of its shards that may move.
@@ -244,7 +246,7 @@ def _difference(giver: Share, taker: Share) -> float:
 
 
 class _Takers:
-    """The collectors that may take shards (groups of links), arranged so that the best one is found fast.
+    """The collectors that may take shards (groups of links), arranged to find the best one for the next shard.
 
     Args:
         able: the collectors that do not drain; `take` adds to their loads.
@@ -260,7 +262,7 @@ class _Takers:
             heapify(heap)
 
     def take(self, shard: str, cost: float) -> Share | None:
-        """Give a shard to the collector that should have it, add the cost to that one's load, and return the collector.
+        """Choose the collector for a shard, add the shard's cost to its load, and return it.
 
         None if no collector may own the shard.
 
@@ -278,10 +280,10 @@ class _Takers:
         return taker
 
     def _least_loaded(self, heap: list[tuple[float, str, Share]]) -> Share:
-        """Return the least loaded of the collectors with the same capacity.
+        """Return the least loaded of some collectors that have the same capacity.
 
         Args:
-            heap: load, name and collector; entries with loads of the past are removed.
+            heap: load, name and collector of each; entries whose load is out of date are removed.
         """
         while heap[0][0] != heap[0][2].load:  # it was the load before another shard was taken
             heappop(heap)

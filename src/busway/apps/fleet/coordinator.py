@@ -2,11 +2,11 @@
 
 Knows no engine. The backends in `coordinators` keep these rules, which one set of tests checks for all of them:
 
-1. An entry has a revision, which grows with every change of it. An empty value says that it was deleted; it keeps its
-   revision, and is changed from there.
+1. An entry has a revision, which grows with every change of it. An entry with an empty value counts as deleted; it
+   keeps its revision, and a later change starts from that.
 2. `Coordinator.create` and `Coordinator.replace` change an entry only if it is as the caller has seen it. A change that
    was confirmed is never lost, and of two that expect the same revision one is refused.
-3. Where the answer is missing, `OutcomeUnknown` says so: the change was made, or was not, or is made later.
+3. If the answer is missing, `OutcomeUnknown` says so: the change was made, or was not, or is made later.
 4. A watch gives every entry that exists, then `SNAPSHOT_ENDS`, then changes. It may leave out values that were replaced
    meanwhile, but never goes back in the revisions of a key. After a lost connection, or any other error of the engine,
    it begins again by itself, with `SNAPSHOT_BEGINS`, as often as needed; where what it had shown was wrong, revisions
@@ -22,7 +22,7 @@ from ...errors import ModbusError
 
 
 class CoordinatorDown(ModbusError):
-    """Error: the coordinator, which keeps the table that collectors share, cannot be used now. Nothing was changed."""
+    """Error: the coordinator, with the table that collectors share, cannot be used now. Nothing was changed."""
 
 
 class OutcomeUnknown(ModbusError):
@@ -75,7 +75,7 @@ class Coordinator(Protocol):
         """
 
     async def replace(self, key: str, value: bytes, revision: int) -> int:
-        """Change an entry of the shared table if it still has a revision (compare-and-set); returns the new revision.
+        """Change an entry of the shared table if it still has the given revision (compare-and-set); return the new one.
 
         Args:
             key: name of the entry.
@@ -96,7 +96,7 @@ class Coordinator(Protocol):
         with `SNAPSHOT_BEGINS` (rule 4).
 
         Raises:
-            ConfigError: the table can never be read, such as for want of rights.
+            ConfigError: the table can never be read, for example because rights are missing.
         """
 
     async def close(self) -> None:

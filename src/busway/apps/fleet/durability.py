@@ -3,7 +3,8 @@
 Knows what nats-server says of itself; the protocol is nats-py's. It decides nothing: an operator has to know.
 
 1. nats-server before 2.10 acknowledges before it syncs. Later ones do as well, unless ``sync_interval`` is ``always``.
-2. Whether a later one does is in its system account alone. Without credentials for that it is not known, and told so.
+2. Whether a later one has that setting can be asked only with the credentials of its system account. Without them it is
+   not known, and the user is told so.
 """
 
 import asyncio
@@ -27,12 +28,12 @@ ANSWERS_WITHIN: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class ServerDurability:
-    """One NATS server.
+    """One NATS server, and whether it writes to its disk before it acknowledges.
 
     Attributes:
-        name: its name.
-        version: such as ``2.9.10``.
-        syncs: whether what it acknowledges is on its disk; None where that is not known.
+        name: name of the server.
+        version: version of nats-server, such as ``2.9.10``.
+        syncs: whether everything that the server has acknowledged is on its disk; None if that is not known.
     """
 
     name: str
@@ -41,7 +42,7 @@ class ServerDurability:
 
     @property
     def sentence(self) -> str:
-        """What it does, in words."""
+        """A sentence that says whether this server writes to its disk (syncs) before it acknowledges."""
         does = {
             True: "syncs before it acknowledges",
             False: "acknowledges before it syncs to the disk",
@@ -53,12 +54,14 @@ class ServerDurability:
 async def server_durability(
     table: NatsCoordinator, url: str, options: CoordinatorOptions, system: str | None
 ) -> list[ServerDurability]:
-    """Return what the servers of a coordinator say of themselves, by name; without credentials, of the connected one.
+    """Return what each server of a coordinator says about writing to its disk, in the order of their names.
+
+    Without credentials for the system account only the connected server is asked.
 
     Args:
         table: the open coordinator.
         url, options: how it was opened.
-        system: path of the credentials of a user of the system account, such as ``status.nk``.
+        system: path of the credentials of a user of the system account, such as ``status.nk``; None for none.
 
     Raises:
         ConfigError: these credentials cannot be used.
@@ -81,7 +84,13 @@ async def server_durability(
 
 
 def durability_warnings(servers: Sequence[ServerDurability], replicas: int, *, is_clustered: bool) -> list[str]:
-    """Return what an operator has to know before power or a server is lost, as sentences; none where all is well."""
+    """Return warnings, one sentence each, about entries that would be lost with a server or in a power failure.
+
+    Args:
+        servers: the NATS servers.
+        replicas: number of servers that keep each entry.
+        is_clustered: whether the servers are a cluster.
+    """
     found = []
     if is_clustered and replicas < FEW:
         found.append(
@@ -119,7 +128,7 @@ async def _asked(client: Any) -> list[ServerDurability]:
 
 
 def decode_server(data: bytes) -> ServerDurability | None:
-    """Return what a server says of itself (``JSZ`` of its system account); None if that cannot be read."""
+    """Decode a server's answer to the request ``JSZ`` of its system account; None if it cannot be decoded."""
     try:
         answer = json.loads(data)
         server, config = answer["server"], answer["data"].get("config") or {}

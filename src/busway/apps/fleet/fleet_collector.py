@@ -2,13 +2,14 @@
 
 Knows the collector, the member and the log of ownership; what is owned is decided by `lease_holder`.
 
-1. A link begins after its epoch is on disk. It stops before its shard is handed on: what runs ends, what was taken is
-   committed, and only then is the lease released. Where a gateway may still hold a request that was not answered
-   (``gateway_wait``), the release waits for that long; a newer configuration without the link is confirmed as late.
+1. Polling of a link begins after its epoch is on disk. It stops before the link's shard is handed on: running requests
+   end, samples taken so far are committed, and only then is the lease released. Where a gateway may still hold a
+   request that was not answered (``gateway_wait``), the release waits for that long, and so does the confirmation of a
+   newer configuration without the link.
 2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take, and
    again when each of its frames leaves: on a line that may be seconds later. A lease that lapses therefore ends
    polling at once, whatever else waits.
-3. Changes of ownership are applied one after the other, all that have come together as one.
+3. Changes of ownership are applied one after the other; several that have come together are applied as one.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
    renewal: samples that the old owner still sends shrink this gap.
@@ -82,13 +83,13 @@ class FleetCollector:
         name: name of this collector, the only one of that name in the zone.
         host: name of this machine, for links that only some machines can reach.
         shards: how many shards (groups of links) the zone has, 1…1024; the same for all collectors.
-        hosts: by link, the names of the machines that can reach the link, the preferred one first. Links that are
-            missing can be reached from all.
+        hosts: for each link, the names of the machines that can reach it, the preferred one first. Links that are
+            missing can be reached from all machines.
         times: the lengths of the leases, the same for all collectors; None for the defaults of `LeaseTimes`.
         capacity: this collector's part of the work, relative to the others.
         stream: gets the collector's samples; None if they stay in its own store.
-        revision: revision of the configuration, if that is from the coordinator: newer ones are then taken over (rule
-            6). 0 if it is not.
+        revision: revision of the configuration if the coordinator has it: newer revisions are then applied too (rule
+            6). 0 if the configuration is not from the coordinator.
         keys: the table of the keys of commands, the same for all collectors; not closed here. None for the table of
             ``coordinator``.
         zone: name of the zone, if `FleetCommands` passes on commands for links that others own; empty if commands
@@ -100,11 +101,11 @@ class FleetCollector:
         collector: polls the devices.
         ownership: the record of which links this collector owned when.
         outbox: sends the samples to the stream; None without a stream.
-        revision: revision of the configuration in force; 0 if that is not from the coordinator.
-        unowned_seconds: seconds for which links had no owner before this collector took them, as far as is known, the
+        revision: revision of the configuration in force; 0 if it is not from the coordinator.
+        unowned_seconds: seconds for which links had no owner before this collector took them, as far as is known; the
             sum of all links.
         pass_on: asks the owner of a link to execute a command; None while that is not possible.
-        refused: why the newest configuration of the zone was not taken; None if it was.
+        refused: why the newest configuration of the zone was not applied; None if it was.
 
     Raises:
         ConfigError: a transaction on a link may last longer than a lease allows, or a name is invalid.
@@ -297,13 +298,13 @@ class FleetCollector:
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
     def _tell_costs(self) -> None:
-        """Give `member` the names of the configuration's shards (groups of links) and the cost of polling each."""
+        """Tell `member` which shards (groups of links) the configuration has, and what polling each of them costs."""
         loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
         costs = costs_by_link(self._configuration, loads)
         self.member.set_shards({shard: sum(costs[link] for link in links) for shard, links in self._links_of.items()})
 
     async def _follow(self) -> None:
-        """Take over new configurations of the zone and orders to drain from the coordinator, until cancelled."""
+        """Follow the coordinator's table until cancelled: apply newer configurations and orders to drain."""
         async with aclosing(self._coordinator.watch(CONTROL)) as entries:
             async for entry in entries:
                 if entry.key == CONFIGURATION and entry.value and entry.revision > self.revision:
@@ -370,9 +371,9 @@ class FleetCollector:
         _log.info("the configuration of revision %d holds", revision)
 
     def _part_ended(self, task: asyncio.Task[None]) -> None:
-        """End all tasks after one of them has ended by a defect: leases lapse, and other collectors take the links.
+        """If a task has ended by a defect, end all others: leases lapse then, and other collectors take the links.
 
-        Called when a task has ended; does nothing while the collector ends in order.
+        Called for each task that ends; does nothing while the collector ends in order.
         """
         if self._is_ending or self._defect:
             return
@@ -387,7 +388,7 @@ class FleetCollector:
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` unless this collector owns the link and its lease outlasts a transaction that begins now."""
+        """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now."""
         if link not in self._active or not self.member.may_begin(
             self._shard_of[link], self._now(), self._times_of[link].transaction
         ):
@@ -395,7 +396,7 @@ class FleetCollector:
         self._permitted[link] = time.time_ns()
 
     def _may_send(self, link: str) -> bool:
-        """Whether a frame of a link that leaves now can no longer reach the device when the lease ends (rule 2)."""
+        """Whether a frame sent on a link now can reach the device only before the lease ends (rule 2)."""
         times = self._times_of.get(link)
         worst = math.inf if times is None else times.after_sending
         return self.member.may_begin(self.shard_of(link), self._now(), worst)
@@ -463,7 +464,7 @@ class FleetCollector:
                     self.refused = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
-        """Apply events of shards: stop polling links that are owned no longer, begin with those that were gained.
+        """Apply events of shards: stop polling the links of lost shards, and begin with those of gained shards.
 
         Shards (groups of links) that are given away may be released once their links have stopped and their samples are
         committed.
@@ -531,10 +532,10 @@ class FleetCollector:
         self._active_since.update((link, now) for link in links)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Begin in the store the interval in which links are not owned, for the shards that these events end (rule 4).
+        """Record in the store that links are no longer owned: those of the shards that these events end (rule 4).
 
-        It begins now; or at the last transaction if the lease has lapsed, since a process that was frozen learns only
-        when it wakes that it has lost a lease.
+        The interval without ownership begins now. If the lease has lapsed, it begins at the last transaction: a
+        process that was frozen learns only when it wakes that it has lost the lease.
         """
         now = time.time_ns()
         for event in events:
@@ -544,14 +545,14 @@ class FleetCollector:
                     self._note_unowned(link, begin, None)
 
     def _end_of(self, link: str, renewed: float | None, now: int) -> int:
-        """Return when the last transaction of a link was over, in nanoseconds since 1970 UTC, for a lease that lapsed.
+        """Return when the last transaction of a link ended, in nanoseconds since 1970 UTC.
 
-        At the earliest this is the last renewal of the lease, at the latest ``now``.
+        The result is not before the last renewal of the lease, and not after ``now``.
 
         Args:
             link: name of the link.
-            renewed: when the lease was renewed last, seconds since 1970 UTC; None for a lease that has not lapsed, and
-                ends now.
+            renewed: when the lapsed lease was renewed last, seconds since 1970 UTC; None for a lease that ends in
+                order.
             now: nanoseconds since 1970 UTC.
         """
         if renewed is None:
@@ -587,7 +588,7 @@ class FleetCollector:
 
 
 class _OtherOwners:
-    """The `OtherOwners` of a collector of a fleet: says who owns a device's link, and passes commands on to the owner.
+    """Tells for commands which collector owns a device's link, and passes commands on to that collector.
 
     Args:
         fleet: this collector.

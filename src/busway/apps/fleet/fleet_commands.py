@@ -6,8 +6,8 @@ its key and the wire are the collector's own. Works with nats-server 2.9.
 1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by and expires. Only
    the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
 2. Its key is taken as that of any write of a collector of a fleet (`key_table`).
-3. The end of each command of this collector, whatever way it came, is a message of the stream of audit lines,
-   ``busway.<zone>.audit``, too.
+3. When a command of this collector ends, whatever way it came, a message about it is also sent to the stream of audit
+   lines, ``busway.<zone>.audit``.
 4. A command that reached a collector as a message, for a link that another one owns, goes the same way to its owner.
 5. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
    sender says of itself.
@@ -138,7 +138,7 @@ class FleetCommands:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take no more commands, and wait until those that run are ended, answered, and their audit lines published."""
+        """Take no more commands; wait until running ones have ended and their answers and audit lines are sent."""
         assert self._task is not None
         self._fleet.pass_on = None
         await end_tasks([self._task])
@@ -159,7 +159,7 @@ class FleetCommands:
                 self._changed.set()
 
     async def _listen(self, links: Iterable[str]) -> None:
-        """Subscribe to the subjects of these links, and unsubscribe from those of all others."""
+        """Subscribe to the subjects of these links, and unsubscribe from the subjects of all other links."""
         errors = import_module("nats.errors")
         wanted = {command_subject(self._zone, link) for link in links}
         for subject in self._subscribed.keys() - wanted:
@@ -238,7 +238,7 @@ class FleetCommands:
         )
 
     def _told(self, result: CommandResult) -> None:
-        """Publish the audit line of a command that has ended, in a task. Called by the collector for each command."""
+        """Publish the audit line of a command that has ended, in a task. The collector calls it for each command."""
         if not self._has_ended:
             task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")
             self._publishing.add(task)

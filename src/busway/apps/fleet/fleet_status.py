@@ -26,7 +26,7 @@ from .records import (
 
 @dataclass(frozen=True, slots=True)
 class ZoneMember:
-    """The status of one collector of a zone: whether it lives, what it owns, and how busy that keeps its links.
+    """The status of one collector of a zone: whether it lives, which shards it owns, and its load.
 
     Attributes:
         record: what the collector tells of itself.
@@ -63,8 +63,8 @@ class ZoneStatus:
     """The status of a zone of a fleet: its collectors, the owner of each shard (group of links), its configuration.
 
     Attributes:
-        members: by name, the collectors.
-        leases: by name of a shard, its last known lease.
+        members: the collectors, by name.
+        leases: the last known lease of each shard, by name of the shard.
         configuration: path of the configuration file that an operator applied; empty if none was.
         revision: revision of that configuration; 0 for none.
         generation: the generation number of the zone.
@@ -111,7 +111,10 @@ async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
 
 
 def _running(found: dict[str, Entry]) -> set[str]:
-    """Return the keys of the table entries of collectors that have not ended in order; unreadable ones are left out."""
+    """Return the keys of the table entries of collectors that have not ended in order.
+
+    Entries that cannot be read are left out.
+    """
     members = {key: decode_member(entry.value) for key, entry in found.items() if key.startswith(MEMBERS)}
     return {key for key, record in members.items() if record is not None and not record.gone}
 
@@ -126,7 +129,7 @@ def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
 
     Args:
         found: all entries of the table, by key.
-        living: keys of the entries of collectors that live.
+        living: keys of the entries of those collectors that live.
 
     Raises:
         ConfigError: the zone's configuration in the table cannot be read.

@@ -34,8 +34,8 @@ class KeyMemory:
     """The keys of commands that were used, when each was used, and the results of the newest commands.
 
     Attributes:
-        used: by digest of a key, when the key was used, in seconds since 1970 UTC; in the order of use.
-        results: by key, the owner that took the key and the result of the command as far as it is known. An owner is
+        used: when each key was used, in seconds since 1970 UTC, by digest of the key; in the order of use.
+        results: for each key, the owner that took it, and the result of its command as far as it is known. An owner is
             ``collector/run``: the name of a collector and a random word for this start of it.
     """
 
@@ -43,7 +43,7 @@ class KeyMemory:
     results: dict[str, tuple[str, CommandResult]] = field(default_factory=dict)
 
     def found(self, result: CommandResult) -> CommandResult | None:
-        """Return the result of the first command with the key of a command; None if the key is new.
+        """Return the result of the first command that had the same key as this one; None if the key is new.
 
         Args:
             result: the command whose key is looked up, with its result so far.
@@ -87,9 +87,11 @@ class KeyMemory:
         return found is not None and found[0] == owner and found[1].state is CommandState.OPEN
 
     def end(self, result: CommandResult) -> bool:
-        """Set the final result of a command. Returns False and changes nothing if its key has no result here any more.
+        """Record the final result of a command.
 
-        The command's key stays taken either way.
+        Returns False and changes nothing if no result is kept for its key any more.
+
+        The key of the command stays used either way.
         """
         key = result.command.key
         if key not in self.results:
@@ -106,7 +108,7 @@ class KeyMemory:
             del self.used[digest]
 
     def encode(self) -> bytes:
-        """Return the memory as bytes for the shared table, with the newest results, up to `MOST_BYTES` of them."""
+        """Return the memory as bytes for the shared table: all keys, and the newest results up to `MOST_BYTES`."""
         newest: list[str] = []
         left = MOST_BYTES
         for owner, result in reversed(self.results.values()):

@@ -7,8 +7,9 @@ Knows the coordinator; what an entry remembers is decided by `key_memory`. Works
    entries than that.
 2. Entries are not read: a watch shows them. One that it has not shown yet is stale at worst, so that the change is
    refused, and made again once the watch shows the newer one.
-3. A change whose outcome is not known is no claim: the command is refused, nothing is sent. Its key may be taken, for
-   this collector, which takes it again when it is asked again; for others the result of the command is unknown.
+3. If the outcome of taking a key is not known, the command is refused and nothing is sent. The entry may still name
+   this collector as the one that took the key. If this collector is asked again, it takes the key again; for others the
+   result of the command is unknown.
 4. The end of a command is written with some tries. If all fail, the key stays taken, and for other collectors the
    result of the command is unknown.
 """
@@ -48,7 +49,7 @@ def slot_of(key: str) -> str:
 
 
 class KeyTable:
-    """Takes the keys of one collector's commands in a table that the whole zone shares, so that each is sent only once.
+    """Takes the keys of a collector's commands in a table of the whole zone, so that each command is sent only once.
 
     Works while the ``async with`` block lasts. It is the `KeyClaims` of a collector of a fleet.
 
@@ -143,7 +144,7 @@ class KeyTable:
         return found, found is None
 
     def _doubt(self, key: str) -> None:
-        """Remember that this collector may have taken a key, though its command was refused and not sent (rule 3)."""
+        """Remember that a key may be taken for this collector, though its command was refused and not sent (rule 3)."""
         self._doubtful[key] = None
         if len(self._doubtful) > MOST_DOUBTFUL:
             del self._doubtful[next(iter(self._doubtful))]

@@ -52,19 +52,19 @@ async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
 
 
 def end_if_cancelled() -> None:
-    """Raise `CancelledError` if the current task was cancelled and a function that it awaited has swallowed that."""
+    """Raise `CancelledError` if the current task was cancelled, but an awaited function swallowed that."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
 
 
 async def keep_following(follow: Callable[[], Awaitable[None]], table: str, begin_anew: Callable[[], None]) -> None:
-    """Follow a shared table until cancelled: after an unexpected error, which is logged, it is followed again (rule 3).
+    """Follow a shared table until cancelled: after an unexpected error, which is logged, follow it again (rule 3).
 
     Args:
         follow: reads the table from its start and follows it; ends only by an error.
         table: the table, in words, for the log.
-        begin_anew: called after each error: what is known is not known to be right until the table is shown again.
+        begin_anew: called after each error: entries known so far may be out of date until they are shown again.
 
     Raises:
         ConfigError: the table can never be read.
@@ -127,7 +127,7 @@ class MemberDriver:
         """Follow the shared table, and take, renew and release shards (groups of links), until cancelled.
 
         Raises:
-            ConfigError: the table can never be read, such as for want of rights.
+            ConfigError: the table can never be read, for example because rights are missing.
         """
         try:
             async with asyncio.TaskGroup() as tasks:
@@ -200,7 +200,7 @@ class MemberDriver:
         self.member.wall_ahead = time.time() - self._now()
 
     def _tell_problem(self) -> None:
-        """Log once why this collector may own no links, and once that it may own links again."""
+        """Log why this collector may own no links, once; and once when it may own links again."""
         problem = self.member.problem
         if problem != self._problem:
             if not problem:
@@ -210,7 +210,10 @@ class MemberDriver:
             self._problem = problem
 
     def _failed(self, error: str) -> None:
-        """Note why a change of the shared table was not confirmed; log a reason that is new since the last success."""
+        """Keep the reason why a change of the shared table was not confirmed.
+
+        Log it unless it was logged since the last success.
+        """
         self._error = error
         if error not in self._logged:
             self._logged.add(error)

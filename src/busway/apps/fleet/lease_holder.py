@@ -9,13 +9,14 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
 2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
    guard, by this collector's own clock. The longer times count, of this collector or of the owner, whose lease has its
    own. It is taken by a compare-and-set on that revision: an old view harms nothing.
-3. What this start of the collector has let lapse is free for it at once; it gets a new epoch. What an earlier start
-   of the same name had is another owner's. An epoch is above all that the taker has seen of the shard, whatever
-   revision the coordinator gives: a server may count lower than the one before it.
+3. A shard whose lease this start of the collector has let lapse is free for it at once; it gets a new epoch. A lease of
+   an earlier start of the same name counts as another owner's. An epoch is above all that the taker has seen of the
+   shard, whatever revision the coordinator gives: a server may count lower than the one before it.
 4. One proposal of a key is open at a time.
 5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
 6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
-   so. Its clock is compared with the coordinator's; where most collectors agree against that one, that one is wrong.
+   so. Its clock is compared with the coordinator's; if most collectors agree that the coordinator's clock is wrong, it
+   is the wrong one.
 7. The first collector of a zone records how many shards there are and how long leases hold, if no operator has; a
    collector with other figures owns nothing and says so. With two numbers of shards a link could be in two, with two
    owners. Two collectors with other times are kept apart by rule 2, also before they have read of each other.
@@ -114,7 +115,7 @@ class Proposal:
 
 
 class NotConfirmed(Enum):
-    """Why a change that this collector wanted to make in the shared table was not confirmed.
+    """Why a proposed change of the shared table was not confirmed.
 
     ``CONFLICT``: the entry had another revision, and nothing was changed. ``UNKNOWN``: no answer says whether the
     change was made.
@@ -273,7 +274,7 @@ class FleetMember:
         """Set which shards (groups of links) have links, and what each costs; owned shards without links are released.
 
         Args:
-            costs: by name of the shard, the seconds of line time per second that polling its links needs.
+            costs: seconds of line time per second that polling the links of each shard needs, by name of the shard.
         """
         self._costs = costs
         self._look_at = 0.0
@@ -283,7 +284,7 @@ class FleetMember:
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
-        """Begin to give all shards (groups of links) to other collectors and to take none, or end that.
+        """Begin to give all shards (groups of links) to other collectors and to take none, or end this.
 
         Args:
             draining: False to take shards again.
@@ -339,26 +340,29 @@ class FleetMember:
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """Return by name of each shard (group of links) its last known lease; shards without a lease are missing."""
+        """Return the last known lease of each shard (group of links), by its name.
+
+        Shards without a lease are missing.
+        """
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
     # What comes in.
 
     def begin_snapshot(self) -> None:
-        """Prepare to receive all entries of the shared table: following the table begins, or begins again.
+        """Prepare to receive all entries of the shared table from the start, because its watch begins or begins again.
 
-        Known entries stay known. An entry that is then shown with a lower revision replaces the known one.
+        Known entries stay known; but an entry that is then shown with a lower revision replaces the known one.
         """
         self._complete_at = None
         self._shown_again = {f"{LEASES}{shard}" for shard in self._leases}
         self._shown_again |= {f"{MEMBERS}{name}" for name in (*self._members, self.name)}
 
     def end_snapshot(self, now: float) -> None:
-        """Note that all existing entries of the shared table were given to `entry`: what follows are changes."""
+        """Record that `entry` was given all entries that the shared table has; later entries are changes."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take over a new or changed entry of the shared table; an older revision than the known one is ignored."""
+        """Store a new or changed entry of the shared table; it is ignored if a newer revision of it is known."""
         self._forget_wrong_revision(entry)
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
@@ -370,7 +374,7 @@ class FleetMember:
             self._compare_zone(entry)
 
     def _forget_wrong_revision(self, entry: Entry) -> None:
-        """Forget what is known of an entry that is shown with a lower revision after the table was read anew."""
+        """Forget a known entry that the table, read from the start again, shows with a lower revision."""
         if entry.key not in self._shown_again:
             return
         self._shown_again.discard(entry.key)
@@ -460,7 +464,7 @@ class FleetMember:
             self.clock_error = ahead if ahead > CLOCK_LIMIT else -behind if behind > CLOCK_LIMIT else 0.0
 
     def _clock_problem(self, now: float) -> str:
-        """Return in words that the wall clock is too wrong to own a shard; empty if it is not (rule 6).
+        """Return in words that the wall clock of this machine is too wrong to own a shard; empty if it is not (rule 6).
 
         Empty also if more live collectors agree with this clock than with the coordinator's.
         """
@@ -481,7 +485,7 @@ class FleetMember:
             self._my_renewal = min(self._my_renewal, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Take over the answer to a proposed change of the shared table.
+        """Process the answer to a proposed change of the shared table.
 
         Args:
             proposal: the change, as `turn` returned it.
@@ -551,7 +555,7 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """Note that a shard's links have stopped and their samples are stored: the next turn releases the shard.
+        """Record that a shard's links have stopped and their samples are stored; the next turn releases the shard.
 
         To be called after an event `Step.LEAVE`.
         """
@@ -588,7 +592,10 @@ class FleetMember:
         return found
 
     def next_turn(self) -> float:
-        """Return when `turn` must be called again, in the clock of leases; earlier after a call of another method."""
+        """Return when `turn` must be called next, in the clock of leases.
+
+        Call it earlier after any other method was called.
+        """
         due = [self._look_at if self._complete_at is not None else float("inf")]
         if f"{MEMBERS}{self.name}" not in self._open:
             due.append(self._my_renewal)
@@ -685,7 +692,7 @@ class FleetMember:
     def _free(self, now: float) -> dict[str, float]:
         """Return the shards (groups of links) that have no owner now, with the cost of each.
 
-        Also sets the time of the next check to when the next lease may be taken, if that is earlier.
+        If the lease of another shard may be taken before the next check, the time of that check is set to then.
         """
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
@@ -709,7 +716,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else max(self.times.free_at(seen.at), seen.at + record.silence)
 
     def _hand_on(self, now: float) -> None:
-        """Begin to give away shards (groups of links) that this collector must not keep or that `balance` moves."""
+        """Begin to give away the shards (groups of links) that this collector must not keep or that `balance` moves."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         takes = takers({shard: self.cost(shard) for shard in self.owned}, self._shares(now)) if self._ends else {}
         for shard, owned in self.owned.items():

@@ -84,7 +84,7 @@ def _time_of(batch: SampleBatch) -> int:
 
 
 def encoded_batch(batch: SampleBatch) -> bytes:
-    """Return a batch of samples as the JSON of a message with live values (rule 1)."""
+    """Return a batch of samples as the JSON of a message with live values."""
     points = {
         point: {"value": value, **({"reason": reason_text(reason)} if reason else {})}
         for point, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)

@@ -130,7 +130,7 @@ class OwnershipLog:
             self._write(_END, rows)
 
     def _write(self, statement: str, rows: Sequence[tuple[str | int, ...]]) -> None:
-        """Execute a statement for all rows together: one wait for the disk, however many shards move at once."""
+        """Execute an SQL statement for all rows in one transaction, to wait for the disk only once."""
         self._database.execute("BEGIN IMMEDIATE")
         try:
             self._database.executemany(statement, rows)

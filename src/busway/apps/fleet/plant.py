@@ -1,14 +1,14 @@
 """The part of a plant's configuration that one collector of a fleet works on, and what its links need.
 
-1. What has one owner is an endpoint, whatever links name it: a line has one master. Links to one endpoint are in one
-   shard, that of the first of their names.
+1. What has one owner is the endpoint, however many links name it: a line has one master. Links to one endpoint are in
+   one shard, that of the first of their names.
 2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
    name their hosts, unless all collectors are on one machine.
 3. A gateway may hold a request in a queue and send it to the device later, also when its client has gone. The plant
    says for how long (``gateway_wait`` of a link); that time is a part of each transaction. Where links to one endpoint
    say different times, the longest counts for all: what one of them sends, the device hears.
-4. A newer configuration reaches collectors one after the other, and one may refuse it. So an endpoint never goes from
-   one shard to another by it, while a collector may live.
+4. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
+   move an endpoint from one shard to another while a collector may live.
 """
 
 from collections.abc import Container, Mapping, Sequence
@@ -108,7 +108,7 @@ def link_times(configuration: CollectorConfiguration) -> dict[str, LinkTimes]:
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may last longer than a collector's right to poll it."""
+    """Raise `ConfigError` for a link whose transactions may take longer than a lease (right to poll) holds."""
     longest = times.longest_transaction
     for name, each in link_times(configuration).items():
         if each.transaction > longest:
@@ -129,7 +129,7 @@ def _enough(seconds: float, times: LeaseTimes) -> str:
 
 
 def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, float]) -> dict[str, float]:
-    """Return by name of each link how busy polling keeps it, in seconds of line time per second; at least 0.001.
+    """Return how busy polling keeps each link, in seconds of line time per second, at least 0.001; by name of the link.
 
     Args:
         configuration: the configuration whose links are returned.
@@ -144,9 +144,9 @@ def links_of_shards(
     """Return the links of a configuration grouped by shard; shards without links are left out.
 
     Args:
-        configuration: of the whole plant.
+        configuration: the configuration of the whole plant.
         shards: how many shards the zone has, 1…1024.
-        hosts: by link, the hosts that can reach it; those that are missing are as the configuration says.
+        hosts: the hosts that can reach a link, by link; for missing links, the configuration says it.
     """
     shown = {**configuration.hosts, **(hosts or {})}
     firsts = _first_links(configuration, shown)
@@ -159,7 +159,7 @@ def links_of_shards(
 
 
 def refuse_two_owners(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for links to one endpoint that different hosts could own (rule 1)."""
+    """Raise `ConfigError` for two links to one endpoint that different hosts could own (rule 1)."""
     hosts = configuration.hosts
     for link, first in _first_links(configuration, hosts).items():
         if list(hosts.get(link, ())) != list(hosts.get(first, ())):
@@ -173,7 +173,7 @@ def refuse_two_owners(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for a serial port whose host is not named (rule 2)."""
+    """Raise `ConfigError` for a link to a serial port that does not name the host of the port (rule 2)."""
     for name, link in configuration.links.items():
         if link.settings.endpoint.carrier == "serial" and name not in configuration.hosts:
             raise ConfigError(
@@ -185,7 +185,7 @@ def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if an endpoint would go from one shard to another (rule 4)."""
+    """Raise `ConfigError` if a new configuration would move an endpoint from one shard to another (rule 4)."""
     owners = [
         {
             place: (first, tuple(each.hosts.get(first, ())))
@@ -211,7 +211,7 @@ def _shown(link: str, hosts: Sequence[str]) -> str:
 
 
 def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return by link the first of the links to its endpoint, in the order of names."""
+    """Return for each link the name that comes first among all links to its endpoint."""
     first_at: dict[str, str] = {}
     found: dict[str, str] = {}
     for link in sorted(configuration.links):
@@ -224,7 +224,7 @@ def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequ
 
 
 def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return where a link leads to: an address in the network, or a port of each of its hosts."""
+    """Return what a link leads to: one address in the network, or a serial port on each of its hosts."""
     endpoint = configuration.links[link].settings.endpoint
     if endpoint.carrier == "serial":
         return [f"{endpoint.path} of {host}" for host in hosts.get(link, ())] or [endpoint.path]

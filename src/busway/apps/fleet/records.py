@@ -37,7 +37,7 @@ class LeaseHole:
 
 @dataclass(frozen=True, slots=True)
 class LeaseRecord:
-    """The lease (right to poll) of one shard (group of links): which collector owns the shard, in which epoch.
+    """The lease (right to poll) of one shard (group of links): its owner and the epoch of this ownership.
 
     Attributes:
         owner: name of the collector that owns the shard, or owned it last.

@@ -128,7 +128,7 @@ def leafs_text(passwords: Mapping[str, str]) -> str:
     """Return the text of `LEAFS_FILE`: a user with password for each edge site that connects to the centre.
 
     Args:
-        passwords: by name of each site, its password. Each user belongs to the account of the site's zone.
+        passwords: the password of each site, by its name. Each user belongs to the account of the site's zone.
     """
     users = (
         f'  {{ user: "{site}", password: "{password}", account: "zone-{site}" }}'
@@ -157,7 +157,7 @@ def accounts_text(
     """Return the text of `ACCOUNTS_FILE`: an account for each zone with its users, and the system account.
 
     Args:
-        zones: by name of a zone and name of a role, the public key of the user.
+        zones: the public key of each user, by name of the zone and then name of the role.
         status_key: public key of the user of the system account, who asks how the servers are.
         sites: like ``zones``, for zones of edge sites in the file of the centre; None for none.
     """

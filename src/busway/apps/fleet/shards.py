@@ -61,7 +61,7 @@ def shard_names(shards: int) -> list[str]:
 
 
 def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> dict[str, list[str]]:
-    """Return by name of each shard the names of its links; shards without links are left out.
+    """Return the names of the links in each shard, by name of the shard; shards without links are left out.
 
     Args:
         links: the name of each link, and the names of the hosts that can reach it; no hosts if all collectors can.

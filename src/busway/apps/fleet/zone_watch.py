@@ -4,7 +4,7 @@ Knows entries of the coordinator; asks no collector.
 
 1. A collector lives while its entry changes within the time of a lease, by the clock of this process.
 2. A hole is the time from an owner's last renewal, or its release, until the next owner took the shard, by the wall
-   clocks of both. An owner that fell silent may have polled for a part of it: it lasted so long at most.
+   clocks of both. An owner that fell silent may have polled for a part of that time, so the real hole may be shorter.
 """
 
 import asyncio
@@ -103,7 +103,7 @@ class ZoneWatch:
         return [*reversed(self._holes)]
 
     def sinks(self) -> dict[str, int]:
-        """Return by name of each sink the number of the last message that the sink has taken from the zone's stream."""
+        """Return for each sink, by name, the number of the last message that it has taken from the zone's stream."""
         found: dict[str, int] = {}
         for key, entry in sorted(self._entries.items()):
             if key.startswith(CURSORS) and entry.value:
@@ -114,7 +114,7 @@ class ZoneWatch:
         return found
 
     def take(self, entry: Entry) -> None:
-        """Update what is known by an entry that `Coordinator.watch` has yielded, or by one of its two marks."""
+        """Update the status by an entry of the table, or by a mark: the begin or end of a snapshot of the table."""
         if entry is SNAPSHOT_BEGINS:
             self._complete.clear()
             self._shown_again = set(self._entries)

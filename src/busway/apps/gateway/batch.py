@@ -36,10 +36,14 @@ class BatchForwarder(Protocol):
         """Answer all clients whose requests in a batch have an outcome."""
 
     def withdraw(self, batch: "Batch", asker: ForwardingClient) -> None:
-        """Drop the requests of a client that has disconnected, as far as no other client waits for them."""
+        """Drop the requests of a client that has disconnected, unless other clients wait for them."""
 
     def give_up_one(self, batch: "Batch", waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed: for one joined read, or (None) for the batch's own requests."""
+        """Answer a client whose deadline has passed.
+
+        ``waiter`` is a client that joined a read of the batch; None is the client that sent the batch, with all its
+        requests.
+        """
 
 
 class BatchTarget(Protocol):
@@ -80,10 +84,11 @@ class Batch(Call):
         forwarder: the forwarder of the upstream.
         link: the link that sends the requests.
         asker: the client that sent the batch; None once it has disconnected or was answered at its deadline.
-        tags, asked: the client's requests. Their positions are those of ``requests``, unless a single one was split.
+        tags, asked: the client's requests, in the order of ``requests``, which go upstream; a single request may be
+            split into several of these.
         told: positions of the requests that were answered one by one; empty if all are answered together.
-        joined: by position of a read, the other clients that wait for its reply.
-        deadlines: deadlines of the clients, if several wait; the entry None is that of ``asker``.
+        joined: the other clients that wait for a read's reply, by position of the read.
+        deadlines: deadlines of the clients, if several wait; key None stands for ``asker``.
         keys: if the reads may be shared, the key of each.
         shared: the table in which other clients find the batch by these keys; None if it has no reads to share.
         place: the range whose values are to be remembered; None for none.
@@ -125,7 +130,7 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Return False always: the link uses a batch like a future, and calls this before `set_result`."""
+        """Return False always. The link treats a batch like a future, and calls this before `set_result`."""
         return False
 
     def set_result(self, result: None) -> None:
@@ -133,13 +138,13 @@ class Batch(Call):
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Yield the requests of a client in this batch, its own or joined ones, that have no answer yet."""
+        """Yield a client's requests in this batch without an answer, including reads of others that it has joined."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Withdraw the requests of a client in this batch, its own or joined ones, because it has disconnected."""
+        """Withdraw a disconnected client's requests from this batch, including reads of others that it has joined."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:

@@ -100,10 +100,9 @@ class GatewayConfiguration:
         The audit log, metrics and control socket are opened by `busway gateway`; a program opens those that it wants.
 
         Args:
-            listen: URLs or listeners that replace those of the file, as many and in the same order; empty for those of
-                the file.
-            options: ``authorize`` and ``policy`` instead of those of the file, ``audit`` as of `Gateway`;
-                ``standard_port`` as of `busway.serve`.
+            listen: URLs or listeners that replace the file's, as many and in the same order; empty to use the file's.
+            options: ``authorize`` and ``policy`` instead of the file's, ``audit`` as of `Gateway`; ``standard_port`` as
+                of `busway.serve`.
 
         Raises:
             ConfigError: an invalid option, or not as many listeners as the file has.
@@ -117,12 +116,13 @@ class GatewayConfiguration:
     async def apply_to(self, running: object, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:
         """Apply this configuration to a gateway that runs, and return what changed, in words: one text for each part.
 
-        Own unit, functions and options of servers stay as they are: they change with a restart only.
+        Own unit, functions and options of servers stay as they are: only a restart changes them.
 
         Args:
             running: the `Gateway`, made from an earlier version of the file.
             listen: the listeners, one for each of the file.
-            policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the others.
+            policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the existing
+                listeners.
 
         Raises:
             LinkDown, ConfigError: a new listener or upstream cannot be opened; everything is as before.
@@ -156,11 +156,11 @@ def load_gateway(
     Args:
         path: path of the file, in TOML.
         preflight: whether to open the files named in it too, such as certificates, so that their errors are found now.
-        changes: options of listeners, by name, that override those of the file.
+        changes: options of listeners, by name, that override the file's.
 
     Raises:
-        ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with
-            file, line and key.
+        ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with file, line
+            and key.
     """
     name = os.fspath(path)
     return parse_gateway(read_text(name), name, preflight=preflight, changes=changes)
@@ -272,7 +272,7 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """Return the listeners with unique names, as two may have the same URL with port 0: the second gets ``(2)``."""
+    """Return the listeners with unique names: of two listeners with the same URL (port 0) the second gets ``(2)``."""
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -303,7 +303,10 @@ def _upstream(
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """Return the listeners and the keyword arguments common to their `Server` objects, with the preset applied."""
+    """Return the listeners, and the keyword arguments that all their `Server` objects share.
+
+    The preset is applied to both.
+    """
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)
     places, chosen = with_server_preset(common.listeners, options)

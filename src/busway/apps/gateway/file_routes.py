@@ -51,7 +51,10 @@ class PlacedRoute:
         return (self.section.parameters.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
-        """Return the path in the file of the first of these keys that the route sets, or else of the route itself."""
+        """Return the path in the file of the first of some keys that the route sets.
+
+        The route's own path if it sets none.
+        """
         written = set() if self.section is None else self.section.model_fields_set
         return next(((*self.place, name) for name in names if name in written), self.place)
 
@@ -132,7 +135,7 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """Return the units, as clients use them, of a route that names none: those that its upstream can have.
+    """Return the units of a route that names none, as clients number them: all that its upstream can have.
 
     Raises:
         ConfigError: with its offset the route has no unit left.
@@ -154,7 +157,7 @@ def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """Return by unit of an upstream the longest silence after a reply that any route wants, in seconds."""
+    """Return for each unit of an upstream the longest silence after a reply, in seconds, that any route needs."""
     found: dict[int, float] = {}
     for placed in routes:
         if placed.gap and placed.route.upstream == upstream:

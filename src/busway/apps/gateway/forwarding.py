@@ -7,7 +7,7 @@ Knows upstreams, calls and who asked; knows no route and no listener.
 2. Each request is answered as soon as its own reply is there. None waits for the others of its batch.
 3. A read that is identical to one in flight shares its reply, if no write came between (`shared_reads`, `read_cache`).
    A priority host does not share what still waits in the queue for others: its own read goes before.
-4. A client that disconnects takes those of its requests with it that no other client waits for. A write that was sent
+4. When a client disconnects, those of its requests that no other client waits for are given up. A write that was sent
    goes on, and until it ends nothing of its unit is shared.
 5. Clients that share a read have a deadline each; the read goes on for the others.
 """
@@ -114,7 +114,10 @@ class ForwardTarget:
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        """Forward requests one by one; refuse them with 0A if the upstream is closed (``link`` is None)."""
+        """Forward requests one by one, each as its own batch.
+
+        If the upstream is closed (``link`` is None), refuse them with 0A.
+        """
         forwarder = self.forwarder
         for tag, one in zip(tags, asked, strict=True):
             if link is not None:
@@ -125,7 +128,10 @@ class ForwardTarget:
         forwarder.send()
 
     def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
-        """Refuse requests that the link did not accept; after an overload several requests are tried one by one."""
+        """Refuse the requests of a batch that the link did not accept.
+
+        If the queue of the link has no room for all of them, they are forwarded one by one instead.
+        """
         forwarder = self.forwarder
         forwarder.leave(batch)
         forwarder.upstream.counters.broadcasts -= batch.is_write and self.is_broadcast
@@ -190,7 +196,7 @@ class Forwarder:
     def look(self, session: object) -> None:
         """Answer the requests of a link's session that have an outcome by now, even if others of their batch have none.
 
-        The link calls this after received bytes or a timer were handled.
+        The link calls this after it has handled received bytes or a timer.
         """
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
@@ -333,7 +339,7 @@ class Forwarder:
         batch.link.give_up(batch)
 
     def leave(self, batch: Batch) -> None:
-        """Forget a batch that is answered, or for which no client waits any more."""
+        """Forget a batch: all its requests are answered, or no client waits for it any more."""
         del self.open[batch]
         if batch.is_write:
             self.cache.write_ended(batch.unit)

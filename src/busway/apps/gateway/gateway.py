@@ -57,7 +57,7 @@ class _RunningListener:
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
-        """Apply those changed options of a listener that need no restart; its connections stay open."""
+        """Use the new deadline and broadcast option of a listener at once; its connections stay open."""
         self.listener = listener
         self.responder.deadline = listener.deadline
         self.responder.silent_broadcasts = listener.silent_broadcasts
@@ -170,8 +170,8 @@ class Gateway:
         listeners that were to change have lost their connections.
 
         Args:
-            plan: the new configuration; own unit, functions and options of servers must be those of the old one.
-            policy: the policy of new listeners until `replace_policy`; None for the policy of the others.
+            plan: the new configuration; own unit, functions and options of servers must be the same as before.
+            policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
 
         Raises:
             LinkDown: a new listener cannot be opened.
@@ -215,13 +215,12 @@ class Gateway:
         same_listeners: Mapping[str, _RunningListener],
         policy: Policy | None,
     ) -> tuple[dict[str, Forwarder], dict[str, _RunningListener]]:
-        """Stop listeners and serial ports that change, and open those of the new configuration; undo all on an error.
+        """Stop listeners and serial ports that change, and open the new ones; on an error undo all.
 
         The old ones are closed first, because they may hold ports that new ones need.
 
         Returns:
-            By name, the forwarders of the upstreams and the listeners of the new configuration, unchanged ones
-            included.
+            The forwarders of all upstreams, and all listeners, of the new configuration, each by name.
         """
         old_upstreams = {one.name: one for one in self.plan.upstreams}
         forwarders, listeners = dict(same_upstreams), dict(same_listeners)
@@ -335,7 +334,7 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """Return the values for the status registers of the gateway's own unit: its own, and those of each upstream."""
+        """Return the values of the own unit's status registers: the gateway's, and a list of them for each upstream."""
         status = self.status()
         own = [
             int(status.uptime),
@@ -390,14 +389,16 @@ class Gateway:
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
-    """Return the parts of a gateway's configuration that change only with a restart."""
+    """Return what only a restart changes in a gateway's configuration: own unit, functions, server options."""
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Return the option ``standard_port`` of a listener's server: whether it also listens on port 502.
+    """Return whether a listener's server also listens on port 502 (option ``standard_port``).
 
-    None leaves that to the server. At most one of the listeners gets another value than False.
+    None if the server decides.
+
+    Only one of the listeners may do so: the others get False.
     """
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}

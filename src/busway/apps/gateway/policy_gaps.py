@@ -31,12 +31,12 @@ def policy_gaps(
 ) -> Iterator[tuple[Place, str]]:
     """Yield the access rules that clients can evade by another route to the same device.
 
-    Yields for each rule its path in the gateway file, and a message.
+    For each rule these are its path in the gateway file, and a message.
 
     Args:
         policy: the access rules.
         routes: the routes of the file.
-        same_device: by name of upstream, the groups of units there that are the same device.
+        same_device: for each upstream, by name, the groups of units that are the same device.
     """
     devices = _reached_in_several_ways(routes, same_device)
     if not devices:
@@ -60,7 +60,10 @@ def policy_gaps(
 
 
 def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
-    """Return the kinds of access to test: one for each group that no rule and no route tells apart."""
+    """Return the accesses to test: a function, and a table that it reads or writes.
+
+    Of functions that all rules and routes treat alike, only one is returned.
+    """
     by_rules = [rule for rule in policy.rules if rule.functions is not None]
     found: dict[object, Access] = {}
     for kind in STANDARD:
@@ -74,7 +77,7 @@ def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
 def _reached_in_several_ways(
     routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
 ) -> list[list[Way]]:
-    """Return, for each device that is reached by several units or with several address shifts, the ways to it."""
+    """Return the devices that clients reach by several units or address shifts, each as a list of route and unit."""
     devices: dict[tuple[str, int], list[Way]] = {}
     for one in routes:
         if one.route.upstream:
@@ -88,7 +91,7 @@ def _reached_in_several_ways(
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
     """Whether the access rule ``other`` surely applies to all clients to which ``rule`` applies.
 
-    So it is if each of its conditions (peers, roles, listeners) is missing or equal to that of ``rule``.
+    It does if each of its conditions (peers, roles, listeners) is missing, or is the same in ``rule``.
     """
     return (
         other.peers in (None, rule.peers)
@@ -143,7 +146,10 @@ def _takes(route: Route, kind: type[Request]) -> bool:
 
 
 def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
-    """Return the part of an address range that a route forwards; None if it forwards nothing of it."""
+    """Return the part of the addresses ``low`` … ``high - 1`` that a route forwards.
+
+    None if it forwards none of them.
+    """
     if isinstance(touched.space, Table):
         low, high = max(low, 0), min(high, 0x10000)
     if route.addresses is not None:
@@ -154,14 +160,16 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
 
 
 def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
-    """Whether another route permits some of the items that this one refuses, or permits with another rate or limits.
+    """Whether the rule for another route permits more of some items than the rule for this route.
 
-    False if the same access rule decides both.
+    It permits items that are refused here, or with another rate or limits.
+
+    False if both routes are decided by the same access rule.
 
     Args:
-        other: a range of items that are treated alike by the other route.
-        zone: a range of items that are treated alike by this route.
-        items: the items that this zone has by the other route: first address and end.
+        other: zone of the rules for the other route: a range of items in which one rule decides.
+        zone: zone of the rules for this route.
+        items: the items of ``zone`` as the other route numbers them: first address and end.
     """
     if not other.permits or other.end <= items[0] or items[1] <= other.first or other.rule is zone.rule:
         return False

@@ -86,14 +86,17 @@ class ReadCache(Generic[Shared]):
     # Writes.
 
     def write_begins(self, unit: int) -> None:
-        """Note that a write to a unit is about to be forwarded: values are dropped, no read is shared until it ends.
+        """Drop remembered values and stop the sharing of reads, because a write to a unit is about to be forwarded.
 
-        Each call needs one of `write_ended`.
+        Each call must be followed by one of `write_ended`.
         """
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Note that a write to a unit has ended, successfully or not: reads may be shared and remembered again."""
+        """Record the end of a write to a unit, successful or not.
+
+        Once no write to the unit is in progress, its reads are shared and remembered again.
+        """
         self._changed(unit, -1)
 
     def _changed(self, unit: int, more_writes: int) -> None:
@@ -104,7 +107,7 @@ class ReadCache(Generic[Shared]):
             state.forget()
 
     def _is_quiet(self, unit: int) -> bool:
-        """Whether no write to a unit is in progress, broadcasts included."""
+        """Whether no write to a unit is in progress; a broadcast is a write to all units."""
         if not self._open_writes:
             return True
         if unit in ANY_DEVICE:
@@ -124,7 +127,10 @@ class ReadCache(Generic[Shared]):
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
     def changes(self, unit: int) -> int:
-        """Return a number that changes with every write to a unit; pass the one from before a read to `remember`."""
+        """Return a number that changes with every write to a unit.
+
+        Read it before a read is forwarded, and pass it to `remember` with the read's data.
+        """
         return self._unit(unit).changes
 
     # Values.

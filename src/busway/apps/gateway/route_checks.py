@@ -126,9 +126,9 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
-    """Yield errors for refusing routes of which an earlier route forwards a part.
+    """Yield an error for each refusing route if an earlier route forwards a part of the requests to refuse.
 
-    A refusal without units, functions and addresses is meant for the requests that other routes leave.
+    A refusing route without units, functions and addresses may stand last: it refuses what other routes do not take.
     """
     for position, placed in enumerate(routes):
         refusal = placed.route
@@ -148,9 +148,9 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """Return which units, functions or addresses of a refusing route an earlier route forwards; empty if none.
+    """Return in words which requests of a refusing route an earlier route forwards, by units, functions or addresses.
 
-    Empty also for a refusing route that names no units, functions and addresses: it is meant for the rest.
+    Empty if none, and for a refusing route that names no units, functions and addresses.
     """
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)

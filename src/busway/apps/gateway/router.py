@@ -5,8 +5,8 @@ Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on
 1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered when it was sent. All
    units of an upstream hear it, so a route must permit the write for each of them. Where the policy denies it for one
    unit of one upstream, no upstream hears it.
-2. Requests without a route get 0A. Unit 0 and the own unit are then the gateway itself. A serial listener does not
-   answer for units without a route (`ListenerRouter.serves`).
+2. A request without a route gets 0A, unless it is for unit 0 or the gateway's own unit: then the own unit answers it.
+   A serial listener does not answer for units without a route (`ListenerRouter.serves`).
 3. A malformed request is answered here, as by any server: it could not be framed on a serial line. A request with an
    unknown function is forwarded unread.
 """
@@ -117,11 +117,11 @@ class ListenerRouter:
         self._targets: dict[tuple[str, int, float | None], ForwardTarget] = {}
 
     def follow(self, routes: ListenerRoutes, forwarders: Mapping[str, Forwarder]) -> None:
-        """Use these routes and forwarders from the next request on. Requests in progress are still answered.
+        """Use other routes and forwarders from the next request on. Requests in progress are still answered.
 
         Args:
             routes: the routes of the listener.
-            forwarders: by name of the upstream, its forwarder.
+            forwarders: the forwarder of each upstream, by its name.
         """
         self._routes = routes
         self._forwarders = forwarders
@@ -136,10 +136,10 @@ class ListenerRouter:
         return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """Return how the fast path forwards reads with this PDU to this unit; None if it must not forward them.
+        """Return how the fast path forwards reads with this PDU to this unit; None if they need the generic path.
 
-        None stands for all that needs the generic path: other functions, reads that are refused or split, routes with
-        remembered values, and devices with wider registers.
+        The generic path is needed for other functions, for reads that are refused or split, for routes with remembered
+        values, and for devices with wider registers.
         """
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
@@ -160,10 +160,10 @@ class ListenerRouter:
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return the reply to a request, or how it is forwarded by its route, or that it gets no reply.
+        """Return the outcome of a request: its reply, how it is forwarded, or silence.
 
-        Requests to the gateway's own unit are answered by its device, malformed ones and those without a route with an
-        exception code.
+        The gateway's own unit is answered by its device; malformed requests and those without a route get an exception
+        code.
         """
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
@@ -215,11 +215,11 @@ class ListenerRouter:
     ) -> Message | Forwarding:
         """Return how a request is forwarded by a route, or the reply if it need not or cannot be forwarded.
 
-        A read may be answered with remembered values, if the route has them. The reply is exception 02 if the address
-        that the route shifts the request to does not exist, and 03 if the registers of the device are too wide for so
-        many in one reply.
+        A read is answered with remembered values if the route permits that and they are young enough. The reply is
+        exception 02 if the shifted address does not exist, and 03 if the registers of the device are
+        wider than 16 bits and so many do not fit into a reply.
 
-        ``forwarder`` is that of the route's upstream.
+        ``forwarder`` is the forwarder of the route's upstream.
         """
         width = forwarder.upstream.register_width
         if width != NARROW and isinstance(request, ReadRegisters) and request.count * width > MAX_DATA:
@@ -248,10 +248,10 @@ class ListenerRouter:
         return SILENCE
 
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
-        """Return how a write to unit 0, which came over a network, goes to all upstreams that take broadcasts.
+        """Return the outcome of a write to unit 0 over a network, which goes to all upstreams that take broadcasts.
 
-        The client gets an exception code if no upstream is reached or a rule of the policy denies the write; then no
-        upstream hears it.
+        The client gets an exception code if no upstream can be reached, or if a rule of the policy denies the write;
+        then no upstream gets it.
         """
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
@@ -284,15 +284,17 @@ class ListenerRouter:
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """Return how a broadcast from a serial line is forwarded; called once for each unit that the listener serves.
+        """Return how a broadcast from a serial line is forwarded for one unit.
 
-        An upstream that takes broadcasts gets one. Any other upstream, a server on a network, gets a write for each
-        unit that a route names, or one to unit 0 if the route names none: most of 247 units would have no device, and
-        their timeouts would take minutes.
+        Called for each unit that the listener serves.
+
+        An upstream that takes broadcasts gets one broadcast. Any other upstream, a server on a network, gets a write
+        for each unit that a route names; if the route names none, one write to unit 0. Writes to all 247 units would
+        mostly reach no device, and their timeouts would take minutes.
 
         Args:
             context: the unit and the client.
-            executed: ids of the forwarders that have been dealt with for this broadcast.
+            executed: ids of the forwarders that this broadcast has reached already.
             request: the write.
         """
         found = self._routes.find(context.unit, request)
@@ -327,8 +329,8 @@ class ListenerRouter:
     ) -> Route | int | None:
         """Return the route for a broadcast to an upstream, or the exception code if the broadcast is refused.
 
-        None if no route leads this write there. Every unit of the upstream hears a broadcast, so the routes and the
-        policy must permit it for each of them, with the same address.
+        None if the routes do not forward this write there. Every unit of the upstream receives a broadcast, so the
+        routes and the policy must permit the write for each of them, with the same address.
 
         Args:
             context: the client.
@@ -363,7 +365,7 @@ class ListenerRouter:
 
 
 def _for_all_units(route: Route) -> Route:
-    """Return a route to unit 0 of an upstream, for broadcasts, with the shift and limits of a route to one unit."""
+    """Return a route to unit 0 of an upstream, for broadcasts, with the address shift and limits of ``route``."""
     return Route(
         upstream=route.upstream,
         unit=BROADCAST_UNIT,
@@ -376,5 +378,5 @@ def _for_all_units(route: Route) -> Route:
 
 @lru_cache(maxsize=32)
 def as_bytes(kind: type[ReadRegisters] | type[ReadBits]) -> Any:  # Any: a class of the same kind
-    """Return a request class for the same read whose reply stays raw data: decoding a message would take 0.4 µs."""
+    """Return a request class for the same read whose reply keeps the raw bytes; decoding them would take 0.4 µs."""
     return type(kind.__name__, (kind,), {"take": staticmethod(bytes), "__doc__": kind.__doc__})

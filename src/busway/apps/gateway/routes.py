@@ -125,7 +125,7 @@ class Route:
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` would take to a unit that both routes have."""
+        """Whether this route takes every request that ``other`` takes, for the units that both have."""
         return (
             (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
@@ -148,7 +148,7 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Straddles:
-    """Result of looking for a route: only a part of the request's addresses is in the range of a route.
+    """Result of the search for a route: the request's addresses are only partly in the range of a route.
 
     Attributes:
         route: that route. The request is refused with exception 02.
@@ -183,7 +183,7 @@ class ListenerRoutes:
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
         """Return the first route that takes a request; None if no route does.
 
-        `Straddles` if the first route that the request touches has only a part of its addresses.
+        It is a `Straddles` if the first route that the request touches has only a part of its addresses.
 
         Args:
             unit: unit identifier that the client uses.
@@ -210,7 +210,7 @@ class ListenerRoutes:
         return Straddles(route)
 
     def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
-        """Return what `find` returns, by trying one route after the other."""
+        """Return what `find` returns, by testing one route after the other."""
         for route in routes:
             if route.functions and function_of(request) not in route.functions:
                 continue
@@ -256,7 +256,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """Return the one address range that a request touches; None if it touches several or none, or if it is unknown."""
+    """Return the address range that a request touches; None if it touches none or several, or if that is unknown."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -302,7 +302,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """Yield for each route that no request ever reaches its position and a message."""
+        """Yield position and message for each route that no request can reach, as earlier routes take all of them."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -322,7 +322,9 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """Return the earlier routes that take all requests of a route to some of its units, and the units left for it.
+    """Return the earlier routes that leave a route no requests for some of its units, and the units left to it.
+
+    The first route that matches takes a request.
 
     Args:
         routes: all routes in their order.

@@ -126,7 +126,7 @@ class GatewayPlan:
         server: keyword arguments of `Server` for all listeners (parameters, limits, sockets, TLS …).
 
     Raises:
-        ConfigError: no listener, a name that stands twice, or a route that names an unknown listener or upstream.
+        ConfigError: there is no listener, two listeners or upstreams have one name, or a route names an unknown one.
     """
 
     listeners: tuple[GatewayListener, ...]

@@ -23,7 +23,9 @@ def share(
     shared: Mapping[Key, Batch],
     within: float | None,
 ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
-    """Let reads of one client wait for equal reads that others have in flight, and return the other reads.
+    """Let the reads of one client wait for equal reads that are in flight for others.
+
+    Returns the reads that must be sent.
 
     Args:
         asker: the client.
@@ -33,8 +35,8 @@ def share(
         within: seconds until the client must be answered; None for no limit.
 
     Returns:
-        Tags and requests of the reads that are to be sent; and tag and request of each read that equals one of those,
-        to be asked once that one is in flight.
+        Tags and requests to send; and tag and request of each read that equals one of those to send: pass them to
+        `share` again once that one is in flight.
     """
     left: dict[Key, tuple[Any, ForwardedRequest]] = {}
     twice: list[tuple[Any, ForwardedRequest]] = []

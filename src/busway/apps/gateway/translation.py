@@ -53,13 +53,16 @@ class Translated:
                 self.place = request.reads.table, request.address + route.shift, request.count
 
     def of_data(self, data: bytes) -> Message:
-        """Return the client's reply to a read, built from the data of the items as the upstream sent them."""
+        """Return the client's reply to a read from ``data``: the registers or bits that the upstream sent."""
         kind: Any = type(self.requests[0])  # as wide as the device's registers are
         reply: Message = kind.Reply(data)
         return reply
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """Return one reply of the upstream, joined from the replies to `requests`; addresses are the upstream's."""
+        """Return the upstream's replies to `requests` joined to one reply.
+
+        Its addresses are still those of the upstream.
+        """
         return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
 
     def client_reply(self, reply: Message) -> Message:

@@ -211,7 +211,7 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection to the upstream was opened, failed or was lost; have a lost serial port reopened.
+        """Log that a connection to the upstream was opened, failed or was lost; reopen a lost serial port.
 
         Args:
             event: what happened to the connection.
@@ -312,7 +312,7 @@ def _indicators(links: Sequence[LinkStatus]) -> StatusIndicators:
 
 
 def _in_doubt(link: AsyncLinkDriver) -> tuple[int, ...]:
-    """Return the units of a serial link that owe a reply, which may still come late; empty for other links."""
+    """Return the units of a serial link whose reply is overdue and may still come; empty for other links."""
     session = link.session
     return tuple(session.doubts.in_doubt()) if isinstance(session, SerialClientSession) else ()
 

@@ -32,5 +32,5 @@ def code_for(error: ModbusError) -> int:
 
 
 def _does_not_answer(error: NoReply) -> bool:
-    """Whether a request failed without being sent because its unit had not answered before."""
+    """Whether a request was not sent because of its unit: its breaker is open, or it owes a reply."""
     return isinstance(error, UnitSuspended) or error.kind == "in doubt"

@@ -28,7 +28,7 @@ AT_NEED: Final = "tried again when something is asked"
 
 
 class UpstreamLog:
-    """Writes the log lines about one upstream that cannot be reached, and about its requests that were answered 0A.
+    """Writes the log lines about one upstream: that it cannot be reached, and that requests were answered 0A or 0B.
 
     Args:
         name: name of the upstream in routes.
@@ -61,13 +61,13 @@ class UpstreamLog:
         self._told_at = -math.inf
 
     def is_down(self, reason: str) -> None:
-        """Log that the upstream cannot be reached, unless the same reason was logged before."""
+        """Log that the upstream cannot be reached, and why; not again for the same reason."""
         if reason != self._reason:
             self._reason = reason
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """Log that the upstream can be reached again, if it was logged as down, and log the count of 0A answers."""
+        """Log that the upstream can be reached again, and how many requests got 0A, if it was logged as down."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)

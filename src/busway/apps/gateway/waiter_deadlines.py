@@ -21,7 +21,7 @@ CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
 
 
 class WaiterDeadlines(Generic[Waiter]):
-    """The deadlines of the clients that wait for one read, with one timer for the earliest deadline.
+    """The deadlines of clients that wait for the same read, watched by one timer for the earliest deadline.
 
     Args:
         now: returns the time in seconds, by the clock of the deadlines.

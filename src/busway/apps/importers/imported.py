@@ -84,9 +84,9 @@ class ImportedDevice:
 
     @contextmanager
     def reporting(self, where: str, what: str) -> Iterator[None]:
-        """Context manager that reports a part of the imported file as left out if reading its values fails.
+        """Context manager that reports a part of the imported file as left out if its values cannot be read.
 
-        The exceptions `WRONG_VALUE` end the block and are not raised. Arguments as of `Omission`.
+        One of the exceptions `WRONG_VALUE` ends the block, and is not raised further. Arguments as of `Omission`.
         """
         try:
             yield
@@ -121,7 +121,10 @@ class ImportedDevice:
         return self._together(number, kept)
 
     def _together(self, number: int, kept: list[ImportedPoint]) -> SimulatedUnitSection:
-        """Return the imported points of one unit that are valid together; report the others and leave them out."""
+        """Return the section of one unit with those imported points that are valid together.
+
+        The others are reported.
+        """
         groups = self.groups.get(number, [])
         while True:
             data = {"unit": number, "point": [each.keys for each in kept]} | ({"group": groups} if groups else {})
@@ -158,9 +161,9 @@ class ImportedDevice:
 
 
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
-    """Return the tables (as of TOML, or mappings of YAML) in a list of an imported file, each after its position.
+    """Yield the tables in a list of an imported file (TOML tables, YAML mappings), each with its position.
 
-    Other elements are skipped; nothing is returned if ``value`` is not a list.
+    Other elements are skipped; nothing is yielded if ``value`` is no list.
     """
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
@@ -171,7 +174,7 @@ def others_of(table: Mapping[str, object], known: Collection[str]) -> list[str]:
 
 
 def _once(name: str, taken: set[str]) -> str:
-    """Return the given name if it is not among those taken, else the name with a number appended."""
+    """Return a name that is not taken yet: the given one, or else that name with a number appended."""
     if name not in taken:
         return name
     number = 2

@@ -206,7 +206,7 @@ class _Model:
 
 
 def _symbols(point: Mapping[str, Any], name: str, found: ImportedDevice) -> Iterator[tuple[str, int]]:
-    """Yield the names and numbers of a point's values or bits; of two names for one number the second is reported."""
+    """Yield name and number of each symbol of a point: a value or a bit. A second name for one number is reported."""
     seen: set[int] = set()
     for each in point.get("symbols", []):
         value = each.get("value")

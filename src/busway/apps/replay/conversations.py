@@ -23,7 +23,7 @@ MOST_CONVERSATIONS: Final = 10_000
 
 @dataclass(slots=True)
 class Troubles:
-    """All troubles of one kind in a conversation.
+    """All troubles of one kind in a conversation, such as late replies.
 
     Attributes:
         count: how many there were.

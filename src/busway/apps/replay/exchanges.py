@@ -138,9 +138,9 @@ class Exchanges:
         self._matchers: dict[int, _NetworkMatcher | _LineMatcher] = {}
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
-        """Take the next event of the capture, and yield the exchanges that it completes; often none.
+        """Process the next event of the capture, and yield the exchanges that it completes; often none.
 
-        Events are to be given in order, each iterator used up before the next event.
+        Call it for each event in order, and use up each iterator before the next event.
         """
         channel = event.channel
         matcher = self._matchers.get(channel.number)
@@ -175,7 +175,10 @@ class Exchanges:
 
 
 def _place(request: AnyRequest | None) -> str:
-    """Return the first range of items that a request touches, as the end of a sentence; empty if there is none."""
+    """Return in words the first range of items that a request touches, such as ``, 2 from 4x101 on``.
+
+    Empty for none.
+    """
     if not isinstance(request, Request):
         return ""
     return "".join(
@@ -194,7 +197,10 @@ def _decoded(asked: CapturedFrame) -> tuple[AnyRequest | None, list[Trouble]]:
 
 
 def _reply_to(request: AnyRequest | None, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
-    """Return the decoded reply and no trouble; or None and a trouble if it is malformed or does not fit the request."""
+    """Decode a reply. Returns the message, and no trouble.
+
+    If the reply is malformed or of another function, returns None and a trouble.
+    """
     try:
         reply = STANDARD.decode_reply(answered.pdu)
         if isinstance(request, Request) and not isinstance(reply, ExceptionResponse):
@@ -232,7 +238,10 @@ class _Waiting:
     lacks_bytes: bool = False
 
     def exchange(self, *more: Trouble, is_open: bool = False) -> CapturedExchange:
-        """Return the exchange of this request without a reply, with further troubles; ``is_open``: it still waits."""
+        """Return an exchange with this request, without a reply, and with further troubles.
+
+        ``is_open``: the request still waits for its reply when the capture ends.
+        """
         asked = self.asked
         troubles = (*self.troubles, *more)
         return CapturedExchange(
@@ -240,7 +249,10 @@ class _Waiting:
         )
 
     def unanswered(self, why: str = "") -> CapturedExchange:
-        """Return the exchange of this request, with the trouble that its reply did not come or was not captured."""
+        """Return an exchange with this request, and the trouble that its reply is missing.
+
+        ``why`` is added to the text.
+        """
         kind, text = TroubleKind.NO_REPLY, f"to {function_name(self.asked.pdu[0])}{_place(self.request)}{why}"
         if self.lacks_bytes:
             kind, text = TroubleKind.MISSING, f"perhaps the reply {text}"

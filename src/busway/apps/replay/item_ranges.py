@@ -29,7 +29,7 @@ class ItemRanges:
         self._ends[low:high] = [end]
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Return an iterator over the ranges in order; each is its first offset and the one after its last."""
+        """Return an iterator over the ranges in order; each is first offset, and offset after the last."""
         return zip(self._firsts, self._ends, strict=True)
 
     def __len__(self) -> int:

@@ -151,7 +151,7 @@ class RecordedDevices:
 
 
 def _host(name: str) -> str:
-    """Return a server's address without its port and without the brackets of IPv6."""
+    """Return a server's address without its port, and without the brackets of an IPv6 address."""
     return name.rpartition(":")[0].strip("[]")
 
 
@@ -214,7 +214,7 @@ class _RecordedUnit:
 
     @property
     def is_there(self) -> bool:
-        """Whether the unit itself ever answered; exceptions of a gateway (0A, 0B) do not count."""
+        """Whether the unit itself has ever answered; exceptions 0A and 0B come from a gateway and do not count."""
         return self.answered > 0 or any(code not in _NOT_THERE for codes in self.refusals.values() for code in codes)
 
     def add(self, exchange: CapturedExchange) -> None:
@@ -337,7 +337,7 @@ class _RecordedUnit:
     def faults(self, *, delays: bool) -> Iterator[dict[str, Any]]:  # what TOML has
         """Yield the ``[[fault]]`` sections that make the simulated unit refuse what the unit refused.
 
-        With ``delays`` one more, which delays its replies by the median response time.
+        With ``delays`` it yields one more, which delays the replies by the unit's median response time.
         """
         wanted: dict[tuple[int, int], dict[Table, ItemRanges]] = {}
         for function, code, spans in self._unlike():
@@ -360,9 +360,9 @@ class _RecordedUnit:
             yield {"name": name, "fault_profile": "late", "units": self.number, "parameters": {"delay": delay}}
 
     def _unlike(self) -> Iterator[tuple[int, int, list[Span]]]:
-        """Yield the refusals that need a fault, because the items of the file alone do not cause them.
+        """Yield the exceptions that do not follow from the simulated unit's items and functions: they need a fault.
 
-        Each is the function, the exception code, and the refused items that the function never returned.
+        Each is the function, the exception code, and those of the refused items that the function never read or wrote.
         """
         missing = self._missing_functions()
         for (function, spans), codes in self.refusals.items():
@@ -379,7 +379,7 @@ class _RecordedUnit:
         return all(offset in self._first[span.table] for offset in range(span.address, span.address + span.count))
 
     def _never_given(self, function: int, span: Span) -> Iterator[Span]:
-        """Yield the parts of a refused range that this function returned or wrote in no other request."""
+        """Yield the parts of a refused range that this function has not read or written in any other request."""
         at, end = span.address, span.address + span.count
         for first, behind in self._given.get(function, {}).get(span.table, ()):
             if at < first < end:

@@ -26,8 +26,8 @@ class AccessInForce:
 
     Attributes:
         rules: the access rules in force; None without a policy.
-        allow_list: the addresses that may connect, for all listeners; a listener may have a list of its own beside.
-        is_guarded: whether the server has a policy at all, so that one can be replaced; set by `guard`.
+        allow_list: the addresses that may connect to any listener; a listener may have a further list of its own.
+        is_guarded: whether the server has a policy at all, so that it can be replaced; set by `guard`.
         read_only: URLs of the listeners that are read-only because there is no policy; known once they are bound.
     """
 
@@ -58,7 +58,7 @@ class AccessInForce:
         return self.cautious_policy(self.rules)
 
     def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
-        """Return a policy that is safe before it is known which listeners the network reaches: it assumes all.
+        """Return a policy for the time before the listeners are bound: all are taken for reachable by other hosts.
 
         Args:
             rules: the access rules; None: listeners are read-only, unless writes were allowed on the command line.
@@ -69,9 +69,9 @@ class AccessInForce:
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
-        """Give a running server, whose listeners are bound, the policy of new access rules; other rules end.
+        """Give a running server, whose listeners are bound, the policy of other access rules.
 
-        ``rules`` None: there is no policy, and listeners that the network reaches become read-only (rule 1).
+        With ``rules`` None there is no policy, and listeners that other hosts can reach become read-only (rule 1).
         """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]
@@ -79,7 +79,7 @@ class AccessInForce:
         server.replace_policy(self._policy(rules, exposed))
 
     def replace_lists(self, new: DeclaredServer, rules: AccessRules | None) -> bool:
-        """Replace all address lists by those of a new configuration; open connections are not ended.
+        """Replace all address lists by the lists of a new configuration; open connections are not ended.
 
         Args:
             new: the new configuration, with the lists of single listeners.
@@ -114,9 +114,10 @@ class AccessInForce:
         return found
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
-        """Return the policy of the access rules; without rules, one that makes the ``exposed`` listeners read-only.
+        """Return the policy of the access rules; without rules, one that makes some listeners read-only.
 
-        ``exposed`` has their URLs, or beginnings of URLs. If the command line allows writes, none is read-only.
+        ``exposed`` has the URLs of these listeners, or beginnings of URLs. If the command line allows writes, no
+        listener is read-only.
         """
         if rules is not None:
             return rules.policy

@@ -59,7 +59,7 @@ class Configuration:
         control: path or address of the control socket; None for the default one.
         links: the links by name.
         warnings: warnings about the file, each with file, line and key.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
         at_once: sections whose changes a reload applies without a restart.
     """
 
@@ -85,8 +85,8 @@ class Configuration:
         those that it wants.
 
         Args:
-            listen: endpoints, or `Listener`s, instead of those of the file.
-            options: options of `busway.serve`, instead of those of the file.
+            listen: endpoints, or `Listener`s, instead of the file's.
+            options: options of `busway.serve`, instead of the file's.
 
         Raises:
             ConfigError: an endpoint or option is invalid, or the file has no unit.
@@ -109,7 +109,10 @@ class Configuration:
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """Return options of the file for `busway.serve`: those of ``[server]``, and TLS; not its policy and units."""
+        """Return options of the file for `busway.serve`: TLS and the options of ``[server]``.
+
+        Its policy and units are not included.
+        """
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
 
@@ -181,7 +184,7 @@ def load_configuration(
         path: the file, in TOML. Every device file is such a file.
         preflight: whether the files that it names, such as certificates, are opened too, so that what is wrong with
             them is reported now and not later.
-        changes: options of listeners that replace those of the file.
+        changes: options of listeners that replace the file's.
 
     Raises:
         FileError: the file is wrong; ``problems`` has all errors, each with file, line and key.
@@ -214,7 +217,7 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """Return the error for an invalid file; for a simulation file only one that names the command that reads it."""
+    """Return the error about an invalid file; for a simulation file, one that names the command to use instead."""
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -235,15 +238,15 @@ def put_together(
 ) -> Configuration:
     """Build the configuration of a file whose sections were checked one by one; errors go to a report, none is raised.
 
-    The result may be used only after `ConfigurationReport.end`, which raises the errors. Its warnings are those of the
-    report, and not set here.
+    The result may be used only after `ConfigurationReport.end`, which raises the errors. Its ``warnings`` are not set
+    here: the report has them.
 
     Args:
         file: the sections of the file.
         name: path of the file; paths in it are relative to its folder.
         report: collects errors and warnings.
         preflight, changes: as of `load_configuration`.
-        link_defaults: defaults of the options of links that differ from those of `busway.open`.
+        link_defaults: options of links whose defaults differ from the defaults of `busway.open`.
     """
     makers = _Makers(file, name, report, changes or {})
     limits = makers.limits()
@@ -278,7 +281,10 @@ def _control(file: SystemFile, name: str) -> str | None:
 
 
 class _Makers:
-    """Creates the listeners of a file; options of a single listener replace the general ones. Errors go to a report."""
+    """Builds the listeners of a file from its sections; invalid options are reported.
+
+    Options of a single listener override those of ``[server]`` and ``[security]``.
+    """
 
     def __init__(self, file: SystemFile, name: str, report: ConfigurationReport, changes: Mapping[str, Any]) -> None:
         self._file = file

@@ -33,7 +33,7 @@ class RunningServer(Protocol):
         """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer that is told of each request; to be called before the start."""
+        """Register an observer that is called for each request; to be called before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
         """Use another access policy from the next request on; open connections stay."""
@@ -88,8 +88,8 @@ class DeclaredServer(Protocol):
         """Create the server that the configuration declares; it is not started yet.
 
         Args:
-            listen: endpoints or listeners instead of those of the file.
-            options: options of `busway.serve`, instead of those of the file.
+            listen: endpoints or listeners instead of the file's.
+            options: options of `busway.serve`, instead of the file's.
         """
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:

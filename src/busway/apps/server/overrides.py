@@ -21,13 +21,13 @@ class Overrides:
     """Command-line options that replace parts of a configuration; the defaults leave everything to the file.
 
     Attributes:
-        listen: endpoints instead of those of the file; empty for those of the file.
+        listen: endpoints instead of the file's; empty to use the file's.
         rules: returns the access rules for a configuration; called again at each reload.
         addresses: a further list of who may connect, beside that of the file; None for none.
         allow_writes: whether, without a policy, listeners that the network reaches accept writes.
-        audit: path of the audit log; None for that of the file.
-        metrics: host and port on which the metrics are offered; None for those of the file.
-        control: path or address of the control socket, or ``off``; None for that of the file.
+        audit: path of the audit log; None to use the file's.
+        metrics: host and port on which the metrics are offered; None to use the file's.
+        control: path or address of the control socket, or ``off``; None to use the file's.
         standard_port: whether the server listens on port 502 beside other ports; None leaves it to the file.
         can_reload: whether the service can be reloaded, because there are files to be read again.
         name: name of the program in its status, to tell several programs apart.

@@ -79,7 +79,7 @@ class Reload:
         return done
 
     def exclude_rules_from_gc(self) -> None:
-        """Exclude the access rules from garbage collection if there are very many, because each run would visit all."""
+        """Exclude very many access rules from garbage collection, because each collection would visit them all."""
         rules = self._access.rules
         if rules is not None and len(rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
@@ -130,7 +130,7 @@ class ReloadedConfiguration:
     Attributes:
         configuration: the configuration that was read.
         rules: the access rules that were read; None without a policy.
-        are_other_rules: whether these differ from the rules in force.
+        are_other_rules: whether they differ from the rules in force.
         later: names of changed sections that take effect only at the next start.
         before: the rules of the policy in force.
     """

@@ -29,7 +29,7 @@ class Service:
 
     Attributes:
         configuration: the configuration with which the service was started.
-        server: the server; there once the block was entered.
+        server: the server; set when the ``async with`` block is entered.
         metrics: URL of the metrics; empty if none are offered.
 
     Raises:

@@ -25,7 +25,7 @@ def fault_problems(
 ) -> list[ConfigError]:
     """Return the errors in ``[[fault]]`` sections that the schema of the file cannot find, each with line and key.
 
-    These are unknown fault profiles, invalid parameters, and names that stand twice.
+    These are unknown fault profiles, invalid parameters, and names that are used twice.
 
     Args:
         sections: all sections ``fault`` of the file, in order.
@@ -69,7 +69,7 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
         sections: the sections.
 
     Raises:
-        ConfigError: a fault is invalid; `fault_problems` finds these errors before.
+        ConfigError: a fault is invalid; `fault_problems` reports these errors beforehand.
     """
     ordered = list(sections)
     named = [one.name for one in ordered if one.name]
@@ -151,9 +151,9 @@ def why_it_never_strikes(status: FaultStatus, endpoints: Iterable[str], units: C
 
 
 def fault_details(status: FaultStatus) -> str:
-    """Return the parameters of a fault and what it is limited to, in the words of ``--fault``: ``delay=2, from=14``.
+    """Return a fault's parameters and its limits as ``--fault`` takes them: ``delay=2, from=14``.
 
-    Parameters without a value are left out; so are limits that a fault does not have. Items are not shown.
+    Left out are parameters without a value, limits that the fault does not have, and item ranges.
     """
     selection, schedule = status.selection, status.selection.schedule
     told: dict[str, object] = {name: value for name, value in status.parameters.items() if value is not None}
@@ -172,7 +172,7 @@ def fault_details(status: FaultStatus) -> str:
 
 
 def _runs(numbers: Collection[int]) -> str:
-    """Return numbers in their order, consecutive ones as a range: ``1-3+7``."""
+    """Return numbers as text, with consecutive ones as a range: ``1-3+7``."""
     runs: list[list[int]] = []
     for one in sorted(numbers):
         if runs and one == runs[-1][1] + 1:

@@ -88,7 +88,7 @@ def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reade
 
 @dataclass(frozen=True, slots=True)
 class _Plan:
-    """The parts of a point's behaviour that all units built from the same section of a file share.
+    """The parts of a point's behaviour that are the same for all units built from one section of a file.
 
     Attributes:
         section: the behaviour's section in the file.
@@ -104,7 +104,7 @@ class _Plan:
 
 
 def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
-    """Return the shared parts of behaviours, by ``id()`` of the section that declares the point.
+    """Return the shared parts of each declared behaviour, by ``id()`` of the section of its point.
 
     Raises:
         FileError: expressions or recordings are invalid, with all problems.
@@ -160,7 +160,7 @@ def _plan(
 def _needed(
     units: Mapping[int, SimulatedUnit], planned: Mapping[SimulatedPoint, _Plan]
 ) -> dict[SimulatedPoint, list[SimulatedPoint]]:
-    """Return by point with a formula the points whose values the formula needs at the same moment.
+    """For each point with a formula, return the points whose values the formula needs at the same moment.
 
     Raises:
         FileError: an expression names a point that does not exist or is no number, with all problems.
@@ -217,9 +217,9 @@ def _is_number(section: SimulatedPointSection) -> bool:
 def _in_order(
     planned: Mapping[SimulatedPoint, _Plan], needed: Mapping[SimulatedPoint, Sequence[SimulatedPoint]]
 ) -> dict[SimulatedPoint, int]:
-    """Return the points in an order in which each comes after those that its formula needs, with the rank of each.
+    """Return the points with behaviours in an order in which formulas can be computed, each with its rank.
 
-    The rank is how often values pass from one unit to another before the formula can be computed (`Driven.rank`).
+    The rank says how many changes of unit there are on the way of values to the point's formula (`Driven.rank`).
 
     Args:
         planned: the points with behaviours.
@@ -250,7 +250,7 @@ def _in_order(
 
 
 def _spans(points: Sequence[SimulatedPoint]) -> bool:
-    """Whether points are in different units."""
+    """Whether the points are in more than one unit."""
     return len({point.unit for point in points}) > 1
 
 

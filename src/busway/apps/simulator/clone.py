@@ -4,13 +4,14 @@ Knows how a device is read and what is made of it; knows no connection, no file 
 to the device.
 
 1. With a register map each of its points is read once, and the file has the points with the values that were read.
-2. Without one the tables are read in blocks. A block that is refused is divided until what is there and what is not
-   is known item by item; where a whole block is refused, single items in it are tried first (`STRIDE`), so that empty
-   tables cost little. ``thorough`` divides every block.
+2. Without one the tables are read in blocks. A block that is refused is divided until it is known of each item whether
+   it exists. If a whole block is refused, single items in it are tried first (`STRIDE`), so that empty tables cost
+   little. ``thorough`` divides every block.
 3. A value is kept in its unit of measure if writing it gives the same registers again, and as registers otherwise:
    the clone answers what the device did.
-4. Where a device is watched for a while, numbers that changed get a behaviour: what only grew in whole steps counts at
-   the rate that was seen, everything else walks within the range that was seen. Bits and numbers with names stay.
+4. If a device is watched for a while, numbers that changed get a behaviour: a whole number that only grew becomes a
+   counter with the observed rate, any other number a random walk within the observed range. Bits and numbers with names
+   stay constant.
 5. A point that the device refuses is left out, and a remark says so. A device that does not answer ends the cloning;
    the error names the point or range that was asked for.
 """
@@ -153,8 +154,8 @@ def watch_points(
     Args:
         unit: the unit of the live device.
         clone: the clone, just made by `clone_points`.
-        moments: times of the reads in seconds since `clone_points`, ascending. The iterable must wait until each time:
-            the next is taken as soon as the reads for the one before have ended.
+        moments: times of the reads in seconds since `clone_points`, ascending. The iterable itself waits for each time
+            before it yields it.
         progress: called with a line of text about the progress, now and then.
 
     Raises:
@@ -247,7 +248,10 @@ class _Recorder:
         self._named: set[tuple[Table, int, int]] = set()
 
     def record(self, point: SimulatedPointSection, remarks: list[str]) -> list[SimulatedPointSection]:
-        """Return the point with its current value; if that is invalid in its type, one point for each register."""
+        """Read a point and return it with the value that was read.
+
+        If its registers hold no valid value of its type, a point for each register is returned, and a remark is added.
+        """
         place, form = point.place, point.form
         if form is None:
             return [_with(point, value=self._bit(place))]
@@ -279,7 +283,7 @@ class _Recorder:
 
 
 def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> SimulatedPointSection:
-    """Return a point with the value of its registers, its range and enumeration extended to include that value.
+    """Return a point with the value that its registers hold; its range and its names are extended to allow that value.
 
     Args:
         point: the point.
@@ -287,7 +291,7 @@ def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> 
         data: the content of its registers.
 
     Raises:
-        BadReply: the registers are invalid in the type.
+        BadReply: the registers hold no valid value of the type.
         InvalidRequest: the value is invalid for the point, or writing it would give other registers.
     """
     (raw,) = form.decode(data)
@@ -320,7 +324,7 @@ def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
 
 
 def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
-    """Return a point for one register of a point whose value cannot be kept in its type.
+    """Return a point of type ``uint16`` for one register of a point whose own value is not valid in its type.
 
     Args:
         point: that point.
@@ -372,7 +376,10 @@ class _Scanner:
             self._divide(first, count, found)
 
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
-        """Read into ``found`` the items that exist in a range that the device has refused as a whole."""
+        """Read into ``found`` the existing items of a range that the device has refused as a whole.
+
+        The range is halved, and refused halves are halved again.
+        """
         if count == 1:
             return
         half = count // 2
@@ -432,7 +439,7 @@ def _objects(unit: BlockingUnit) -> dict[int, bytes]:
 
 
 def _offered(ask: Callable[[], Answer]) -> Answer | None:
-    """Return the live device's reply to a request; None if the device refuses it or its reply is invalid.
+    """Return what ``ask`` returns; None if the device refuses the request or its reply is invalid.
 
     Args:
         ask: sends the request and returns the reply.

@@ -69,7 +69,7 @@ def _key_lines(key: str, value: Any) -> list[str]:
 
 
 def _decided(section: BaseModel) -> dict[str, Any]:  # Any: what TOML has
-    """Return the keys of a section that were set explicitly, as they are in a file."""
+    """Return the keys of a section that were set explicitly, with their values as a file has them."""
     return {
         field.alias or name: _plain(name, getattr(section, name))
         for name, field in type(section).model_fields.items()
@@ -129,7 +129,7 @@ def written(value: Any) -> str:
 
 
 def _visible(text: str) -> str:
-    """Return a quoted TOML string with all invisible characters escaped: names of devices can contain any."""
+    """Return a quoted TOML string with all invisible characters escaped; names read from devices may contain any."""
     if text.isprintable():
         return text
     return "".join(each if each.isprintable() else f"\\U{ord(each):08X}" for each in text)

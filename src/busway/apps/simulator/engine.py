@@ -3,8 +3,8 @@
 Knows points, behaviours and the memory of devices; knows no clock: times are seconds of the simulation, handed in.
 
 1. A point changes at whole multiples of its ``every``, computed as such: no step is late because one before it was.
-2. At one moment a formula is computed after the points that it needs, in whatever units they are. What observes others
-   over time (`Observer`) sees them after that.
+2. At one moment a formula is computed after the points that it needs, in whatever units they are. Behaviours that
+   observe other points over time (`Observer`) read them after that.
 3. The points of a unit that change at one moment become visible together.
 4. A point that was set by hand stays as it is until it is released.
 5. After each unit the engine asks its caller whether to stop for now, so that requests are answered meanwhile.
@@ -34,8 +34,8 @@ class Driven:
         point: the point.
         behaviour: the behaviour that the point follows.
         every: seconds between two changes.
-        rank: how often values pass from one unit to another before the point's formula can be computed; 0 if it needs
-            no point of another unit. Lower ranks are computed first.
+        rank: how often a value must pass to a formula of another unit before this point's formula can be computed; 0
+            without such a formula. Lower ranks are computed first.
         order: position among all points, after those that the point's formula needs.
     """
 
@@ -48,7 +48,7 @@ class Driven:
 
 @dataclass(slots=True, eq=False)
 class _Group:
-    """Points of one unit that change at the same moments, or whose behaviours observe other points at them.
+    """Points of one unit that are handled at the same moments: to get new values, or to observe other points.
 
     Attributes:
         device: the device that has the points.
@@ -72,7 +72,7 @@ class _Release:
 
     Attributes:
         point: the point.
-        held: number of the setting that ends; without effect if the point was set once more since.
+        held: number of the setting by hand that ends; if the point was set again since, the entry has no effect.
     """
 
     point: SimulatedPoint
@@ -80,7 +80,7 @@ class _Release:
 
 
 class _Batch:
-    """The points of one unit that change at the same moment, with memory and encoders looked up, for speed.
+    """The points of one unit that change at the same moment; what is needed to write them is looked up once, for speed.
 
     Args:
         groups: the groups of points, all of one unit.
@@ -179,9 +179,9 @@ class Engine:
         return point in self._driven
 
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
-        """Return the value from which a point's behaviour would continue after a restart, as of its last moment.
+        """Return the value from which a point's behaviour would continue after a restart.
 
-        None if the point has no behaviour, or one that keeps no state.
+        None if the point has no behaviour, or one whose value follows from the time alone.
 
         Args:
             point: the point.
@@ -225,7 +225,10 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Leave out moments that were missed until a time, if there are any; each point continues with its last one."""
+        """Skip the moments before ``until`` that were missed.
+
+        Each group of points goes on with the last of its moments.
+        """
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
             return
@@ -262,7 +265,7 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Keep a point at the value that was set by hand until `release`, or for ``resume_after`` seconds if set.
+        """Keep a point at a value that was set by hand, until `release` or, if set, for ``resume_after`` seconds.
 
         The behaviour continues from this value if it depends on its last one. Does nothing for a point without a
         behaviour. From any thread.
@@ -304,7 +307,7 @@ class Engine:
 
         Args:
             time: seconds of the simulation.
-            kept: by key of the point, the saved state of its behaviour.
+            kept: the saved state of each behaviour, by the key of its point.
         """
         self._heap, old = [], self._heap
         for _, rank, unit, _, task in old:
@@ -329,18 +332,18 @@ _ROUNDING: Final = 1e-9
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
-    """Let a behaviour continue from the current value of its point, if that is a finite number."""
+    """Let a behaviour continue from the current value of its point, if that value is a finite number."""
     if math.isfinite(point.number):
         behaviour.resume(time, point.number)
 
 
 def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
-    """Whether a behaviour takes over values of other points after each moment (`Observer`)."""
+    """Whether a behaviour reads and remembers values of other points after each moment (`Observer`)."""
     return hasattr(behaviour, "observe")
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """Return the groups of points, each of one unit, period and rank, with its rank.
+    """Return the points in groups, each with its rank; the points of a group have the same unit, period and rank.
 
     Points whose behaviours observe others are also in groups of the rank `_LAST`.
     """

@@ -15,12 +15,12 @@ from ...faults.switchboard import FaultSwitchboard
 
 
 async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault, bool], object]) -> None:
-    """Call ``tell`` with each scheduled fault that begins (True) or ends (False); runs until it is cancelled.
+    """Call ``tell`` whenever a scheduled fault begins (with True) or ends (with False), until cancelled.
 
-    A fault that is active at once is told too.
+    A fault that is active already is reported at once.
 
     Args:
-        board: the faults; those that are added or switched later are told as well.
+        board: the faults, also those that are added or switched later.
         tell: called in the event loop.
     """
     loop = asyncio.get_running_loop()

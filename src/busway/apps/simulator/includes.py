@@ -97,7 +97,7 @@ def load_declaration(
 
     Args:
         path: path of the file, in TOML. Every device file and every configuration file is a simulation file too.
-        changes: options of listeners, by name, that override those of the file.
+        changes: options of listeners, by name, that override the file's.
 
     Raises:
         ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
@@ -115,7 +115,7 @@ def parse_declaration(
     Args:
         text: content of the file.
         name: name of the file, for errors; paths in the text are relative to its folder.
-        changes: options of listeners, by name, that override those of the file.
+        changes: options of listeners, by name, that override the file's.
         read: returns the text of an included file by its path.
 
     Raises:
@@ -156,7 +156,7 @@ class _Count:
 
 
 class _Including:
-    """Collects the units of the files that one file includes.
+    """Resolves the ``[[include]]`` sections of one file: makes the units that they add.
 
     Args:
         read: returns the text of a file by its path.
@@ -209,7 +209,7 @@ class _Including:
             raise FileError([_included(each, name, f"{parent.name}:{line}") for each in error.problems]) from None
 
     def _whole(self, source: Source, parameters: Mapping[str, Parameter], identity: str) -> Iterator[DeclaredUnit]:
-        """Yield all units of an included file with their own numbers, and those of the files that it includes.
+        """Yield all units of an included file with their own numbers, and the units of files that it includes.
 
         Args:
             source: the file.
@@ -227,13 +227,16 @@ class _Including:
     def _several(
         self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
     ) -> Iterator[DeclaredUnit]:
-        """Yield units made from a file's single ``[[unit]]`` section: one for each number, or one for all if alike.
+        """Yield the units that an include with ``units`` makes from its file's single ``[[unit]]`` section.
+
+        There is one for each number, or a single one with all numbers if the section does not depend on ``unit`` or
+        ``index``.
 
         Args:
             source: the file.
             parameters: the parameters for it.
             numbers: the numbers of the units.
-            asked: file and path of the key that asks for these numbers, for errors.
+            asked: file and path of the key ``units``, for errors.
         """
         sections = source.data.get("unit")
         if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
@@ -257,7 +260,7 @@ def _checked_unit(source: Source, index: int) -> DeclaredUnit:
 
 
 def _included(error: ConfigError, name: str, where: str) -> ConfigError:
-    """Return an error of an included file with the including file added; an error of another file unchanged.
+    """Return an error of an included file with a note which file includes it; an error of another file unchanged.
 
     Args:
         error: the error.

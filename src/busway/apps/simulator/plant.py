@@ -174,7 +174,7 @@ def _step(state: PlantState, controls: Controls, seconds: float) -> PlantState:
 def _pumps(state: PlantState, controls: Controls) -> bool:
     """Whether the pump runs from now on: it starts `BAND` below the target level, and stops `BAND` above it.
 
-    Between the two it goes on as before. It never runs while it is not enabled.
+    Between the two levels it stays on or off as it was. It never runs while it is not enabled.
     """
     if not controls.pump_enabled or state.level >= controls.target + BAND:
         return False

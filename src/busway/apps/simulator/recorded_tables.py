@@ -36,14 +36,14 @@ def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # A
 
 
 def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
-    """Yield the items in runs without a gap: the first offset and the values of each."""
+    """Yield the items in groups of consecutive offsets: the first offset, and the values."""
     for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
         offsets = [offset for _, offset in group]
         yield offsets[0], [items[offset] for offset in offsets]
 
 
 def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
-    """Return the keys that declare a table of items without a gap; values of zero at the end are left out.
+    """Return the keys that declare a table with consecutive items; trailing zeros are left out of the values.
 
     Args:
         table: the table.

@@ -114,13 +114,14 @@ def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSectio
 
 
 def read_what_fits(path: str) -> tuple[list[tuple[int, dict[str, Any]]], list[ConfigError]]:
-    """Read those rows of a CSV file that can be read as keys of points, whatever else stands in it.
+    """Read those rows of a CSV file that can be read as keys of points, and report the rest.
 
     Args:
-        path: the file. Columns that there are not are left out of all rows.
+        path: the file. Unknown columns are left out of all rows.
 
     Returns:
-        Each row's line and keys, not yet checked; and what could not be read, each with line and column.
+        For each row its line number and its keys, not yet checked; and what could not be read, each with line and
+        column.
 
     Raises:
         FileError: the columns for name and address are missing, or doubled, each with file and line.
@@ -198,7 +199,7 @@ class _Row:
 
     Attributes:
         line: number of its line in the file.
-        cells: by name of the column, the cells that are not empty.
+        cells: the cells that are not empty, by name of the column.
         decimal_comma: whether numbers may have a decimal comma, as commas do not separate cells.
     """
 
@@ -314,16 +315,19 @@ def _known_in(header: str, delimiter: str) -> int:
 
 
 def _column_of(key: str | None) -> str | None:
-    """Return the column of a register map for the path of a point's key: ``point[3].unit_of_measure`` → ``unit``.
+    """Return the register map column for the path of a point's key: ``point[3].unit_of_measure`` → ``unit``.
 
-    It is the name of the key itself if no column stands for it, None without a key.
+    The name of the key itself if no column gives it; None without a key.
     """
     last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
     return _NAME_OF_KEY.get(last, last or None)
 
 
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
-    """Return the keys of a point that a row of a register map gives, and column and sentence of each error in it."""
+    """Return the keys for a `SimulatedPointSection` that a row of a register map gives, and the errors in the row.
+
+    Each error is a column and a message.
+    """
     cells = row.cells
     keys: dict[str, Any] = {}
     faults = [(needed, "is empty") for needed in ("name", "address") if needed not in cells]
@@ -396,7 +400,7 @@ def _access(text: str) -> str:
 
 
 def _enumeration(text: str) -> dict[str, int]:
-    """Return by name the numbers in a cell of a register map such as ``0=off | 1=on``.
+    """Return the names and numbers in a cell such as ``0=off | 1=on``, as a dictionary from name to number.
 
     Raises:
         ValueError: the cell is written otherwise, or has a name twice.

@@ -228,7 +228,7 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
 def largest_of(form: PointForm) -> float | None:
     """Return the value at which a counter in this point starts from 0 again; None for bits and floats.
 
-    This is ``rollover`` of the point if that is a number, or the first value that the registers cannot hold.
+    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers.
     """
     if form.form is None or form.form.name.startswith("float"):
         return None

@@ -243,7 +243,7 @@ class PointChanged:
 
     Attributes:
         point: the point.
-        value: the new value, in the unit of measure; that of a float may be more exact than its registers.
+        value: the new value, in the unit of measure. A float may be more exact here than in the point's registers.
         at: when the value changed, in seconds of the simulation.
         who: the writer: ``simulation``, ``api``, or the address of a Modbus client.
     """

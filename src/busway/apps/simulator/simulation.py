@@ -83,7 +83,7 @@ class Simulation:
     Args:
         file: path of a simulation file; or the result of `busway.apps.simulator.includes.parse_declaration`.
         clock: the clock; None for that of the event loop, from the moment on that the simulation runs in one.
-        seed: seed of all random numbers; None for that of the file, which is 0 if it says nothing.
+        seed: seed of all random numbers; None to use the file's, which is 0 if it says nothing.
         speed: seconds of the simulation in one second of the clock, above 0.
 
     Raises:
@@ -151,7 +151,7 @@ class Simulation:
 
     @property
     def left_out(self) -> int:
-        """The number of moments at which points should have changed but did not, because the program was too slow."""
+        """The number of moments that were skipped because the program was too slow; points did not change then."""
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:
@@ -273,7 +273,10 @@ class Simulation:
             self._arm()
 
     def _count_from_here(self) -> None:
-        """Measure simulated time from this moment on; without a clock, from the next `tick`."""
+        """Restart the measurement of simulated time at this moment, after a pause or a change of speed.
+
+        Without a clock, it restarts at the next `tick`.
+        """
         if self._clock is None:
             self._origin = None
         elif self._origin is not None:
@@ -323,8 +326,8 @@ class Simulation:
         """Create a server for the units, with the faults and observers of the simulation; it is not started yet.
 
         Args:
-            listen: URLs or listeners instead of those of the file.
-            options: options of `busway.serve`, instead of those of the file.
+            listen: URLs or listeners instead of the file's.
+            options: options of `busway.serve`, instead of the file's.
 
         Raises:
             ConfigError: an invalid option.
@@ -366,7 +369,7 @@ class Simulation:
         To be used as ``async with simulation.running("tcp://127.0.0.1:0"): …``.
 
         Args:
-            listen: URLs to listen on, instead of those of the file.
+            listen: URLs to listen on, instead of the file's.
 
         Raises:
             ConfigError: a listener cannot be used as configured.
@@ -416,7 +419,7 @@ class Simulation:
             self.keep()
 
     def _arm(self) -> None:
-        """Set the timer to the time at which the next points change."""
+        """Set the timer to the time at which the next points change, if there are any."""
         clock, deadline = self._clock, self.deadline()
         if self._timer is not None:
             self._timer.cancel()
@@ -454,7 +457,7 @@ class Simulation:
         self._tell(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
-        """Hold points at the values that they were set to, and return the changes for the watchers; empty without any.
+        """Hold points at values that were just set, and return the changes for the functions of `watch`.
 
         Args:
             points: points whose registers have their new value.
@@ -489,7 +492,7 @@ class Simulation:
     # ---- values over restarts
 
     def _begin(self) -> None:
-        """Give all points their first values, or those of the saved state if the file names one and there is one."""
+        """Give all points their first values; if the file names a saved state and there is one, the saved values."""
         path = self.declaration.state
         kept = None
         if path is not None:
@@ -525,7 +528,7 @@ class Simulation:
             self._engine.hold(point, self._time)
 
     def keep(self) -> None:
-        """Save the state of the simulation now, if its file names a place for that. Failures are logged."""
+        """Save the state of the simulation now, if its file names a file for that (``keep``). Failures are logged."""
         if self.declaration.state is not None:
             self._save(self.declaration.state, self._snapshot())
 

@@ -103,7 +103,7 @@ def load_state(path: str) -> KeptState | None:
 
 
 def _put_aside(place: str) -> str:
-    """Rename an invalid state file, and return for a message where its values are now."""
+    """Rename an invalid state file to ``NAME.broken``, and return in words, for a message, where the values are now."""
     aside = f"{place}{ASIDE}"
     try:
         os.replace(place, check_state(aside))

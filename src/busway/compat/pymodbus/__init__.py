@@ -14,8 +14,8 @@
 `server`      The servers, each a server of busway whose responder asks the contexts for values
 ============  ======================================================================================================
 
-``from busway.compat.pymodbus.client import ModbusTcpClient``, or ``busway.compat.install("pymodbus")`` before a library
-that imports pymodbus is imported.
+Use it by ``from busway.compat.pymodbus.client import ModbusTcpClient``; or by ``busway.compat.install("pymodbus")``,
+called before a library that imports pymodbus is imported.
 
 Where it is decided: what an error of busway becomes: `exceptions` and `client`. Which message a request means: `pdu`.
 Which module a program gets for a name: `aliases`. What a request reads and writes in a context: `server`.
@@ -41,11 +41,11 @@ __all__ = [
 
 
 def pymodbus_apply_logging_config(level: str | int = "DEBUG", log_file_name: str | None = None) -> None:
-    """Do nothing: the loggers of busway obey the configuration of the program."""
+    """Do nothing: the loggers of busway follow the logging configuration of the program."""
 
 
 def serve_as(name: str) -> None:
-    """Let imports below the name ``name``, such as ``pymodbus.client``, find the modules of this package."""
+    """Make imports below ``name`` find the modules of this package: with ``pymodbus``, ``import pymodbus.client``."""
     serve_below(name)
 
 

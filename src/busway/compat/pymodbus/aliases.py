@@ -1,7 +1,9 @@
-"""The names of pymodbus' modules in all its releases, and which module here has what each of them had.
+"""The names of pymodbus' modules in all its releases, and which module of this package has their contents.
 
-1. A name of `OWN` gives the module of this package; another name a module with the attributes of those in `HOMES`.
-2. Names are served below this package, and after `serve_as` below ``pymodbus`` too, where they are the same objects.
+1. A name in `OWN` gives the module of this package with that name. A name in `HOMES` gives a module with the attributes
+   of the modules listed there.
+2. All these names can be imported below this package, and after `serve_as` below ``pymodbus`` too; both give the same
+   objects.
 """
 
 import sys
@@ -48,10 +50,10 @@ PACKAGES = frozenset(name.partition(".")[0] for name in HOMES if "." in name)
 
 
 class AliasFinder(MetaPathFinder, Loader):
-    """Finder and loader of Python's import system: it finds pymodbus' modules below one name.
+    """Finder and loader for Python's import system: finds pymodbus' modules below one package name.
 
     Args:
-        root: the name, such as ``pymodbus``.
+        root: the package name, such as ``pymodbus``.
     """
 
     def __init__(self, root: str) -> None:
@@ -60,7 +62,10 @@ class AliasFinder(MetaPathFinder, Loader):
     def find_spec(
         self, fullname: str, path: Sequence[str] | None = None, target: ModuleType | None = None
     ) -> ModuleSpec | None:
-        """Return the specification of a module of pymodbus below ``root``; None for others. Called by ``import``."""
+        """Return the import specification of a pymodbus module below ``root``; None for other names.
+
+        Called by ``import``.
+        """
         root, _, name = fullname.partition(f"{self.root}.")
         if root or not name or name not in OWN | HOMES.keys() or (name in OWN and self.root == HERE):
             return None
@@ -70,7 +75,10 @@ class AliasFinder(MetaPathFinder, Loader):
         """Return None, so that the import system creates the module."""
 
     def exec_module(self, module: ModuleType) -> None:
-        """Replace a module by one of this package, or fill it with attributes of others. Called by ``import``."""
+        """Fill a module of pymodbus that is being imported, from modules of this package. Called by ``import``.
+
+        A name in `OWN` gives the module of this package itself; a name in `HOMES` gets copies of attributes.
+        """
         name = module.__name__.removeprefix(f"{self.root}.")
         if name in OWN:
             sys.modules[module.__name__] = import_module(f"{HERE}.{name}")
@@ -81,6 +89,6 @@ class AliasFinder(MetaPathFinder, Loader):
 
 
 def serve_below(root: str) -> None:
-    """Let imports below the name ``root`` find pymodbus' modules; a second call does nothing."""
+    """Make imports below the package name ``root`` find pymodbus' modules; a second call does nothing."""
     if not any(isinstance(finder, AliasFinder) and finder.root == root for finder in sys.meta_path):
         sys.meta_path.append(AliasFinder(root)) if root == HERE else sys.meta_path.insert(0, AliasFinder(root))

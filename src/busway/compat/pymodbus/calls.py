@@ -59,8 +59,9 @@ class RegisterDataType(enum.Enum):
 class ModbusClientMixin:
     """The calls of all clients. Each returns what ``execute`` returns: a response, or an awaitable of one.
 
-    Arguments of all calls: ``device_id`` (or ``slave``, ``unit``) is the unit, 0…255; ``no_response_expected`` says
-    that silence is no error. Addresses are 0-based. A refusal of the device is a response whose ``isError()`` is True.
+    Arguments of all calls: ``device_id`` (or ``slave``, ``unit``) is the unit, 0…255; ``no_response_expected`` means
+    that a missing reply is no error. Addresses are 0-based. If the device refuses a request, the response's
+    ``isError()`` is True.
     """
 
     DATATYPE: type[RegisterDataType] = RegisterDataType
@@ -69,7 +70,7 @@ class ModbusClientMixin:
         """Send a request, and return the response or an awaitable of it; clients define it.
 
         Args:
-            no_response_expected: whether silence is no error; None is returned then, in place of the response.
+            no_response_expected: whether a missing reply is no error; then None is returned instead of the response.
             request: a request of `pdu`, or one of a class of the program itself.
         """
         raise NotImplementedError
@@ -263,7 +264,7 @@ class ModbusClientMixin:
 
 
 def checked(data_type: RegisterDataType) -> tuple[str, int]:
-    """Return the struct code of a data type, and how many registers one value takes (0: all).
+    """Return the struct code of a data type, and the number of registers of one value (0: all registers are one value).
 
     Raises:
         TypeError: it is no member of `RegisterDataType`.
@@ -274,7 +275,7 @@ def checked(data_type: RegisterDataType) -> tuple[str, int]:
 
 
 def in_word_order(registers: Sequence[int], width: int, word_order: str) -> list[int]:
-    """Return registers in the order ``big`` or ``little``: for ``little``, those of each value are reversed.
+    """Return registers in ``word_order``: unchanged for ``big``; for ``little`` those of each value are reversed.
 
     ``width`` is the number of registers of a value; 0: all are one value.
     """

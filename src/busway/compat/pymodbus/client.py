@@ -2,7 +2,7 @@
 
 Knows where a client connects and how pymodbus reports the outcome; knows no bytes.
 
-1. A client has a connection of its own, made by ``connect``; that of blocking clients also by the first request.
+1. A client has a connection of its own. ``connect`` opens it; in blocking clients the first request does too.
 2. ``retries`` repeat reads alone. A write that may have been executed is repeated only with ``write_retries=``, which
    pymodbus does not have.
 3. An exception of the device is a response whose ``isError()`` is True. Without a valid reply `ModbusIOException` is
@@ -54,11 +54,11 @@ class CommParams:
     """Where a client connects and how long it waits; programs read it as ``client.comm_params``.
 
     Attributes:
-        host, port: host and port; the name of a serial port in ``host``.
+        host, port: host and port; for a serial port ``host`` is its name.
         timeout_connect: seconds for connecting, and for each reply.
         reconnect_delay: seconds before the first attempt to connect again.
         reconnect_delay_max: has no effect.
-        source_address: local address of the connection, with a port that has no effect; None for any.
+        source_address: (address, port): local address of the connection; the port has no effect. None for any.
         baudrate, parity, bytesize, stopbits: settings of a serial port; None for other clients.
     """
 
@@ -75,12 +75,12 @@ class CommParams:
 
     @property
     def timeout(self) -> float:
-        """Seconds for connecting, and for each reply, by the name of older releases."""
+        """The same as ``timeout_connect``, under the name of older releases."""
         return self.timeout_connect
 
 
 class _Client(ModbusClientMixin):
-    """Base of blocking and asyncio clients: the endpoint, the options of the link, and what an outcome becomes."""
+    """Base of blocking and asyncio clients: the endpoint, the options of the link, and the response to each outcome."""
 
     carrier: ClassVar[str]
     default_port: ClassVar[int | None] = 502
@@ -135,7 +135,10 @@ class _Client(ModbusClientMixin):
                 raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
 
     def _carrier_options(self, older: dict[str, Any]) -> dict[str, Any]:
-        """Remove the settings of a serial port or of TLS from the arguments, and return them as options of a link."""
+        """Remove the settings of a serial port or of TLS from ``older``, and return them as options of a link.
+
+        ``older`` are the keyword arguments of the client, by the names of older releases too.
+        """
         return {}
 
     def _endpoint_of(self, host: str, port: int | None, framing: FramerType) -> Endpoint:
@@ -145,7 +148,7 @@ class _Client(ModbusClientMixin):
         return f"{type(self).__name__} {self.comm_params.host}:{self.comm_params.port}"
 
     def register(self, custom_response_class: type[ModbusPDU]) -> None:
-        """Register a class of the program itself: responses with its function code become objects of that class.
+        """Register a class of the program for its function code: responses with that code become objects of the class.
 
         Raises:
             MessageRegisterException: it is no subclass of `ModbusPDU`.
@@ -170,9 +173,9 @@ class _Client(ModbusClientMixin):
         return self._traced(False, response)
 
     def _failed(self, request: ModbusPDU, error: ModbusError, silent: bool) -> ModbusPDU | None:
-        """Return the response that stands for an error: an exception response, or None for a silence that was expected.
+        """Return the response for an error: an exception response, or None for a missing reply that was expected.
 
-        Raises the exception of pymodbus for any other error; `InvalidRequest` and `ConfigError` are raised as they are.
+        Raises the exception of pymodbus for any other error; `InvalidRequest` and `ConfigError` are raised unchanged.
         """
         if isinstance(error.__cause__, ExceptionReply):  # 0B of a gateway to a write
             error = error.__cause__
@@ -186,7 +189,10 @@ class _Client(ModbusClientMixin):
 
 
 def _request_of(no_response_expected: Any, request: ModbusPDU | None) -> tuple[bool, ModbusPDU]:
-    """Return the two arguments of ``execute``; in releases before 3.8 the request was the only one."""
+    """Return both arguments of ``execute``, whether it was called with both or, as before release 3.8, with one.
+
+    Before release 3.8 of pymodbus the request was the only argument.
+    """
     if request is None:
         return False, no_response_expected
     return bool(no_response_expected), request
@@ -225,7 +231,7 @@ class ModbusBaseSyncClient(_Client):
         return self._told(True)
 
     def close(self) -> None:
-        """Close the connection; ``connect`` or the next request makes another one."""
+        """Close the connection; ``connect`` or the next request opens another one."""
         link, self._link = self._link, None
         if link is not None:
             was_connected = link.is_connected
@@ -237,8 +243,8 @@ class ModbusBaseSyncClient(_Client):
         """Send a request, connecting first if necessary, and return the response.
 
         Args:
-            no_response_expected: whether silence is no error; None is returned then, in place of the response.
-            request: the request. Older releases had no first argument, so a request may come first, alone.
+            no_response_expected: whether a missing reply is no error; then None is returned instead of the response.
+            request: the request. As in older releases, the request may also be the first and only argument.
 
         Raises:
             InvalidRequest: a value of the request is out of range (a ``ValueError``); nothing was sent.
@@ -290,7 +296,7 @@ class ModbusBaseClient(_Client):
         return self._told(True)
 
     def close(self, reconnect: bool = False) -> None:
-        """Close the connection; ``connect`` makes another one. Closing ends in the next turns of the event loop.
+        """Close the connection, within the next turns of the event loop; ``connect`` opens another one.
 
         ``reconnect`` has no effect.
         """
@@ -333,9 +339,10 @@ class ModbusBaseClient(_Client):
 
 
 def begun(work: Coroutine[Any, Any, None]) -> "asyncio.Task[None] | None":
-    """Run a coroutine up to its first pause now, and the rest in a task, which is returned; None if nothing is left.
+    """Run a coroutine at once up to its first ``await`` that waits, and the rest in a task; return the task.
 
-    So a program that closes its client and leaves the event loop at once has closed the connection.
+    None if the coroutine has ended. So the connection is closed even if a program closes its client and leaves the
+    event loop at once.
     """
     try:
         awaited = work.send(None)
@@ -362,7 +369,7 @@ def _resumed(work: Coroutine[Any, Any, None], awaited: Any) -> Generator[Any, An
 
 
 class _Serial(_Client):
-    """Part of the clients on a serial port, or on a serial server as ``socket://host:port``."""
+    """Base of the clients on a serial port, or on a serial server given as ``socket://host:port``."""
 
     carrier: ClassVar[str] = "serial"
     default_port: ClassVar[int | None] = None
@@ -411,9 +418,9 @@ class TlsFiles:
 
 
 class _Tls(_Client):
-    """Part of the clients over TLS: the server is verified only if ``authority`` names the file to verify it with.
+    """Base of the clients over TLS. As in pymodbus, the server is not verified by default.
 
-    pymodbus does not verify it either.
+    It is verified if ``authority`` names a file with the authority's certificate.
     """
 
     carrier: ClassVar[str] = "tls"
@@ -427,7 +434,7 @@ class _Tls(_Client):
         """Return the files of a certificate, for the argument ``sslctx`` of a client or server.
 
         Raises:
-            ParameterException: a password is given; busway reads it from a file only (``password_file`` of a link).
+            ParameterException: a password is given; busway reads it only from a file (``password_file`` of a link).
         """
         if password is not None:
             raise ParameterException("a password is read from a file only: busway.connect(…, password_file=…)")

@@ -30,7 +30,7 @@ class ExcCodes(enum.IntEnum):
 
 
 class ModbusStatus(enum.IntEnum):
-    """Words of requests and replies: the status of functions 11 and 12, the coil states of function 05."""
+    """Special values in requests and replies: the status of functions 11 and 12, the coil states of function 05."""
 
     WAITING = 0xFFFF
     READY = 0x0000

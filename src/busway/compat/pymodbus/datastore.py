@@ -24,7 +24,7 @@ class BaseModbusDataBlock:
     Attributes:
         values: a list, or a dict by address.
         address: address of the first value of a list.
-        default_value: what ``reset`` fills the block with.
+        default_value: the value with which ``reset`` fills the block.
     """
 
     values: Any  # a list in one kind of block, a dict in the other; subclasses of programs bring others
@@ -63,7 +63,7 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
 
     Args:
         address: address of the first value.
-        values: the values; one value stands for itself.
+        values: a list of values, or one value.
     """
 
     def __init__(self, address: int, values: Any) -> None:
@@ -77,7 +77,7 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
         return cls(0, [0] * ITEMS)
 
     def default(self, count: int, value: Any = False) -> None:
-        """Replace the content of the block by ``count`` times one value, from address 0 on; it is the default then."""
+        """Replace the content of the block by ``count`` times ``value``, from address 0 on; `reset` restores it."""
         self.default_value, self.values, self.address = value, [value] * count, 0
 
     def reset(self) -> None:
@@ -104,7 +104,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
     """Data block whose addresses may have gaps.
 
     Args:
-        values: a dict by address, in which a list goes on from its address; or a list from address 0 on.
+        values: a dict by address, in which a list stands for consecutive addresses; or a list from address 0 on.
         mutable: whether `setValues` may add addresses.
     """
 
@@ -129,7 +129,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
             self.values.update(enumerate(several, address))
 
     def reset(self) -> None:
-        """Restore the first values of the block, or those last set with ``use_as_default``."""
+        """Restore the original values of the block, or those last set with ``use_as_default``."""
         self.values = dict(self.default_value)
 
     def validate(self, address: int, count: int = 1) -> bool:
@@ -143,7 +143,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
     def setValues(self, address: int, values: Any, use_as_default: bool = False) -> Any:
         """Replace the values from ``address`` on, or those of a dict by address.
 
-        ``use_as_default``: whether `reset` restores the values of now from this call on.
+        ``use_as_default``: whether `reset` restores the values that the block has after this call.
 
         Raises:
             ParameterException: an address is new, and the block is not mutable.
@@ -162,7 +162,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
 class ModbusBaseDeviceContext:
     """Base of the contexts: the values of one unit, by function code and address.
 
-    The function code (``fc_as_hex``) says which table is meant.
+    The function code (``fc_as_hex``) of a request determines which table is read or written.
     """
 
     _fx_mapper: Mapping[int, str] = TABLE_OF
@@ -245,7 +245,7 @@ class ModbusDeviceContext(ModbusBaseDeviceContext):
         return block.setValues(at, values)
 
     def register(self, function_code: int, fc_as_hex: str, datablock: BaseModbusDataBlock | None = None) -> None:
-        """Let a function code use a block of its own, under the key ``fc_as_hex`` of ``store``.
+        """Make a function code use a block of its own, under the key ``fc_as_hex`` of ``store``.
 
         Without ``datablock`` the block has all addresses, filled with 0.
         """

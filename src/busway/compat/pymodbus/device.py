@@ -66,6 +66,6 @@ class ModbusDeviceIdentification:
         return {name: self[number] for number, name in enumerate(NAMES)}
 
     def encoded(self) -> dict[int, bytes]:
-        """Return the objects that are not empty as bytes, by number; texts in UTF-8."""
+        """Return the value of each object that is not empty as bytes, by number; texts are encoded in UTF-8."""
         texts = {number: value for number, value in self._objects.items() if value}
         return {number: value if isinstance(value, bytes) else str(value).encode() for number, value in texts.items()}

@@ -1,4 +1,4 @@
-"""The exceptions of pymodbus, and which of them stands for which error of busway. Knows nothing of clients."""
+"""The exceptions of pymodbus, and which of them is raised for which error of busway. Knows nothing of clients."""
 
 from ...errors import LinkDown, ModbusError
 
@@ -18,12 +18,12 @@ class ModbusException(Exception):
         return f"Modbus Error: {self.string}"
 
     def isError(self) -> bool:
-        """Return True: responses have the same method, so programs can ask either."""
+        """Return True. Responses have this method too, so programs can call it on either."""
         return True
 
 
 class ModbusIOException(ModbusException):
-    """No valid reply came.
+    """No valid reply was received.
 
     Attributes:
         fcode: function code of the request; None if it is not known.
@@ -81,7 +81,7 @@ class MessageRegisterException(ModbusException):
 
 
 def exception_for(error: ModbusError) -> ModbusException:
-    """Return the exception of pymodbus that stands for an error of busway; the caller raises it from that error."""
+    """Create the exception of pymodbus for an error of busway; the caller raises it from that error."""
     if isinstance(error, LinkDown) or isinstance(error.__cause__, LinkDown):
         return ConnectionException(str(error))
     return ModbusIOException(str(error), error.function, dev_id=error.unit or 0)

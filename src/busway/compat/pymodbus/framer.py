@@ -1,4 +1,7 @@
-"""The framer types of pymodbus: each is the name of a framing, which busway's sessions carry out. Knows no bytes."""
+"""The framer types of pymodbus: each is only the name of a framing, which busway's sessions implement.
+
+Knows no bytes.
+"""
 
 import enum
 from typing import Any, ClassVar
@@ -57,7 +60,7 @@ Framer = FramerType
 
 
 def framer_type_of(framer: object) -> FramerType:
-    """Return the framing that a program named: by a `FramerType`, its text, a framer class or an instance of one.
+    """Return the framing that a program names: by a `FramerType`, its text, a framer class or an instance of one.
 
     Raises:
         ParameterException: the object names no framing.

@@ -1,4 +1,4 @@
-"""The payload builder and decoder that pymodbus had until 3.9: values ⇄ bytes ⇄ registers, piece by piece.
+"""The payload builder and decoder that pymodbus had until 3.9: values ⇄ bytes ⇄ registers, one value after the other.
 
 Knows numbers, texts and bytes; knows no client. With ``byteorder`` little the bytes of each register are swapped, with
 ``wordorder`` little the registers of a value are reversed; both as in pymodbus, values of one byte included.
@@ -16,7 +16,7 @@ BITS_OF_BYTE = 8
 
 
 def ordered(data: bytes, byteorder: str, wordorder: str) -> bytes:
-    """Return the big-endian bytes of one value in the order of a payload, or those of a payload as big-endian."""
+    """Convert the bytes of one value between big-endian order and the order of a payload, in either direction."""
     words = [data[at : at + 2] for at in range(0, len(data), 2)]
     if byteorder == Endian.LITTLE:
         words = [word[::-1] for word in words]
@@ -32,7 +32,7 @@ class BinaryPayloadBuilder:
         payload: bytes to begin with.
         byteorder: order of the bytes of each register.
         wordorder: order of the registers of each value.
-        repack: whether `to_registers` applies ``byteorder`` to the registers again.
+        repack: whether `to_registers` applies ``byteorder`` to the registers once more.
     """
 
     def __init__(
@@ -133,7 +133,7 @@ class BinaryPayloadBuilder:
 
 
 class BinaryPayloadDecoder:
-    """Returns the values in registers or coils, one after the other: each call decodes the next bytes.
+    """Decodes the values in registers or coils one after the other: each call decodes the next bytes.
 
     Args:
         payload: the bytes of the values.
@@ -197,7 +197,7 @@ class BinaryPayloadDecoder:
         return _unpacked(f">{kind}", ordered(self._next(size), self._byteorder, self._wordorder))
 
     def decode_bits(self, package_len: int = 1) -> list[bool]:
-        """Return eight bits, the lowest first: those of the last of the next ``package_len`` bytes."""
+        """Skip ``package_len`` - 1 bytes, and return the eight bits of the next byte, the lowest first."""
         self._pointer += package_len
         byte = self._payload[self._pointer - 1 : self._pointer]
         return unpack_bits(byte, BITS_OF_BYTE * len(byte))

@@ -1,11 +1,12 @@
-"""The request and response objects of pymodbus: each request knows the message of busway that it means.
+"""The request and response objects of pymodbus: each request is converted to a message of busway.
 
 Knows both kinds of objects; knows no connection. `ModbusPDU.to_request` returns the message to send,
 `ModbusPDU.response` the response object for its reply.
 
-1. Values are checked where busway's message is built: a wrong one raises `InvalidRequest` (a ``ValueError``) before any
-   byte is sent.
-2. A class of the program itself, with ``function_code``, ``encode`` and ``decode``, is sent as the bytes it encodes.
+1. Values are checked when busway's message is created: a wrong one raises `InvalidRequest` (a ``ValueError``) before
+   any byte is sent.
+2. An object of a class of the program itself, with ``function_code``, ``encode`` and ``decode``, is sent as the bytes
+   that its ``encode`` returns.
 """
 
 from collections.abc import Iterable, Sequence
@@ -47,7 +48,7 @@ LAST_UNIT = 255
 
 
 def unit_of(names: dict[str, Any], given: int | None = None) -> int:
-    """Return the unit among the named arguments of a call, under any of its names; ``given``, or 1, if there is none.
+    """Return the unit among the keyword arguments of a call (``device_id``, ``slave`` …); else ``given`` or 1.
 
     Raises:
         TypeError: an argument has another name.
@@ -136,7 +137,7 @@ class ModbusPDU:
         """Set the values from the bytes after the function code; classes of the program itself override this method."""
 
     def to_request(self) -> Request:
-        """Return the message of busway that this request means.
+        """Return the message of busway for this request.
 
         Raises:
             InvalidRequest: a value is out of range; nothing was sent.
@@ -211,10 +212,10 @@ class KnownRequest(ModbusPDU):
 
 
 class KnownResponse(ModbusPDU):
-    """Base of the responses of standard functions, which are filled from busway's replies."""
+    """Base of the responses of standard functions; they get their values from busway's replies."""
 
     def take(self, reply: Any) -> None:
-        """Set the values from a reply, which is of the class that belongs to the request's message."""
+        """Set the values of this response from a reply message of busway for the same function."""
 
 
 # --- bits -------------------------------------------------------------------------------------------------------------
@@ -332,7 +333,7 @@ class WriteMultipleCoilsRequest(KnownRequest):
 
 
 def state(value: object) -> bool:
-    """Return a coil's state from a value that pymodbus accepts: numbers are True unless 0.
+    """Return a coil's state for a value that pymodbus accepts, such as a number: 0 is False, all others are True.
 
     Raises:
         InvalidRequest: the value is no state, such as a text.
@@ -564,13 +565,13 @@ class ReadFifoQueueRequest(KnownRequest):
 
 @dataclass
 class FileRecord:
-    """A part of a file: its place, and its data or its length.
+    """A part of a file: where it begins, and its data or its length.
 
     Attributes:
         file_number: number of the file.
         record_number: first register of the part in the file.
         record_data: the data; empty for a part to be read.
-        record_length: length of the part; given in bytes and kept in registers, as pymodbus does it.
+        record_length: length of the part; given in bytes and stored in registers, as in pymodbus.
 
     Raises:
         ModbusException: data and length are both given, or are no whole number of registers.

@@ -2,11 +2,12 @@
 
 Knows contexts and how requests read and write them; knows no bytes and no socket.
 
-1. A request reads and writes through ``getValues`` and ``setValues`` of the unit's context when it comes, in the event
-   loop of the server: it sees every change of the program, and calls the methods that the program overrides.
-2. Addresses that a context does not have are answered 02, an error that it raises 04, and a code that it returns is
-   the exception code of the answer.
-3. Requests that no context can answer (files, queues) are answered 01; 43/14 and 17 from the identification.
+1. Each request calls ``getValues`` or ``setValues`` of the unit's context when it is received, in the event loop of the
+   server. So it sees every change that the program has made, and methods that the program overrides are called.
+2. Addresses that a context does not have are answered 02, an error that it raises 04. If it returns an exception code,
+   that is the answer.
+3. Functions that a context does not have (files, queues) are answered 01. Functions 43/14 and 17 are answered from the
+   identification.
 """
 
 import asyncio
@@ -60,7 +61,7 @@ IGNORED = frozenset(
 
 
 class ContextModel:
-    """The context of one unit, as the data model that requests read and write (`busway.pdu.model`).
+    """Adapter that lets requests read and write the context of one unit, as a data model of `busway.pdu.model`.
 
     Args:
         store: the context.
@@ -74,7 +75,10 @@ class ContextModel:
         self._identity = identity
 
     def _code(self, table: Table) -> int:
-        """Return the function code that names the table to the context: the request's own, if it means this table."""
+        """Return the function code by which to ask the context for a table.
+
+        It is that of the request, if the context has the same table for it; otherwise the code that reads the table.
+        """
         decode = getattr(self._store, "decode", None)
         reading = READING_CODE[table]
         if decode is None:
@@ -91,7 +95,10 @@ class ContextModel:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """Return the values of a range in wire order. Raises `Refusal` for a code that the context returns."""
+        """Return the values of a range in wire order.
+
+        If the context returns an exception code, raises it as `Refusal`.
+        """
         self.check(table, address, count, False)
         values = self._store.getValues(self._code(table), address, count)
         if isinstance(values, int):
@@ -104,7 +111,10 @@ class ContextModel:
         return b"".join((int(value) & 0xFFFF).to_bytes(2, "big") for value in found)
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        """Pass the values of a write to the context. Raises `Refusal` for a code that the context returns."""
+        """Pass the values of a write to the context.
+
+        If the context returns an exception code, raises it as `Refusal`.
+        """
         values: list[int] | list[bool] = (
             unpack_bits(data, count)
             if table in BIT_TABLES
@@ -127,7 +137,7 @@ class ContextModel:
         raise Refusal(ExceptionCode.ILLEGAL_FUNCTION)
 
     def exception_status(self) -> int:
-        """Return the status bits of function 07: 0, as contexts have none."""
+        """Return the status bits of function 07: always 0, because contexts have none."""
         return 0
 
     def server_id(self) -> bytes:
@@ -164,9 +174,10 @@ class ContextResponder:
         return ServedUnit(unit) if unit in self._context else None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Execute a request on the context of its unit, and return the reply.
+        """Execute a request on the context of its unit, and return the reply; `SILENCE` if none is to be sent.
 
-        `SILENCE` if none is to be sent. Raises `Refusal` with the exception code to answer.
+        Raises:
+            Refusal: the request is answered with this exception code.
         """
         try:
             store = self._context[context.unit]
@@ -197,7 +208,7 @@ class ModbusBaseServer:
 
     Args:
         context: the contexts by unit.
-        framer: the framing, as `framer_type_of` understands it; None for that of the class.
+        framer: the framing, in a form that `framer_type_of` accepts; None for that of the class.
         identity: identification of the server.
         address: host and port to listen on; None for all addresses and the port of the class.
         ignore_missing_devices, ignore_missing_slaves: whether requests to units without a context get no reply.
@@ -205,8 +216,8 @@ class ModbusBaseServer:
         custom_pdu: must be empty; busway serves functions of the program by ``busway.serve(functions=…)``.
 
     Raises:
-        TypeError: an argument of no release of pymodbus.
-        ParameterException: ``custom_pdu`` or ``framer`` cannot be used.
+        TypeError: an argument that no release of pymodbus has.
+        ParameterException: ``custom_pdu`` is not empty, or ``framer`` names no framing.
     """
 
     carrier: ClassVar[str]

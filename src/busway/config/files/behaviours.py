@@ -196,7 +196,10 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
 
 
 def _as_behaviour(value: object) -> object:
-    """Check a behaviour by the section of its kind, so that errors name its keys; pydantic's union would not."""
+    """Check a behaviour by the section class of its ``kind``, so that an error names the wrong key itself.
+
+    A union of pydantic would report the errors of all kinds.
+    """
     if isinstance(value, BehaviourSection):
         return value
     if not isinstance(value, dict):

@@ -159,7 +159,7 @@ class CollectorFile(SystemFile):
     listener: Annotated[list[ListenerSection], BeforeValidator(_none_here), NOTHING] = NO_LIST
 
     def class_of(self, device: CollectedDeviceSection) -> str:
-        """Return the poll class of a device's points that name none: the device's, else the only one of the file.
+        """Return the poll class for points of a device that name none: the device's own, or the only one of the file.
 
         Empty if the device names none and the file has none or several.
         """

@@ -6,7 +6,7 @@ An example is in `docs/reference/device-file.md`.
 
 Rules:
 
-1. A table that is not declared has exactly the items of its points; in one that is, every point must lie.
+1. A table that is not declared has exactly the items of its points. If a table is declared, its points must lie in it.
 2. ``first`` and the starts of ranges are offsets, 0-based; addresses of points are notations
    (`busway.values.addresses`).
 3. A group of points is written once, and repeated at each of its places.
@@ -166,7 +166,7 @@ class TableSection(Section):
         return self.first + self.size
 
     def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
-        """Yield the errors in the declaration, each with its path in the section and a sentence.
+        """Yield the errors in the declaration of the table, each as path in the section and sentence.
 
         Args:
             bits: whether the items are bits.
@@ -237,11 +237,11 @@ class GroupSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """Return values for missing keys, so that the rest of a faulty group can be checked."""
+        """Return valid values for keys that a group must have: they replace wrong ones while the rest is checked."""
         return {"name": "?"}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between the keys of this group, each with its path and a sentence."""
+        """Yield the errors of keys of this group that do not go together, each as path and sentence."""
         if self.count_from and self.count is None:
             yield ("count",), f"is missing: the most that {self.count_from} may say"
         if self.count is not None and self.count > 1 and not self.stride:
@@ -261,13 +261,13 @@ class GroupSection(WholeSection):
     def placed(
         self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
     ) -> Iterator["PlacedPoint"]:
-        """Yield the group's points once for each place where it is repeated, with final names and addresses.
+        """Yield the group's points, with final names and addresses, once for each repetition of the group.
 
         Args:
             path: path of the group in the unit's section.
-            prefix: text before the group's name.
-            by: items from where the group is written.
-            outer: names of points around the group, the innermost first.
+            prefix: text before the group's name: the names of the groups around it.
+            by: number of items by which the addresses in the file are shifted, because a group around it is repeated.
+            outer: full names of points around the group, those of the nearest group first.
             around: what the groups around it add to a point.
         """
         for index in range(self.count or 1):
@@ -287,7 +287,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """What the groups around a point of a device file add to it, as attributes of `busway.points.Point`."""
+    """Attributes of `busway.points.Point` that a point of a device file gets from the groups around it."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -430,12 +430,15 @@ class UnitSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """Return values for missing keys, so that the rest of a faulty unit can be checked."""
+        """Return valid values for keys that a unit must have: they replace wrong ones while the rest is checked."""
         return {"unit": 1}
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """All points of the unit, with final names and addresses; those of groups once for each place of the group."""
+        """All points of the unit, with final names and addresses.
+
+        A point of a repeated group occurs once for each repetition.
+        """
         own = [PlacedPoint(("point", index), point) for index, point in enumerate(self.point)]
         names = [point.name for point in self.point]
         grouped = (
@@ -451,7 +454,7 @@ class UnitSection(WholeSection):
         return tuple(each for each in self.placed if not each.section.is_computed)
 
     def hole(self, table: Table) -> int | None:
-        """Return the value that is read between the points of a table; None if such reads are refused."""
+        """Return the value that is read at addresses between the points of a table; None: such reads are refused."""
         return None
 
     def points_in(self, table: Table) -> list[PointSection]:
@@ -477,7 +480,7 @@ class UnitSection(WholeSection):
         return {_object_number(key): value for key, value in self.identification.items()}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between the keys of this unit, each with its path and a sentence."""
+        """Yield the errors of keys of this unit that do not go together, each as path and sentence."""
         yield from self._table_faults()
         yield from self._placed_faults()
         yield from self._object_faults()
@@ -495,7 +498,10 @@ class UnitSection(WholeSection):
                 yield ("file", index, *path), message
 
     def _placed_faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between the points of the unit; only one if the points cannot be placed."""
+        """Yield the errors of points that do not go together: equal names, shared bits, wrong names, circles.
+
+        Only one error is yielded if the groups have too many points, or a repeated group does not fit into its table.
+        """
         if sum(group.size() for group in self.group) > MOST_REPEATED:
             yield ("group",), f"groups come to more than {MOST_REPEATED} points"
             return
@@ -597,9 +603,10 @@ def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tupl
 
 
 def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Yield errors for names of points that do not exist, or do not hold the kind of number needed.
+    """Yield an error for each name of a point, in ``scale_from``, ``count_from`` or a formula, that does not fit.
 
-    Also for ``t`` and constants such as ``pi`` in a formula, where a point has that name.
+    There is no such point, or it holds no number of the kind that is needed. A formula that uses ``t`` or a constant
+    such as ``pi`` is an error too if a point has that name.
     """
     there = {each.section.name: each.section for each in placed}
     counts = {name: each.path for each in placed for name, _ in each.exists}

@@ -114,10 +114,10 @@ def _items(part: str | int) -> dict[Table, tuple[ItemRange, ...]]:
 
 
 def parse_fault_words(text: str) -> FaultSection:
-    """Return the fault that an argument of the command line describes: ``late`` or ``late:delay=2,units=1-3,for=10``.
+    """Parse the argument of ``--fault`` on the command line: ``late``, or ``late:delay=2,units=1-3,for=10``.
 
     Args:
-        text: the fault profile; after a colon, keys of the section and of its schedule, and parameters.
+        text: the fault profile; after a colon, keys of ``[[fault]]`` and its schedule, and parameters of the profile.
 
     Raises:
         ConfigError: a key or value is invalid; the error has the key.

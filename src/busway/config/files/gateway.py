@@ -37,7 +37,7 @@ NOT_OF_GATEWAYS: Final = {
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether the sections are those of a gateway file: a route or ``gateway``, or listeners but no units."""
+    """Whether these section names belong to a gateway file: ``route`` or ``gateway``, or listeners but no units."""
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
@@ -156,7 +156,10 @@ class GatewayFile(SystemFile):
     @model_validator(mode="before")
     @classmethod
     def _names_in_rules(cls, value: Any) -> Any:  # the value in the file, of any type
-        """Replace listener names in the rules of the policy by URLs; other texts are left to the rule."""
+        """Replace the names of listeners in the rules of the policy by their URLs.
+
+        Other texts stay, for the rule to check.
+        """
         if not isinstance(value, dict) or not isinstance(value.get("policy"), dict):
             return value
         listeners = [one for one in _list(value.get("listener")) if isinstance(one, dict)]

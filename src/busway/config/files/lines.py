@@ -25,9 +25,9 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """Return the line of a path in the file; for a path that is not there, that of the innermost part that is.
+    """Return the line of a path in the file; if the path is not there, the line of its longest beginning that is there.
 
-    It is 1 if no part is there.
+    1 if the file has no part of it.
     """
     while path and path not in lines:
         path = path[:-1]

@@ -32,7 +32,7 @@ Url = Annotated[str, AfterValidator(_checked_url)]
 class ListenerSection(OptionSection):
     """``[[listener]]``: one address to listen on, with options that apply to it alone.
 
-    Its limits go before those of ``[server]``, its certificates before those of ``[security]``.
+    Its limits override those of ``[server]``, its certificates those of ``[security]``.
     """
 
     checked_later: ClassVar[tuple[type[Any], ...]] = (TlsParameters, ListenerParameters)  # with those of [security]
@@ -62,7 +62,7 @@ class ListenerSection(OptionSection):
 def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
     """Yield an error for each listener that uses the address and port, or the serial port, of an earlier one.
 
-    Each is the path of the later URL, and a sentence. Listeners on port 0 use no port of another.
+    Each error is the path of the later URL and a sentence. Listeners on port 0 never clash.
 
     Args:
         places: the path of each URL in the file, and the URL.
@@ -89,5 +89,5 @@ _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
 
 
 def _covers(one: str, other: str) -> bool:
-    """Whether one of two hosts means all addresses of this machine, and so includes the other."""
+    """Whether one of two hosts stands for all addresses of this machine (``0.0.0.0``), and so includes the other."""
     return (one in _ALL and _ALL[one] in other) or (other in _ALL and _ALL[other] in one)

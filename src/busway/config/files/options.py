@@ -34,10 +34,10 @@ def _or_none(kind: Any) -> Any:  # a type, and the annotated type that pydantic 
 
 
 class OptionSection(Section):
-    """Base of file sections that have options of parameter classes among their keys.
+    """Base of file sections some of whose keys are options, declared in parameter classes of `busway.options`.
 
-    A subclass gets the keys by `with_options_of`. When a section is read, each parameter class checks its options
-    together, except those in ``checked_later``.
+    A subclass gets the keys by the decorator `with_options_of`. When a section is read, each parameter class checks its
+    options together, except those in ``checked_later``.
     """
 
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
@@ -55,7 +55,10 @@ class OptionSection(Section):
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     def built(self, kind: type[Parameters]) -> Parameters:
-        """Return the parameter object of a class with the options that this section sets; they were checked before."""
+        """Return an object of a parameter class with the options that this section sets.
+
+        They were checked when it was read.
+        """
         return build_parameters(kind, self.options_of(kind))
 
     @model_validator(mode="after")
@@ -67,7 +70,7 @@ class OptionSection(Section):
 
 
 def build(kind: type[Any], options: Mapping[str, Any]) -> None:
-    """Create a parameter object only to check options.
+    """Check options together by creating an object of their parameter class, which is not kept.
 
     Raises:
         FileProblems: an option is invalid; the problem has its key.
@@ -104,7 +107,7 @@ def with_options_of(
 
 
 def _annotation(option: Option) -> Any:  # a type as annotations have it
-    """Return the type that an option's key has in the schema."""
+    """Return the type that the key of an option has in the file's schema."""
     kind = reduce(or_, [_plain(kind) for kind in option.kinds])
     if len(option.kinds) > 1:
         return Annotated[kind, BeforeValidator(_one_of(option), json_schema_input_type=kind), option]
@@ -120,7 +123,7 @@ def _plain(kind: Any) -> Any:  # both are types as annotations have them
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
-    """Return a validator for an option of numbers and words, so that one sentence lists all of them."""
+    """Return a validator for an option that takes numbers or words: one error message lists all that it takes."""
 
     def report(value: object) -> object:
         if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):

@@ -233,10 +233,10 @@ STAND_IN: Final = "0"
 
 
 class WholeSection(Section):
-    """Base of file sections that report all their errors at once, also those between keys."""
+    """Base of file sections that report all errors at once: of single keys, and of keys that do not go together."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between the keys of this section, each with its path and a sentence."""
+        """Yield the errors of keys of this section that do not go together, each as path and sentence."""
         yield from ()
 
     @model_validator(mode="wrap")
@@ -256,7 +256,10 @@ class WholeSection(Section):
     def _further(
         cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
     ) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between valid keys, found by replacing invalid keys with valid stand-ins."""
+        """Yield the errors of keys that do not go together, although other keys of the section are invalid.
+
+        For this check the invalid keys, whose paths are in ``found``, are replaced by valid values (`stand_ins`).
+        """
         broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
         if not isinstance(data, dict) or not broken:
             return
@@ -276,14 +279,14 @@ class WholeSection(Section):
 
     @classmethod
     def _stand_in(cls, broken: Any) -> dict[str, Any]:  # Any: what TOML has
-        """Return a valid point or group, with the same name, in place of an invalid one."""
+        """Return a valid point or group with the name of an invalid one, to check the others of the section with it."""
         name = broken.get("name") if isinstance(broken, dict) else None
         point = {"name": name if isinstance(name, str) and name else "?", "formula": STAND_IN}
         return {"name": "?", "point": [point]} if isinstance(broken, dict) and "point" in broken else point
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:  # Any: what TOML has
-        """Return values for keys without a default, used while other keys are checked."""
+        """Return valid values for keys without a default: they replace wrong ones while the rest is checked."""
         return {}
 
 
@@ -365,7 +368,7 @@ class PointSection(WholeSection):
 
     @classmethod
     def stand_ins(cls) -> dict[str, Any]:
-        """Return values for missing keys, so that the rest of a faulty point can be checked."""
+        """Return valid values for keys that a point must have: they replace wrong ones while the rest is checked."""
         return {"name": "?", "address": "4x1"}
 
     @property
@@ -385,7 +388,10 @@ class PointSection(WholeSection):
 
     @cached_property
     def _bits(self) -> tuple[str, int, int]:
-        """Text of the address of the point's register, and first and last bit of a bit field; -1 and -1 without one."""
+        """The address of the point's register, and first and last bit of its bit field: ``4x1``, 4, 7 of ``4x1.4-7``.
+
+        -1 and -1 for a point that is no bit field.
+        """
         match = _FIELD.fullmatch(self.address)
         return (self.address, -1, -1) if match is None else (match["register"], int(match["low"]), int(match["high"]))
 
@@ -533,7 +539,7 @@ class PointSection(WholeSection):
         return self.described.choices()
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between the keys of this point, each with its path and a sentence."""
+        """Yield the errors of keys of this point that do not go together, each as path and sentence."""
         return self._computed_faults() if self.formula else self._stored_faults()
 
     def _computed_faults(self) -> Iterator[tuple[Path, str]]:
@@ -683,12 +689,12 @@ class PointSection(WholeSection):
                 yield ("enumeration", name), error.message
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
-        """Return a copy of the point for one place where its group is repeated, with that place's name and address.
+        """Return a copy of the point for one repetition of its group, with the name and address that it has there.
 
         Args:
             prefix: text before its name.
-            by: items from where it is written to that place.
-            known: names of points around, the innermost first, for ``scale_from`` and ``formula``.
+            by: number of items to add to its address.
+            known: full names of points around it, those of the nearest group first, for ``scale_from`` and ``formula``.
         """
         keys = {name: getattr(self, name) for name in self.model_fields_set}
         keys["name"] = prefix + self.name
@@ -708,7 +714,7 @@ def resolved(name: str, known: Sequence[str]) -> str:
     """Return the full name of the point that a name in a group means; the name itself if no known point has it.
 
     Args:
-        name: the name as the group has it.
-        known: full names of points around, the innermost first.
+        name: the name as the group has it, such as ``voltage``.
+        known: full names of points around, the nearest group first, such as ``string.1.voltage``.
     """
     return next((each for each in known if each == name or each.endswith(f".{name}")), name)

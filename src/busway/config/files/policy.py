@@ -145,7 +145,10 @@ class PolicySection(Section):
     @model_validator(mode="before")
     @classmethod
     def _from_word(cls, value: Any) -> Any:  # the value in the file, of any type
-        """Accept ``policy = "read-only"`` as a policy of its default alone, and refuse too many rules early."""
+        """Accept ``policy = "read-only"``: a word alone is the default of a policy without rules.
+
+        Refuses too many rules early.
+        """
         if isinstance(value, str):
             return {"default": value}
         rules = value.get("rule") if isinstance(value, dict) else None

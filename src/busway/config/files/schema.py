@@ -53,7 +53,10 @@ def _json_limits(option: Option) -> dict[str, Any]:
 
 
 class Section(BaseModel):
-    """Base class of a table in a file: only declared keys, no conversion of values, frozen once read."""
+    """Base class of a table in a file.
+
+    Only declared keys are accepted, values are not converted, and it is immutable.
+    """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
         extra="forbid",
@@ -77,7 +80,7 @@ class Section(BaseModel):
 
 
 def _limited(option: Option) -> Callable[[object], object]:
-    """Return a validator that refuses values outside the range of a key."""
+    """Return a validator that refuses values outside the declared range of a key."""
 
     def checked(value: object) -> object:
         try:
@@ -102,7 +105,7 @@ def keys_of(section: type[Section]) -> Mapping[str, Option]:
 
 
 def _option(name: str, field: Any) -> Option:  # as pydantic has it
-    """Return the option that a field of a section declares."""
+    """Return the declaration of a key as an option: name, type, range, default, help."""
     made = next((mark for mark in field.metadata if isinstance(mark, Option)), None)
     if made is not None:
         return made
@@ -111,7 +114,7 @@ def _option(name: str, field: Any) -> Option:  # as pydantic has it
 
 
 def _written_as(annotation: Any, marks: Sequence[Any]) -> Any:  # types as annotations have them
-    """Return the type of a key's value in the file, which a validator may convert to another type."""
+    """Return the type of a key's value as it is written in the file; a validator may turn it into another type."""
     for mark in marks:
         if isinstance(mark, BeforeValidator) and mark.json_schema_input_type is not PydanticUndefined:
             return _written_as(mark.json_schema_input_type, ())
@@ -130,9 +133,9 @@ NO_TABLE: Final[Any] = Field(default_factory=dict)
 
 
 class FileProblems(ValueError):
-    """Error of a check inside a file's section, with all problems found there.
+    """Error raised by the check of a section, with all problems inside the section.
 
-    pydantic reports an error of a whole section at the section; this error has the places inside.
+    pydantic reports an error of a whole section at the section; this error has the paths of the wrong keys.
 
     Attributes:
         faults: path in the section, and sentence, of each problem.
@@ -161,7 +164,10 @@ class Source:
     lines: Mapping[Path, int]
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """Return the error for a path of the file, with file, line and key; the caller raises or collects it."""
+        """Return an error about a path of the file, with file name, line and key.
+
+        The caller raises it or collects it.
+        """
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
 
@@ -243,7 +249,7 @@ def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> Con
 
 
 def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
-    """Return the error for a text that exhausts the parser: nested too deeply, or with too long a number."""
+    """Return the error for a TOML text that the parser cannot take: nested too deeply, or with too long a number."""
     if isinstance(error, RecursionError):
         return ConfigError("it is nested too deeply", file=name, line=_densest_line(text))
     longest = _LONG_NUMBER.search(text)
@@ -258,7 +264,7 @@ _LONG_NUMBER = re.compile(r"(?<![\w.])[0-9][0-9_]{4299,}")
 
 
 def _densest_line(text: str) -> int:
-    """Return the line that most likely exhausts the parser: that with most brackets, or the longest."""
+    """Return the line that probably stops the parser: the one with most brackets, or else the longest."""
     lines = text.split("\n")
     return 1 + max(range(len(lines)), key=lambda at: (lines[at].count("[") + lines[at].count("{"), len(lines[at])))
 
@@ -297,7 +303,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
-    """Return the path of a value as the file has it: an index is left out if one value is written instead of a list."""
+    """Return the path under which the file has a value: without an index if the file has one value, not a list."""
     if path in lines:
         return path
     shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))
@@ -377,7 +383,7 @@ def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
 
 
 def sections_of(schema: type[Section]) -> list[type[Section]]:
-    """Return a section and all sections in it, each once, in the order of the keys."""
+    """Return a section class and all section classes of its keys, each once, in the order of the keys."""
     found = [schema]
     for section in found:
         for field in section.model_fields.values():
@@ -387,7 +393,7 @@ def sections_of(schema: type[Section]) -> list[type[Section]]:
 
 
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:
-    """Return the schema classes in a type annotation, however deep."""
+    """Return the section classes in a type annotation, such as those of ``list[A | B]``."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         yield annotation
     if isinstance(annotation, BeforeValidator):
@@ -406,7 +412,7 @@ def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: wh
 
 
 def _plain(node: Any) -> Any:
-    """Return a part of a JSON Schema without the titles and empty defaults that only repeat key names."""
+    """Return a part of a JSON Schema without titles that only repeat key names, and without empty defaults."""
     if isinstance(node, list):
         return [_plain(each) for each in node]
     if not isinstance(node, dict):

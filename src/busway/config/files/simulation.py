@@ -7,7 +7,8 @@ An example is in `docs/simulator.md`.
 
 Rules:
 
-1. A point's first value lies in its range and has a name, if it has a range or names; so does what Modbus writes (04).
+1. If a point has a range or names, its first value lies in the range and has a name. A value that Modbus writes must
+   too, else it is refused with 04.
 2. Names stand for numbers: ``value = "auto"`` where ``enumeration = { auto = 1 }``.
 3. A hole is an address between the first and the last item of a table that no point takes. It is refused (02), or is
    read as a value and cannot be written. A table that is declared has no holes.
@@ -61,7 +62,7 @@ class HolesSection(Section):
     discrete_inputs: Annotated[Hole, "the same of discrete inputs."] = REFUSE
 
     def value(self, table: Table) -> int | None:
-        """Return the value read between the points of a table; None if reading there is refused."""
+        """Return the value that is read at addresses between the points of a table; None: such reads are refused."""
         declared = getattr(self, table.value)
         if not isinstance(declared, int):
             return None
@@ -79,12 +80,12 @@ class SimulatedPointSection(PointSection):
     ] = None
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors between the keys of this point, each with its path and a sentence."""
+        """Yield the errors of keys of this point or its behaviour that do not go together, as path and sentence."""
         faults = list(super().faults())
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
-        """Return a copy of the point for one place where its group is repeated, with its names in the behaviour.
+        """Return a copy of the point for one repetition of its group, with full names of points also in its behaviour.
 
         The arguments are those of `PointSection.moved`.
         """
@@ -138,7 +139,7 @@ class SimulatedUnitSection(UnitSection):
     ] = HolesSection()
 
     def hole(self, table: Table) -> int | None:
-        """Return the value that is read between the points of a table; None if such reads are refused."""
+        """Return the value that is read at addresses between the points of a table; None: such reads are refused."""
         return self.holes.value(table)
 
 
@@ -235,7 +236,7 @@ _OF_A_UNIT: Final = re.compile(r"(?P<part>unit\[\d+\]\.(point\[\d+\]\.)?)?(?P<ke
 
 
 def is_only_of_simulations(key: str) -> bool:
-    """Whether a key may be in simulation files alone: ``include``, ``unit[0].point[2].behaviour``."""
+    """Whether a key is allowed in simulation files only, such as ``include`` or ``unit[0].point[2].behaviour``."""
     found = _OF_A_UNIT.fullmatch(key)
     if found is None:
         return False

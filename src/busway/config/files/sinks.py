@@ -60,7 +60,7 @@ class SinkSection(OptionSection):
 
 @with_options_of(sinks.DeliveryOptions)
 class SentSection(SinkSection):
-    """Base of the sinks to which samples are sent in batches."""
+    """Base of the sections of sinks that send samples in batches, which is all but ``prometheus://``."""
 
     report: Annotated[
         Report | None, "which samples are handed on, as `report` of a point; None: what the points say."

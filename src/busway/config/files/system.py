@@ -145,7 +145,7 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Yield an error for each name that an earlier section of the kind has: path of the later, and a sentence."""
+    """Yield an error for each name that several sections of one kind have: path of each later one, and a sentence."""
     for index, name in enumerate(names):
         if name in names[:index]:
             yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

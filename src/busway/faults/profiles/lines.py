@@ -1,7 +1,7 @@
 """Fault profiles of serial lines: junk around frames, echo of the request, replies to broadcasts.
 
-Junk and echoes are met where serial frames travel, on a line or over a network. On Modbus TCP they would be a broken
-stream, which no device is known for.
+Junk and echoes occur wherever serial frames are sent, on a line or over a network. On Modbus TCP they would break the
+stream, and no such device is known.
 """
 
 from dataclasses import replace

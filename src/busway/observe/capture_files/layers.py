@@ -123,7 +123,7 @@ def _number(data: bytes, at: int) -> int:
 
 
 def _typed(data: bytes, at: int) -> Carried:
-    """Return what an Ethernet packet carries, whose EtherType or first VLAN tag is at ``at``."""
+    """Return what an Ethernet packet carries; its EtherType, or its first VLAN tag, is at the offset ``at``."""
     kind = _number(data, at)
     for _ in range(_MOST_TAGS):
         if kind not in _TAGS:
@@ -208,7 +208,7 @@ def _transport(
 
 
 def _exported(data: bytes) -> Carried:
-    """Return the frame of an exported PDU for the dissectors that `busway.observe.capture` uses."""
+    """Return the serial frame in a packet of Wireshark's form "exported PDU", as `busway.observe.capture` writes it."""
     at, dissector = 0, b""
     while True:
         tag, size = _number(data, at), _number(data, at + 2)

@@ -182,7 +182,13 @@ class PacketFile:
         return self._rest_of_block(order, self._exactly(4), already=0)
 
     def _rest_of_block(self, order: str, length: bytes, *, already: int) -> bytes:
-        """Return the body of a block, without its first ``already`` bytes, which were read before."""
+        """Read the rest of a pcapng block, and return it without the block's two lengths.
+
+        Args:
+            order: byte order of the section, ``<`` or ``>``.
+            length: the length at the block's beginning, four bytes.
+            already: number of bytes of the body that were read before.
+        """
         (size,) = struct.unpack(f"{order}I", length)
         if size % 4 or size < 12 + already or size > MOST_RECORD:
             raise self._broken(f"a block of {size} bytes, where multiples of 4 up to {MOST_RECORD} can be")

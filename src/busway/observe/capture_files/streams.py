@@ -167,7 +167,7 @@ class StreamAssembler:
         self._size += len(segment.data)
 
     def _deliver(self, segment: _Waiting, found: list[StreamPart]) -> None:
-        """Add to ``found`` the new part of a segment that begins at the next byte or before it."""
+        """Append to ``found`` the bytes of a segment that are new; the segment begins at the next byte or before it."""
         known = self._next - segment.at
         fresh = segment.data[known:]
         self.repeated += len(segment.data) - len(fresh)
@@ -185,7 +185,9 @@ class StreamAssembler:
             self._deliver(segment, found)
 
     def _skip(self) -> list[StreamPart]:
-        """Return a gap for the bytes before the first waiting segment, and the pieces that are in order then."""
+        """Give up the bytes missing before the first waiting segment: return a gap, and the pieces behind it in
+        order.
+        """
         first = self._waiting[0]
         found: list[StreamPart] = [StreamGap(first.at - self._next, first.packet, first.time)]
         self._next = first.at

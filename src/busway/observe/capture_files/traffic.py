@@ -137,7 +137,7 @@ class FaultyBytes:
 
 
 class ChannelEnding(Enum):
-    """How a connection or line in a capture file ended."""
+    """How a connection or line in a capture file ended: closed, reset, forgotten, or by the end of the capture."""
 
     CLOSED = "closed"
     RESET = "reset"
@@ -236,7 +236,10 @@ class CapturedTraffic:
         return True if to else False if of else None
 
     def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
-        """Count a packet whose ports are none of the servers', and its ports if it looks like an MBAP frame."""
+        """Count a packet of which neither port is a server's.
+
+        Its ports are counted too (``other_ports``) if its bytes look like an MBAP frame.
+        """
         self._ignore(Ignored(f"{what} of other ports"))
         if _begins_like_a_frame(payload) and len(payload) == 6 + (payload[4] << 8 | payload[5]):
             for port in (source.port, destination.port):
@@ -312,7 +315,7 @@ class CapturedTraffic:
         return self.channels
 
     def _make_room(self) -> list[TrafficEvent]:
-        """End the channel that was silent longest if there are `MOST_CHANNELS`; returns its last events."""
+        """If there are `MOST_CHANNELS`, end the connection or line that was silent longest; returns its last events."""
         if len(self._open) < MOST_CHANNELS:
             return []
         _, oldest = self._open.popitem(last=False)
@@ -360,7 +363,7 @@ class _Side:
         self._in_step = False
 
     def cut_off(self, part: StreamPart) -> Iterator[TrafficEvent]:
-        """Report the frame of which only the beginning has come, if there is one."""
+        """Yield an event for a frame of which only the beginning has come, because ``part`` does not continue it."""
         if self._receiver.unfinished:
             text = f"the frame ends after {counted(len(self._receiver.unfinished), 'byte')}"
             yield self._fault(part, TrafficFault.CUT_OFF, text)
@@ -496,7 +499,7 @@ class _DatagramChannel:
 
 
 def _directed(event: TrafficEvent, direction: Direction) -> TrafficEvent:
-    """Return an event with this direction, which the addresses of its packet tell."""
+    """Return an event of a datagram with its direction, which the addresses of the packet tell."""
     if isinstance(event, CapturedFrame) and isinstance(event.received, SerialFrame):
         return replace(event, direction=direction, received=replace(event.received, direction=direction))
     return replace(event, direction=direction) if isinstance(event, FaultyBytes) else event

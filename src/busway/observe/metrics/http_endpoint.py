@@ -2,8 +2,8 @@
 
 Knows a source with a status and a collector over it; knows no server.
 
-1. A scrape asks the source in its own event loop, for at most `ASK_SECONDS`: where the loop is stuck, the
-   scrape says ``busway_up 0`` and still has the counts of requests.
+1. A scrape asks the source in its own event loop, for at most `ASK_SECONDS`: if the loop is stuck, the scrape says
+   ``busway_up 0`` and still has the counts of requests.
 2. The scraper chooses the format: OpenMetrics or the text format of Prometheus.
 3. Read-only: a client that reaches the address sees numbers and can change nothing.
 """
@@ -122,9 +122,11 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """Return the response to a request of the metrics, such as ``GET /metrics``; for other HTTP services too.
+        """Return the response to a request for the metrics, such as ``GET /metrics``.
 
-        Blocks for up to `ASK_SECONDS`: not for the source's event loop.
+        Another HTTP service may call it too.
+
+        Blocks for up to `ASK_SECONDS`; not to be called in the source's event loop.
 
         Raises:
             HttpError: another path or method.

@@ -152,7 +152,7 @@ class ClientCollector(Collector):
 
 
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
-    """Add the sum of one field of links to a metric family, for each endpoint, and return the family."""
+    """Add one sample for each endpoint to a metric family: the sum of a field over its links. Returns the family."""
     sums: Counter[str] = Counter()
     for one in links:
         sums[one.endpoint] += getattr(one, field)

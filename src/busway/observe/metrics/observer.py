@@ -87,7 +87,7 @@ class MetricsObserver:
                 self._count(peer_class, reply, 1, each)
 
     def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
-        """Count ``count`` replies with the same unit, function and exception code as ``reply``, of ``each`` seconds."""
+        """Count requests that took ``each`` seconds and got replies with unit, function and code of ``reply``."""
         key = peer_class, reply[6:8]
         known = self._counted.get(key)
         if known is None:

@@ -3,7 +3,7 @@
 Knows numbers; knows no responder, no clock and nothing of how numbers are shown.
 
 1. The thread that answers requests counts them; any thread may read. A number read is at most one request late.
-2. The number of series is bounded by `MAX_SERIES`, for any requests: functions outside the table count as
+2. The number of series is bounded by `MAX_SERIES`, whatever clients ask: functions outside the table count as
    ``other``, and units as ``other`` once there are too many series.
 """
 

@@ -1,1 +1,4 @@
-"""One epoll object for all connections of an event loop. Without this folder the loop's own transports are used."""
+"""One epoll object for all connections of an event loop, to save CPU.
+
+Without this folder asyncio's transports are used.
+"""

@@ -2,13 +2,14 @@
 
 Knows sockets and `asyncio.BufferedProtocol`; knows no Modbus.
 
-1. The rules of asyncio's transports hold here: `connection_lost` is called once, after everything else and never
-   from within a call of the protocol's own; a protocol that raises is reported to the loop's exception handler, and
-   loses its connection alone.
-2. While nothing waits to be sent, a write is one system call. Bytes that the system does not take are kept, and
-   `WRITABLE` is watched for until it has gone.
-3. A descriptor without wanted events is not watched at all: the system would report again and again that its peer left.
-4. The end of the peer's stream is reported once, whatever is paused and resumed after it.
+1. The rules of asyncio's transports hold here: `connection_lost` is called once, after everything else and never from
+   within another call of the protocol. If a protocol raises, the error is reported to the loop's exception handler, and
+   only that connection is closed.
+2. While no bytes wait to be sent, a write is one system call. Bytes that the system does not accept are kept, and the
+   socket is watched for `WRITABLE` until they are sent.
+3. A descriptor without wanted events is not watched at all: the system would report the end of its peer again and
+   again.
+4. The end of the peer's stream is reported once, even if reading is paused and resumed after it.
 """
 
 import asyncio
@@ -21,17 +22,17 @@ from typing import Any, Final
 from .watcher import READABLE, WRITABLE, EpollSet
 
 _USUAL_HIGH: Final = 64 * 1024
-"""Bytes that may wait to be sent until the protocol is asked to pause, where nothing else is said: as in asyncio."""
+"""Default number of bytes that may wait to be sent until the protocol is paused, as in asyncio."""
 
 
 class EpollStream(asyncio.Transport):
-    """The asyncio transport of one stream socket in an epoll set; works after `begin`.
+    """The asyncio transport of one stream socket in an epoll set; `begin` starts it.
 
     Args:
-        epoll_set: where it waits.
-        connection: connected and non-blocking; from now on the transport's own.
+        epoll_set: watches the socket.
+        connection: connected, non-blocking socket; the transport closes it.
         protocol: gets the events; an `asyncio.BufferedProtocol` if it receives.
-        peer: the address of the other end.
+        peer: the address of the peer, as ``getpeername`` returns it.
     """
 
     __slots__ = (
@@ -79,7 +80,7 @@ class EpollStream(asyncio.Transport):
         """Call the protocol's `connection_made`, and start reading the socket.
 
         Raises:
-            OSError: the system cannot watch another descriptor; the protocol is told so by `connection_lost`, too.
+            OSError: the system cannot watch another descriptor; then `connection_lost` is called too.
         """
         try:
             self._protocol.connection_made(self)
@@ -97,7 +98,7 @@ class EpollStream(asyncio.Transport):
     # What the epoll set calls.
 
     def ready(self, events: int) -> None:
-        """Handle readiness of the socket: read, write, or end the connection."""
+        """Read, write, or end the connection, because epoll reported ``events`` of the socket."""
         if events != READABLE and self._events & WRITABLE:
             self._send_rest()
         if not self._events & READABLE or events == WRITABLE:
@@ -126,9 +127,7 @@ class EpollStream(asyncio.Transport):
             self._fail(RuntimeError("get_buffer() returned an empty buffer"), "nowhere to receive into")
 
     def _end(self) -> None:
-        """Handle the end of the peer's stream: close the connection, unless the protocol still has
-        something to send.
-        """
+        """Handle the end of the peer's stream: close the connection, unless ``eof_received`` returns True."""
         self._ended = True
         try:
             stays = self._protocol.eof_received()
@@ -145,11 +144,11 @@ class EpollStream(asyncio.Transport):
     # Sending.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes after those that wait already. After the end of the connection they are dropped.
+        """Send bytes after those that already wait to be sent; they are dropped if the connection has ended.
 
         Raises:
-            TypeError: these are no bytes.
-            RuntimeError: after `write_eof`.
+            TypeError: ``data`` is not bytes-like.
+            RuntimeError: `write_eof` was called before.
         """
         if not self._is_plain:
             self._write_behind(data)
@@ -165,7 +164,7 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Queue bytes to be sent after those that wait; or drop them if the connection is closing."""
+        """Queue bytes after those that wait to be sent; drop them if the connection is closing."""
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
         if self._finished:
@@ -235,7 +234,7 @@ class EpollStream(asyncio.Transport):
         return len(self._unsent) if self._unsent else 0
 
     def get_write_buffer_limits(self) -> tuple[int, int]:
-        """The low and the high limit of the write buffer, in bytes."""
+        """The limits of the write buffer in bytes, as (low, high)."""
         return self._low_limit(), self._high
 
     def _low_limit(self) -> int:
@@ -245,7 +244,7 @@ class EpollStream(asyncio.Transport):
         """Set the limits of the write buffer in bytes: above ``high`` the protocol is paused, at ``low`` resumed.
 
         Raises:
-            ValueError: not high ≥ low ≥ 0.
+            ValueError: ``high`` is below ``low``, or ``low`` below 0.
         """
         if high is None:
             high = _USUAL_HIGH if low is None else 4 * low
@@ -261,7 +260,7 @@ class EpollStream(asyncio.Transport):
             self._call("pause_writing")
 
     def _call(self, name: str) -> None:
-        """Call an optional method of the protocol; its exception is reported and does not end the connection."""
+        """Call a method of the protocol, if it has it; an exception is reported and does not end the connection."""
         try:
             getattr(self._protocol, name)()
         except (SystemExit, KeyboardInterrupt):
@@ -314,7 +313,8 @@ class EpollStream(asyncio.Transport):
     def _watch(self) -> None:
         """Watch the socket: for reading unless paused or ending, for writing while bytes are unsent.
 
-        Raises `OSError` only if the socket was not watched before.
+        Raises:
+            OSError: the socket was not watched before, and the system cannot watch another descriptor.
         """
         wanted = 0
         if not (self._lost or self._closing or self._paused or self._ended):
@@ -341,7 +341,7 @@ class EpollStream(asyncio.Transport):
         return self._closing
 
     def close(self) -> None:
-        """Stop reading, and close after the waiting bytes are sent."""
+        """Stop reading, and close the connection after the waiting bytes are sent."""
         if not self._closing:
             self._closing = True
             if self._unsent:
@@ -350,11 +350,14 @@ class EpollStream(asyncio.Transport):
                 self._lose_soon(None)
 
     def abort(self) -> None:
-        """Close the connection at once; waiting bytes are dropped."""
+        """Close the connection at once; bytes that wait to be sent are dropped."""
         self._force_close(None)
 
     def _fail(self, error: BaseException, what: str) -> None:
-        """Close the connection because of an error; network errors go to the protocol, others to the loop too."""
+        """Close the connection because of an error.
+
+        The protocol gets it, and unless it is a network error, the loop's handler too.
+        """
         if not isinstance(error, OSError):
             self._report(error, f"Fatal error: {what}")
         self._force_close(error)
@@ -376,8 +379,9 @@ class EpollStream(asyncio.Transport):
         self._epoll_set.loop.call_soon(self._lose, error)
 
     def _lose(self, error: BaseException | None) -> None:
-        """Call the protocol's `connection_lost` and close the socket, in a later turn of the event loop (rule 3 of
-        `EpollSet`).
+        """In a later turn of the event loop, call the protocol's `connection_lost` and close the socket.
+
+        Why later: rule 3 of `EpollSet`.
         """
         connection, protocol = self._socket, self._protocol
         assert connection is not None  # once

@@ -7,11 +7,12 @@ sockets are in one epoll object, and the loop watches only that one. When it is 
 ready sockets and calls their watchers. A transaction, with 16 connections and 16 requests in flight on each, takes
 1.4 µs of CPU; with the transports of asyncio 1.9 µs.
 
-1. One look in a turn of the loop, with a limited number of watchers: timers and other callbacks have their turn however
-   many sockets are ready. Those left out come first in the next look, because the system keeps the order.
-2. Level-triggered: a watcher that leaves something is called again.
-3. A watcher that was removed during a look is not called. Watchers close their descriptors in a later turn of the loop,
-   never inside a look, so that a number cannot be reused by then.
+1. In one turn of the loop the epoll object is asked once, and a limited number of watchers is called, so that timers
+   and other callbacks are not delayed. The others are called first in the next turn, because the system keeps the
+   order.
+2. Epoll is level-triggered: a watcher that does not read everything is called again.
+3. A watcher that was removed in the same turn is not called. Watchers close their descriptors in a later turn, so that
+   the system cannot give the same number to a new socket meanwhile.
 4. The epoll object exists only while something is watched, so it need not be closed.
 """
 
@@ -25,7 +26,9 @@ WRITABLE: Final = 0x004
 """EPOLLIN and EPOLLOUT, by their numbers: on other systems `select` has no such names."""
 
 MEMBERS_OF_A_LOOK: Final = 64
-"""More are left to the next turn of the loop. With 64 its own work, some 10 µs, is lost in that of the members."""
+"""Most watchers that are called in one turn of the event loop. With 64 the cost of asking epoll, some 10 µs, is small
+beside theirs.
+"""
 
 
 _MAKERS: Final = frozenset({"asyncio.base_events", "uvloop.loop"})
@@ -38,7 +41,7 @@ class Watcher(Protocol):
     def ready(self, events: int, /) -> None:
         """Handle ``events`` of a descriptor: `READABLE`, `WRITABLE`, or other bits if the connection has ended.
 
-        Must raise nothing but what ends the program.
+        Must not raise exceptions, except those that end the program (`SystemExit`, `KeyboardInterrupt`).
         """
 
 
@@ -46,7 +49,7 @@ class EpollSet:
     """The descriptors that one event loop watches through one epoll object.
 
     Args:
-        loop: one that `can_watch`.
+        loop: an event loop for which `can_watch` is true.
     """
 
     def __init__(self, loop: asyncio.AbstractEventLoop) -> None:
@@ -58,10 +61,10 @@ class EpollSet:
         return len(self._watched)
 
     def watch(self, descriptor: int, events: int, member: Watcher) -> None:
-        """Call ``member`` whenever ``descriptor``, not watched so far, is ready for one of ``events``.
+        """Call ``ready`` of ``member`` whenever ``descriptor``, not watched so far, is ready for one of ``events``.
 
         Raises:
-            OSError: the system cannot watch another one; nothing has changed.
+            OSError: the system cannot watch another descriptor; nothing has changed.
         """
         if self._epoll is None:
             self._open()
@@ -102,7 +105,7 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Call the watcher of each descriptor that epoll reports as ready."""
+        """Ask epoll which descriptors are ready, and call their watchers."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched
@@ -120,7 +123,7 @@ def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
 def can_watch(loop: asyncio.AbstractEventLoop) -> bool:
     """Whether an event loop can watch an epoll object: those of asyncio and uvloop, on systems that have epoll.
 
-    A loop that makes connections in a way of its own, as one without a network for tests does, is left to it.
+    False for a loop that makes connections in its own way, such as one without a network for tests.
     """
     makers = {
         next(kind.__module__ for kind in type(loop).__mro__ if name in vars(kind))

@@ -19,11 +19,7 @@
 `waiting`     Waits until file descriptors are ready, as exactly as the system can
 ============  ========================================================================================================
 
-Each file has one subject: which port is meant (`ports`), who holds it (`lock`),
-what the driver is asked beside that (`rs485`, `marks`, `counters`, `overruns`, through `ioctl`), when the last
-character has left (`emission`), how descriptors are waited for (`waiting`), what foreign errors mean (`errors`), when a
-lost port is tried again (`reopen`), and the two ways to use one (`device`): `connection` under asyncio, `blocking`
-without it.
+There are two ways to use a port: `connection` under asyncio, `blocking` without it; `device` is their common part.
 
 `serialx` opens the ports. It is imported when the first one is opened, so that programs without one do not wait for it.
 

@@ -2,13 +2,13 @@
 
 Knows the event loop, and Linux' timers as descriptors; knows no port.
 
-1. The loop's own timers wait in whole milliseconds where it waits by ``epoll``, rounded up. The silence between two
-   frames is 1.75 ms above 19 200 baud, so a timer that is one late costs a tenth of the line.
-2. Linux offers a timer as a descriptor, exact to microseconds, that the loop watches like any other. Elsewhere the
-   loop's timers are what there is.
-3. A processor that sleeps takes some 60 µs to wake up, and the loop some more. The timer is set so much earlier as it
-   was late at least lately; should it be quicker for once, the rest is waited for. So no alarm rings before its time,
-   and hardly one waits.
+1. An event loop based on ``epoll`` waits in whole milliseconds, rounded up. The silence between two frames is 1.75 ms
+   above 19 200 baud, so a timer that is 1 ms late costs a tenth of the line.
+2. Linux offers a timer as a descriptor, exact to microseconds, that the loop watches like any other. On other systems
+   the loop's own timers are used.
+3. A sleeping processor takes some 60 µs to wake up, and the loop takes some more. So the timer is set earlier, by the
+   delay that was seen lately. If it fires too early, the remaining time is waited for: the function is never called
+   before its time, and seldom much after it.
 """
 
 import asyncio
@@ -25,13 +25,15 @@ _NANOSECONDS = 1_000_000_000
 _NEVER = (0, 0)
 
 LONGEST_LEAD: Final = 0.0001
-"""Seconds that a timer is set earlier at most: so long an alarm may keep its loop waiting."""
+"""Most seconds that a timer is set earlier: for so long an alarm may block its event loop."""
 _SLOWLY: Final = 1 / 16
-"""What becomes of the lead where the timer was later than that: it falls at once, and rises by so much of the way."""
+"""Where the timer was later than its lead (the time by which it is set earlier), the lead grows by this share of the
+difference; where it was earlier, the lead falls at once.
+"""
 
 
 class Alarm:
-    """A timer of the running event loop, exact to less than a millisecond; setting it again moves it.
+    """A timer of the running event loop, exact to less than a millisecond where the system allows; it can be set again.
 
     Attributes:
         exact: whether it is exact to microseconds.
@@ -50,8 +52,9 @@ class Alarm:
             self._loop.add_reader(self._descriptor, self._expired, self._descriptor)
 
     def set(self, when: float) -> None:
-        """Set the timer to call the function at ``when`` (``time.monotonic``) or soon after, instead of an earlier
-        setting.
+        """Set the timer to call the function at ``when`` (``time.monotonic``), never earlier.
+
+        Replaces an earlier setting.
         """
         if self._descriptor is not None:
             self._when = when

@@ -2,8 +2,8 @@
 
 Knows `serialx` and the descriptor under it; knows no Modbus and starts no thread.
 
-1. A wait may be asked for in microseconds and is kept as exactly as the system can: gaps between frames are short.
-2. A port that vanishes ends every call with `LinkDown`; the descriptor is closed by `close` alone.
+1. A wait may be given in microseconds and is kept as exactly as the system can: gaps between frames are short.
+2. A port that vanishes ends every call with `LinkDown`; only `close` closes the descriptor.
 """
 
 import contextlib
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     from serialx import BaseSerial
 
 READ_SIZE = 4096
-"""What one read takes at most: as much as the system's own buffer holds."""
+"""Most bytes that one read returns: as many as the system's own buffer holds."""
 
 STUCK_AFTER = 5.0
-"""Seconds after which a port that takes no more bytes is given up: its buffer empties within one at the lowest baud."""
+"""Seconds after which a port that accepts no more bytes counts as lost: its buffer empties within one second."""
 
 
 class BlockingSerialPort:
     """An open serial port for blocking use by one thread at a time.
 
     Attributes:
-        port: the name it was opened by.
-        path: the path that this name stood for.
+        port: the name by which it was opened.
+        path: the device path of that name.
         settings: baud rate, parity and the other settings of the line.
-        pseudo_terminal: whether the system only keeps the bytes and no times.
+        pseudo_terminal: whether it is a pseudo-terminal, which passes bytes on at once and not with the line's speed.
     """
 
     def __init__(self, port: str, settings: SerialSettings, *, ioctl: Ioctl = system_ioctl) -> None:
@@ -48,11 +48,12 @@ class BlockingSerialPort:
         Args:
             port: a path, a name under by-id, or a USB identity (see `resolve_port`).
             settings: baud rate, parity and the other settings of the line.
-            ioctl: asks the driver; a test may hand in its own.
+            ioctl: function that calls the port's driver; a test may replace it.
 
         Raises:
-            LinkDown: it is not there, taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, cannot be set so, or `serialx` is not installed.
+            LinkDown: the port is missing, another program holds it (the message names it), or this user may not open
+                it.
+            ConfigError: it is no serial port, does not accept these settings, or `serialx` is not installed.
         """
         require("serialx", "a serial port")
         import serialx
@@ -106,7 +107,7 @@ class BlockingSerialPort:
     def still_sending(self) -> float | None:
         """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
-        None where all have left. Raises `LinkDown`.
+        None if all characters have left. Raises `LinkDown`.
         """
         self._opened()
         try:
@@ -116,10 +117,10 @@ class BlockingSerialPort:
         return self._device.emission.still_held(held, time.monotonic()) if held else None
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return received bytes, after waiting for them for up to ``timeout`` seconds.
+        """Return received bytes; if there are none, wait for them for up to ``timeout`` seconds.
 
         Args:
-            timeout: seconds; 0 takes what is there, None waits for ever.
+            timeout: seconds; 0 does not wait, None waits for ever.
 
         Returns:
             The bytes, and how many of them the port marked as damaged. No bytes when the time is over.
@@ -151,8 +152,8 @@ class BlockingSerialPort:
     def write(self, data: bytes) -> float:
         """Write bytes to the serial port.
 
-        Returns when the port has them, which is before they have left the line; with RTS switched by hand it returns
-        after they have, since RTS must be put back.
+        Returns as soon as the port has accepted them, while they are still being sent. If this program switches RTS, it
+        returns after they have left the line, because RTS has to be switched back then.
 
         Returns:
             When the last character will have left (``time.monotonic``).
@@ -186,13 +187,13 @@ class BlockingSerialPort:
         """Wait until the last written character has left the serial port.
 
         Args:
-            timeout: seconds; None waits for ever. A port whose driver is stuck never gets rid of its characters.
+            timeout: seconds; None waits for ever, also for a driver that is stuck.
 
         Returns:
             When it left (``time.monotonic``).
 
         Raises:
-            LinkDown: the port vanished, or the time is over: the bytes may have gone out.
+            LinkDown: the port vanished, or the time is over; the bytes may have gone out.
         """
         self._opened()
         emission = self._device.emission

@@ -4,8 +4,8 @@ Knows asyncio and `serialx`; knows no Modbus.
 
 1. Received bytes go to one callback, together with how many of them the port marked as damaged.
 2. ``write`` returns when the last character will have left: silences on the line are measured from there.
-3. A port that vanishes is reported once, to ``lost``; its descriptor is closed then. Its user may wait for it
-   (`open_when_there`).
+3. If a port vanishes, the callback ``lost`` is called once, and the descriptor is closed. `open_when_there` can wait
+   for the port to come back.
 """
 
 import asyncio
@@ -27,17 +27,17 @@ if TYPE_CHECKING:
     from serialx import BaseSerialTransport
 
 SETTLING_POLL = 0.0005
-"""Seconds between two looks whether the last character has left, where RTS must be put back at once."""
+"""Seconds between two checks whether the last character has left, if RTS must be switched back at once."""
 
 
 class SerialConnection:
     """An open serial port, used from the event loop that opened it. Created by `open`.
 
     Attributes:
-        port: the name it was opened by.
-        path: the path that this name stood for.
+        port: the name by which it was opened.
+        path: the device path of that name.
         settings: baud rate, parity and the other settings of the line.
-        pseudo_terminal: whether the system only keeps the bytes and no times.
+        pseudo_terminal: whether it is a pseudo-terminal, which passes bytes on at once and not with the line's speed.
     """
 
     def __init__(
@@ -78,13 +78,14 @@ class SerialConnection:
         Args:
             port: a path, a name under by-id, or a USB identity (see `resolve_port`).
             settings: baud rate, parity and the other settings of the line.
-            received: gets bytes, and how many of them the port marked as damaged.
+            received: called with received bytes, and how many of them the port marked as damaged.
             lost: called once if the port vanishes; not after `close`.
-            ioctl: asks the driver; a test may hand in its own.
+            ioctl: function that calls the port's driver; a test may replace it.
 
         Raises:
-            LinkDown: it is not there, taken (the message names the holder), or not for this user.
-            ConfigError: it is no serial port, cannot be set so, or `serialx` is not installed.
+            LinkDown: the port is missing, another program holds it (the message names it), or this user may not open
+                it.
+            ConfigError: it is no serial port, does not accept these settings, or `serialx` is not installed.
         """
         require("serialx", "a serial port")
         import serialx
@@ -113,9 +114,7 @@ class SerialConnection:
 
     @property
     def sent_at(self) -> float:
-        """Time at which the last written character left the port, as far as known (``time.monotonic``); 0 before any
-        write.
-        """
+        """Time at which the last written character left the port, as far as known (``time.monotonic``); 0 at first."""
         if self._device is None:
             return 0.0
         return self._device.emission.until
@@ -124,11 +123,11 @@ class SerialConnection:
         """Write bytes to the serial port.
 
         Returns:
-            When the last character will have left (``time.monotonic``), by arithmetic; with RTS switched by hand the
-            delay before sending is in it.
+            When the last character will have left, computed from the character time (``time.monotonic``). If this
+            program switches RTS, the delay before sending is included.
 
         Raises:
-            LinkDown: the port vanished or is closed; nothing of these bytes went out.
+            LinkDown: the port vanished or is closed; none of these bytes were sent.
         """
         transport, device = self._opened()
         if self._sender is not None:
@@ -154,7 +153,7 @@ class SerialConnection:
     def still_sending(self) -> float | None:
         """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
-        None where all have left. Raises `LinkDown`.
+        None if all characters have left. Raises `LinkDown`.
         """
         held = self.held()
         _, device = self._opened()
@@ -196,7 +195,7 @@ class SerialConnection:
             self._transport.abort()
 
     async def wait_closed(self) -> None:
-        """Wait until the descriptor of the port is closed, after `close` or a loss."""
+        """Wait until the descriptor of the port is closed, after `close` or after the port vanished."""
         await asyncio.shield(self._closed)
 
     def _opened(self) -> "tuple[BaseSerialTransport, OpenDevice]":

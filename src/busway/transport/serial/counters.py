@@ -1,6 +1,6 @@
 """Error counters that a port's driver keeps since the system started (``struct serial_icounter_struct``).
 
-Knows the numbers; what they mean for a conversation is for others.
+Knows the numbers only, and not what they mean for a request.
 """
 
 import struct
@@ -20,9 +20,9 @@ class LineCounters:
     Attributes:
         received, sent: characters.
         framing_errors, parity_errors: characters whose stop or parity bit was wrong.
-        overruns: characters lost in the port because they were not fetched in time.
+        overruns: characters lost in the port because the driver did not read them in time.
         buffer_overruns: characters lost because the system's buffer was full.
-        breaks: times that the line stood at zero for longer than a character.
+        breaks: how often the line was at 0 for longer than a character.
     """
 
     received: int = 0
@@ -34,7 +34,7 @@ class LineCounters:
     breaks: int = 0
 
     def since(self, earlier: "LineCounters") -> "LineCounters":
-        """Return what was counted between ``earlier`` counters and these."""
+        """Return the difference between these counters and ``earlier`` ones of the same port."""
         return LineCounters(
             received=self.received - earlier.received,
             sent=self.sent - earlier.sent,

@@ -1,7 +1,8 @@
 """An open serial port apart from reading and writing: settings, damage marks, counters, RS-485 direction, release.
 
 Knows what must be done to every port, whichever way it is used; `connection` and `blocking` move the bytes. Where
-ports have no descriptors (Windows) `serialx` does all there is, and the rest reports that it is not offered.
+ports have no descriptors (Windows) `serialx` does all that is possible, and other functions report that they are not
+available.
 """
 
 import os
@@ -22,10 +23,10 @@ _PARITY_LETTERS = {Parity.NONE: "N", Parity.EVEN: "E", Parity.ODD: "O"}
 
 
 def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dict[str, Any]:
-    """Return the arguments with which `serialx` opens a port with these settings.
+    """Return the keyword arguments with which `serialx` opens a port with these settings.
 
-    The values are of whatever types its keywords take. A pseudo-terminal refuses parity and 7 data bits: there they
-    only say how long a character takes.
+    A pseudo-terminal refuses parity and 7 data bits, so it does not get them: there they only determine how long a
+    character takes.
     """
     from serialx import PinState
 
@@ -55,14 +56,19 @@ class OpenDevice:
     """An open serial port without reading and writing: settings, RS-485 direction, counters, damage marks.
 
     Attributes:
-        direction: who switches the direction of the driver.
-        emission: the characters on their way out.
+        direction: who switches the direction of the RS-485 driver.
+        emission: computes when written characters leave the port.
     """
 
     __slots__ = ("_descriptor", "_ioctl", "_marks", "_settings", "direction", "emission")
 
     def __init__(self, descriptor: int | None, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> None:
-        """Set up a port that `serialx` has just opened. Raises `OSError` or `ConfigError`."""
+        """Lock a port that `serialx` has just opened, and set up its direction and damage marks.
+
+        Raises:
+            OSError: the port is gone.
+            ConfigError: the port does not have the RS-485 mode that the settings ask for.
+        """
         self._descriptor = descriptor
         self._settings = settings
         self._ioctl = ioctl
@@ -79,12 +85,13 @@ class OpenDevice:
             self._marks = MarkDecoder()
 
     def unmarked(self, data: bytes) -> Received:
-        """Return received bytes without the marks that the system puts before damaged ones, and the number of those."""
+        """Return received bytes without the system's damage marks, and how many of the bytes were damaged."""
         return self._marks.feed(data) if self._marks is not None else Received(data, 0)
 
     def held(self) -> int:
-        """Return how many written characters are still in the port, by the system. Raises `OSError` if the port is
-        gone.
+        """Return how many written characters are still in the port, as the driver tells.
+
+        Raises `OSError` if it is gone.
         """
         return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
 
@@ -103,11 +110,14 @@ class OpenDevice:
             set_rts(self._descriptor, self._settings.rts_after_send, self._ioctl)
 
     def release(self) -> None:
-        """Restore the settings that the port had before; call it before the descriptor is closed."""
+        """Unlock the port for other programs, and stop using its descriptor.
+
+        Call it before the descriptor is closed.
+        """
         if self._descriptor is not None and self._settings.exclusive:
             admit_others(self._descriptor, self._ioctl)
         self.forget()
 
     def forget(self) -> None:
-        """Stop using the port's descriptor, which is closed: its number may soon belong to another file."""
+        """Stop using the port's descriptor, because it was closed: its number may soon belong to another file."""
         self._descriptor = None

@@ -1,9 +1,9 @@
 """Computes when the last character written to a serial port has left it.
 
-Knows character times and what the system still holds; knows no clock: ``now`` is handed in.
+Knows character times and how many characters the system still holds; knows no clock: ``now`` is an argument.
 
-1. Arithmetic comes first: characters leave one after the other, none before it was written.
-2. What the system says can only make it later. A driver that says nothing (a pseudo-terminal) leaves the arithmetic.
+1. The time is computed first: characters leave one after the other, none before it was written.
+2. What the driver reports can only make it later. If it reports nothing (a pseudo-terminal), the computed time holds.
 """
 
 from .ioctl import Ioctl, asked_integer, system_ioctl
@@ -17,7 +17,7 @@ class CharacterClock:
     """Computes when written characters leave one serial port.
 
     Attributes:
-        until: when the last one has left, in the clock of ``now``.
+        until: when the last written character will have left, in the clock of ``now``.
     """
 
     __slots__ = ("_character_time", "until")
@@ -32,7 +32,7 @@ class CharacterClock:
         return self.until
 
     def still_held(self, count: int, now: float) -> float:
-        """Correct the time by ``count`` characters still in the port. Returns when the last can have left."""
+        """Make ``until`` later if ``count`` characters are still in the port at ``now``, and return it."""
         if count:
             self.until = max(self.until, now + count * self._character_time)
         return self.until
@@ -41,8 +41,8 @@ class CharacterClock:
 def characters_held(descriptor: int, ioctl: Ioctl = system_ioctl) -> int:
     """Return how many written characters are still in the port, as far as the driver tells.
 
-    The buffer's count leaves out the character that is being sent; where the driver tells whether its transmitter is
-    empty, that one counts too.
+    The system's count leaves out the character that is being sent. Where the driver tells that its transmitter is not
+    empty, that character is added.
     """
     waiting = asked_integer(ioctl, descriptor, TIOCOUTQ) or 0
     if waiting:

@@ -2,8 +2,8 @@
 
 Knows the errors of the system and of `serialx`; knows no Modbus.
 
-1. What may be different later (not there, taken, unplugged) is `LinkDown`; what stays so until the user changes a
-   setting is `ConfigError`.
+1. Errors that may pass (port missing, taken, unplugged) are `LinkDown`; those that stay until the user changes a
+   setting are `ConfigError`.
 """
 
 import errno
@@ -36,12 +36,12 @@ _IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTS
 
 
 def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDown | ConfigError:
-    """Return the error for a port that could not be opened, from the system's error. No byte was sent.
+    """Create the error for a port that could not be opened, from the system's error. No byte was sent.
 
     Args:
         error: the system's error.
         port: the path that was opened.
-        settings: what the line was to be set to, in words, for the message.
+        settings: the wanted settings of the line in words, for the message.
     """
     number = getattr(error, "errno", None)
     ours: LinkDown | ConfigError
@@ -61,10 +61,10 @@ def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDo
 
 
 def port_lost(error: BaseException | None, *, port: str, sent: bool = False) -> LinkDown:
-    """Return the error for a serial port that vanished while it was open.
+    """Create the error for a serial port that vanished while it was open.
 
     Args:
-        error: what was raised; None where a read merely ended.
+        error: the system's error; None if a read returned the end of the file instead.
         port: its path.
         sent: whether bytes of a request may have left.
     """

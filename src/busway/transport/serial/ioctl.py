@@ -1,6 +1,6 @@
 """All ioctl calls to the driver of an open serial port, in one place so that a test can replace the driver.
 
-Knows numbers of the system's calls; knows not what they are for. Buffers are filled in place.
+Knows how to make the calls, and not what they are for. Results are written into the buffers passed in.
 """
 
 import errno
@@ -15,14 +15,14 @@ NOT_OFFERED = frozenset({errno.ENOTTY, errno.EINVAL, errno.ENOSYS, errno.EOPNOTS
 
 
 def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
-    """Make an ioctl call to the operating system."""
+    """Make an ioctl call to the operating system, which may change ``buffer``."""
     import fcntl  # where ports have no descriptors there is no such module, and this is not reached
 
     fcntl.ioctl(descriptor, request, buffer)
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Make an ioctl call; returns False if the driver does not offer it. Other errors are raised."""
+    """Make an ioctl call; return True, or False if the driver does not offer it. Other errors are raised."""
     try:
         ioctl(descriptor, request, buffer)
     except OSError as error:

@@ -1,7 +1,8 @@
 """Lock of a serial port against other programs, and the name of the program that holds it.
 
-Knows the lock that `serialx` takes on an open port (``flock``), the system's own refusal (``TIOCEXCL``) and where
-Linux lists who holds what; knows no Modbus. Elsewhere the lock works and the holder stays unnamed.
+Knows the lock that `serialx` takes on an open port (``flock``), the system's refusal of a second opening (``TIOCEXCL``)
+and where Linux lists locks and open files; knows no Modbus. On other systems the lock works, but the other program
+cannot be named.
 """
 
 import os
@@ -23,8 +24,8 @@ class Holder:
 
     Attributes:
         process: its process number.
-        command: its command line; empty where it may not be seen.
-        ourselves: whether it is this very process.
+        command: its command line; empty where this user may not see it.
+        ourselves: whether it is this process.
     """
 
     process: int
@@ -38,12 +39,12 @@ class Holder:
 
 
 def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Let the system refuse any further opening of the serial port, by other programs or this one."""
+    """Make the system refuse any further opening of the serial port, by other programs or by this one."""
     asked(ioctl, descriptor, TIOCEXCL, bytearray())
 
 
 def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Let the system open the port again after `refuse_others`, which would hold as long as a descriptor is open."""
+    """Undo `refuse_others`, whose refusal would otherwise last as long as any descriptor of the port is open."""
     try:
         asked(ioctl, descriptor, TIOCNXCL, bytearray())
     except OSError:
@@ -68,9 +69,9 @@ def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
 
 
 def _who_locked(place: str, processes: Path) -> int | None:
-    """Return the process number in a line of /proc/locks, as ``1: FLOCK  ADVISORY  WRITE 4711 00:1a:3 0 EOF``.
+    """Return the process number from a line of /proc/locks: 4711 from ``1: FLOCK ADVISORY WRITE 4711 00:1a:3 0 EOF``.
 
-    None if no line with a process is about ``place``, or the file cannot be read.
+    None if no such line is for the file ``place`` (``00:1a:3``), or /proc/locks cannot be read.
     """
     try:
         lines = (processes / "locks").read_text().splitlines()

@@ -1,11 +1,11 @@
 """Removes the marks that the system puts before characters that arrived damaged (``PARMRK``).
 
 Knows the marks of termios: ``FF 00 x`` is a character x with a parity or framing error, ``FF 00 00`` also a break,
-``FF FF`` one good FF. Knows no port: switching the marks on works on the attributes that termios gives.
+``FF FF`` one good FF. Knows no port, except to switch the marks on.
 
-1. A damaged character stays in the data, as it was received: a frame keeps its length, and what frames the bytes
-   decides (Serial Line V1.02 §2.5.1: the frame is discarded).
-2. A mark may be split between two reads, at any place.
+1. A damaged character stays in the data as it was received, so that a frame keeps its length. The framing decides what
+   to do with it (Serial Line V1.02 §2.5.1: the frame is discarded).
+2. A mark may be split between two reads, after any of its bytes.
 """
 
 from dataclasses import dataclass
@@ -39,7 +39,7 @@ class MarkDecoder:
         self._within = _Within.DATA
 
     def feed(self, stream: bytes) -> Received:
-        """Return the next received bytes without damage marks; empty if so far only a mark has begun."""
+        """Return the next received bytes without damage marks; empty if they are only the beginning of a mark."""
         if self._within is _Within.DATA and MARK not in stream:
             return Received(stream, 0)
         data = bytearray()

@@ -4,7 +4,7 @@ Knows names of ports; opens none and knows no Modbus.
 
 1. A port belongs to one user in a process: two event loops, or an event loop and a thread, would take each other's
    bytes. The system's own lock does not help where it is switched off.
-2. A claim ends with `Claim.release`, or with its holder.
+2. A claim ends with `Claim.release`, or when its object is no longer referenced.
 """
 
 import os
@@ -18,7 +18,7 @@ from .reopen import ReopenPolicy
 
 
 def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
-    """Return the pauses between attempts to open a lost serial port again; the attempts never end."""
+    """Return the pauses between attempts to open a lost serial port again; the number of attempts has no limit."""
     return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
 
 
@@ -31,8 +31,8 @@ class Claim:
         """Claim a serial port for one user in this process.
 
         Args:
-            port: its name, as it is opened by.
-            user: who holds it, for the message of the next one.
+            port: the name by which it is opened.
+            user: who uses it; the error for the next one that wants the port shows this text.
 
         Raises:
             ConfigError: this process has it open already, or `serialx` is not installed. Nothing was opened.
@@ -50,7 +50,7 @@ class Claim:
             _claims[self.port] = self
 
     def release(self) -> None:
-        """Let others in this process use the serial port. May be called twice."""
+        """Allow others in this process to use the serial port. May be called twice."""
         with _lock:
             if _claims.get(self.port) is self:
                 del _claims[self.port]
@@ -61,5 +61,5 @@ _claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary
 
 
 def _key(port: str) -> str:
-    """Return the same name for a serial device whatever symbolic link was used."""
+    """Return the path of a serial port with symbolic links resolved, so that one device has one name."""
     return os.path.realpath(port) if port.startswith("/") and os.path.exists(port) else port

@@ -1,7 +1,7 @@
 """Detects characters that a serial port has lost, by the counters of its driver.
 
-Knows the driver's counters; what a loss means for a frame is for others. A port whose driver counts nothing has lost
-nothing that can be seen, and is not asked again.
+Knows the driver's counters, and not what a loss means for a frame. If a driver has no counters, losses cannot be seen,
+and it is not asked again.
 """
 
 from collections.abc import Callable
@@ -16,8 +16,9 @@ class Overruns:
     __slots__ = ("_counters", "_lost")
 
     def __init__(self, counters: Callable[[], LineCounters | None]) -> None:
-        """Start counting lost characters from now on. ``counters`` reads the driver's counts, and may
-        raise `LinkDown`.
+        """Start to count lost characters; earlier losses are ignored.
+
+        ``counters`` returns the driver's counters, or None if it has none; may raise `LinkDown`.
         """
         self._counters = counters
         self._lost = self._read()

@@ -1,7 +1,7 @@
 """Finds serial ports by path, by name under ``by-id``, or by USB identity.
 
 Knows how ports are named and listed; opens none and knows no Modbus. A name is looked up each time a port is opened, so
-a USB adapter is found again under whatever path it comes back.
+a USB adapter is found again even if its path has changed.
 
 ::
 
@@ -9,7 +9,7 @@ a USB adapter is found again under whatever path it comes back.
     usb:0403:6001            the only adapter of this maker and product
     usb:0403:6001:A50285BI   the one with this serial number
 
-A leading slash, as the path of a URL has it, may stand before each of them.
+A slash may stand before each of them, because the path of a URL begins with one.
 """
 
 import os
@@ -27,7 +27,7 @@ UNIX98_PTY_MAJORS = range(136, 144)
 """Device numbers that Linux keeps for the far ends of pseudo-terminals."""
 
 BSD_PTY_PATHS = ("/dev/pts/", "/dev/ttys00", "/dev/ttys01", "/dev/ttys02")
-"""Where other systems keep them; macOS numbers them with three digits."""
+"""Paths of pseudo-terminals on other systems; macOS numbers them with three digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,10 +35,10 @@ class FoundPort:
     """A serial port of this machine: its path, and what is known of its USB adapter.
 
     Attributes:
-        path: the name to open it by; one that stays with the device (``by-id``) where there is one.
-        device: the name that the system gave it now.
+        path: the name by which to open it; where possible one that does not change (``by-id``).
+        device: the present name of the device: ``/dev/ttyUSB0``.
         vendor, product: USB identity, 0…65 535; None for ports that are not on USB.
-        serial_number: as the device tells it, if it does.
+        serial_number: as the device tells it; None if it does not.
         description: maker and product in words; empty if unknown.
     """
 
@@ -80,8 +80,8 @@ def resolve_port(name: str, listing: Callable[[], Iterable[FoundPort]] = list_po
     """Return the current device path of a port given by path, ``by-id`` name or USB identity.
 
     Raises:
-        LinkDown: no device with this USB identity is plugged in. It may be later.
-        ConfigError: several devices have it, or the name is empty.
+        LinkDown: no device with this USB identity is plugged in now.
+        ConfigError: several devices have this USB identity, or the name is empty.
     """
     if not name:
         raise ConfigError("the name of the serial port is missing, as in /dev/ttyUSB0", key="port")

@@ -1,10 +1,10 @@
 """Opens a serial port that may be missing for now, with pauses between the attempts.
 
-Knows how often; the waiting itself is handed in, so that a test waits in its own way.
+Knows how long to wait; the waiting itself is an argument, so that a test can replace it.
 
-1. The first pause is short: an adapter that is replugged is back within a second. Each further one doubles, up to a
-   most; a port that is gone for hours costs one attempt per ``most`` seconds.
-2. Only what may be different later is tried again: `LinkDown` is, `ConfigError` is not.
+1. The first pause is short: an adapter that is replugged is back within a second. Each further pause is twice as long,
+   up to ``most`` seconds, so a port that is missing for hours costs one attempt in ``most`` seconds.
+2. After `LinkDown` it is tried again, after `ConfigError` not: that error does not pass.
 """
 
 from collections.abc import Awaitable, Callable
@@ -22,8 +22,8 @@ class ReopenPolicy:
 
     Attributes:
         first: seconds after the first failure, 0.01…60.
-        most: seconds that no pause exceeds, ``first``…3600.
-        attempts: how many failures in a row end it; None waits for ever.
+        most: longest pause in seconds, ``first``…3600.
+        attempts: how many failures in a row end the attempts; None for no limit.
     """
 
     first: float = 0.1
@@ -39,14 +39,14 @@ class ReopenPolicy:
             raise ConfigError(f"must be at least 1, not {self.attempts}", key="attempts")
 
     def pause(self, failures: int) -> float | None:
-        """Return the seconds to wait after so many failures in a row (from 1); None to give up."""
+        """Return the seconds to wait after ``failures`` failures in a row (1 or more); None to give up."""
         if self.attempts is not None and failures >= self.attempts:
             return None
         return min(self.first * 2.0 ** min(failures - 1, 32), self.most)
 
 
 def _ignore(_error: LinkDown, _pause: float) -> None:
-    """Do nothing after a failed attempt to open a port: the default for that callback."""
+    """Do nothing; the default for the callback after a failed attempt."""
 
 
 async def open_when_there(
@@ -56,17 +56,17 @@ async def open_when_there(
     waiting: Callable[[LinkDown, float], None] = _ignore,
     sleep: Callable[[float], Awaitable[object]] | None = None,
 ) -> Port:
-    """Open a serial port; if it is missing, wait as long as the policy allows. Cancel it to stop waiting.
+    """Open a serial port; if it is missing, try again with the pauses of ``policy``. Cancel it to stop waiting.
 
     Args:
         opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.
-        policy: the pauses.
+        policy: the pauses, and how many attempts are made.
         waiting: called with each failure and the pause after it, in seconds.
-        sleep: waits.
+        sleep: waits for a number of seconds; ``asyncio.sleep`` if left out.
 
     Raises:
-        LinkDown: the last failure, when the policy's attempts are used up.
-        ConfigError: what waiting does not change.
+        LinkDown: the last failure, when the attempts of the policy are used up.
+        ConfigError: an error that does not pass by waiting.
     """
     if sleep is None:
         import asyncio  # here: blocking programs do without it

@@ -1,7 +1,7 @@
 """Direction control of an RS-485 adapter: by the port's driver, or by the RTS signal.
 
-Knows the kernel's structure (``struct serial_rs485`` of ``linux/serial.h``) and the modem lines; knows no timing: who
-switches RTS keeps the delays.
+Knows the kernel's structure (``struct serial_rs485`` of ``linux/serial.h``) and the modem lines; knows no timing:
+delays around a switch of RTS are kept by the caller.
 """
 
 import math
@@ -36,10 +36,10 @@ class DriverDirection(Enum):
 
 
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
-    """Set up the direction control of an open RS-485 port by its settings. Returns how it is switched.
+    """Set up how an open RS-485 port is switched between sending and receiving, by its settings; return the way.
 
     Raises:
-        ConfigError: the kernel's mode is asked for and this port does not have it.
+        ConfigError: the settings ask for the kernel's RS-485 mode, and this port does not have it.
     """
     if settings.rs485 is Rs485.OFF:
         return DriverDirection.NONE

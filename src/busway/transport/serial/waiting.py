@@ -1,19 +1,22 @@
 """Waits until file descriptors are ready, as exactly as the system can.
 
-Knows the two calls that wait and their limits: ``select`` waits for microseconds but takes only low descriptors,
-``poll`` takes all and waits for milliseconds, rounded up. Gaps between frames are 1.75 ms and less, so the first is
-preferred; a program with a thousand connections gets the second.
+Knows the two calls that wait and their limits: ``select`` waits for microseconds but accepts only low descriptors,
+``poll`` accepts all and waits for milliseconds, rounded up. Gaps between frames are 1.75 ms and less, so ``select`` is
+preferred; a program with a thousand connections gets ``poll``.
 """
 
 import select
 from collections.abc import Sequence
 
 SELECT_LIMIT = 1024
-"""Descriptors that ``select`` takes are below this."""
+"""``select`` accepts only descriptors below this."""
 
 
 def wait_ready(reading: Sequence[int], writing: Sequence[int], timeout: float | None) -> list[int]:
-    """Wait for file descriptors; returns those ready, none after ``timeout`` seconds. None waits for ever."""
+    """Wait until one of the file descriptors is ready, for at most ``timeout`` seconds; return the ready ones.
+
+    Empty when the time is over. A timeout of None waits for ever.
+    """
     if max((*reading, *writing)) < SELECT_LIMIT:
         readable, writable, _ = select.select(reading, writing, [], timeout)
         return readable + writable

@@ -4,10 +4,10 @@ Knows files and OpenSSL; knows no connection.
 
 1. TLS 1.2 and 1.3 only, suites and curve of the parameters only, no compression, no renegotiation, security level 2
    (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1).
-2. A server asks every client for a certificate. Sessions to be resumed stay in the server's memory and not in tickets,
-   because only there a fatal alert can forget them; with them stays the client's certificate.
-3. `WatchedContext` gives the context to each new connection: files that have changed are read again, and where they
-   are wrong the context before stays.
+2. A server asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
+   in the server's memory and not in tickets, because only there they can be deleted after a fatal alert.
+3. `WatchedContext` gives the context to each new connection. Files that have changed are read again; if they are wrong,
+   the context stays as it was.
 """
 
 import logging
@@ -29,19 +29,19 @@ _ANY_CERTIFICATE: Final = "CERTIFICATE-----"
 _BEGIN_REVOCATIONS: Final = "-----BEGIN X509 CRL-----"
 _OPENSSL_NAME: Final = {Curve.P_256: "prime256v1"}
 _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
-"""What of a directory of authorities is read."""
+"""Names of the files that are read in a directory of authorities end so."""
 _NO_CHECK_TIME: Final = 0x20_0000
 """X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
 _LOOK_SECONDS: Final = 1.0
-"""The files of a context are looked at this often at most, however many connections come."""
+"""Seconds between two checks of the files of a context, however many connections are opened."""
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
     """Build the ``ssl`` context of a listener.
 
     Raises:
-        ConfigError: the certificate or the authority is missing, or a file cannot be used; the error names the option,
-            and the file if there is one.
+        ConfigError: the option for the certificate or the authority is missing, or a file cannot be used; the error
+            names the option, and the file if there is one.
     """
     parameters.check_server()
     context = _context(ssl.PROTOCOL_TLS_SERVER, parameters)
@@ -51,11 +51,11 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def web_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Return the ``ssl`` context of a page for browsers, which may show a client certificate but need not.
+    """Build the ``ssl`` context of a web page for browsers, which may present a client certificate but need not.
 
     Raises:
-        ConfigError: the certificate is missing, or a file cannot be used; the error names the option, and the file if
-            there is one.
+        ConfigError: the option for the certificate is missing, or a file cannot be used; the error names the option,
+            and the file if there is one.
     """
     if parameters.certificate is None:
         raise ConfigError("a page with TLS needs a certificate", key="certificate")
@@ -70,8 +70,8 @@ def client_context(parameters: TlsParameters) -> ssl.SSLContext:
     """Build the ``ssl`` context of a client.
 
     Raises:
-        ConfigError: the authority is missing, or a file cannot be used; the error names the option, and the file if
-            there is one.
+        ConfigError: the option for the authority is missing, or a file cannot be used; the error names the option, and
+            the file if there is one.
     """
     parameters.check_client()
     context = _context(ssl.PROTOCOL_TLS_CLIENT, parameters)
@@ -82,7 +82,7 @@ def client_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def timeless_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Return a client's context that accepts expired certificates, only to find out when one expired."""
+    """Return a client's context that accepts expired certificates; only used to find out when one expired."""
     context = client_context(parameters)
     context.verify_flags |= ssl.VerifyFlags(_NO_CHECK_TIME)
     return context
@@ -216,13 +216,13 @@ def _system_words(error: OSError | ValueError) -> str:
 
 
 class WatchedContext:
-    """The ``ssl`` context of a listener or connector, made anew when its certificate files change.
+    """The ``ssl`` context of a listener or connector; created again when its certificate files change.
 
     Args:
-        parameters: which files.
-        make: `server_context` or `client_context`.
+        parameters: TLS options, which name the files.
+        make: creates a context: `server_context` or `client_context`.
         name: the name of the listener or link, for the log.
-        clock: monotonic seconds.
+        clock: returns monotonic seconds.
 
     Raises:
         ConfigError: the files cannot be used now.
@@ -239,7 +239,7 @@ class WatchedContext:
         self.parameters = parameters
         self.name = name
         self.generation: int = 0
-        """How often the files were read anew."""
+        """How often the files were read again."""
         self._make = make
         self._clock = clock
         self._looked = clock()
@@ -247,7 +247,7 @@ class WatchedContext:
         self._context = make(parameters)
 
     def current(self) -> ssl.SSLContext:
-        """Return the ``ssl`` context for a new connection; never raises."""
+        """Return the ``ssl`` context for a new connection; reads changed files first. Never raises."""
         now = self._clock()
         if now - self._looked >= _LOOK_SECONDS:
             self._looked = now
@@ -261,7 +261,11 @@ class WatchedContext:
         return self._context
 
     def reload(self) -> None:
-        """Read the certificate files now. Raises `ConfigError`; then the context stays as it was."""
+        """Read the certificate files again now.
+
+        Raises:
+            ConfigError: a file cannot be used; the context stays as it was.
+        """
         self._looked = self._clock()
         self._renew(self._files())
 
@@ -272,7 +276,7 @@ class WatchedContext:
         _log.info("%s: certificates read anew", self.name)
 
     def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """Return modification time and size of each certificate file, to notice changes; zero for a missing one."""
+        """Return path, modification time and size of each certificate file (0 for a missing one), to notice changes."""
         chosen = self.parameters
         own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
         names = [one for one in own if one is not None]

@@ -2,8 +2,8 @@
 
 Knows the errors of ``ssl`` and the alerts of TLS (RFC 8446 §6); knows no connection.
 
-An alert that a peer sends says what the peer thinks of us, so its sentence is about *our* certificate; what we find out
-is about the peer's.
+An alert that the peer sends concerns *our* certificate, an error that this side finds concerns the peer's; the texts
+say which.
 """
 
 import ssl
@@ -52,7 +52,10 @@ class TlsFailure(ConnectionError):
 
 
 def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
-    """Return the `TlsFailure` for an error of ``ssl``, which becomes its cause; ``server_side``: which side this is."""
+    """Create the `TlsFailure` for an error of ``ssl``, which becomes its cause.
+
+    ``server_side``: True on a server, False on a client.
+    """
     kind, sentence = _verdict(error, "client" if server_side else "server")
     failure = TlsFailure(kind, sentence)
     failure.__cause__ = error
@@ -60,7 +63,10 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """Return a copy of a failure that also tells when the peer's certificate expired; ``now``: seconds since 1970."""
+    """Return the failure with a text that says which certificate is out of date, and its date.
+
+    ``certificate`` is the server's, as ``getpeercert`` returns it; ``now`` is in seconds since 1970.
+    """
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:
         sentence = f"the server's certificate has expired on {date_of(ends)}"

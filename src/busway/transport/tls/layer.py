@@ -6,14 +6,14 @@ Knows transports and a `TlsStream`; knows no Modbus, and no certificate.
 
     protocol (ServerConnection, link)      plain bytes
         TlsLayer                           its transport; the loop's protocol
-    the loop's transport                   records
+    the loop's transport                   TLS records
 
-1. What arrived is worked through in one call, and what that writes leaves in one write.
-2. The layer has no task; one timer watches the handshake, and the moments after a refusal.
-3. A handshake that fails is answered with its alert. The connection stays for a moment after that: closed at once,
-   with bytes of the peer still unread, the system would reset it, and the peer would never see why.
-4. The owner of the layer gets exactly one of ``established`` and ``failed``; after ``established`` the protocol
-   above hears ``connection_lost``, with the `TlsFailure` where TLS ended it.
+1. Received bytes are processed in one call, and all that the protocol writes in it is sent in one write.
+2. The layer has no task; one timer limits the handshake, and the wait after a refusal.
+3. A handshake that fails is answered with a TLS alert. The connection stays open for a moment after that: if it were
+   closed while bytes of the peer are unread, the system would reset it, and the peer would not see the alert.
+4. Exactly one of the callbacks ``established`` and ``failed`` is called. After ``established``, the upper protocol gets
+   ``connection_lost``, with a `TlsFailure` if TLS ended the connection.
 """
 
 import asyncio
@@ -27,7 +27,7 @@ from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
 LINGER_SECONDS: Final = 1.0
-"""After a refusal, what a peer still sends is thrown away for so long, unless it closes before."""
+"""Seconds for which bytes of a peer are discarded after a refusal, unless it closes before."""
 
 
 class TlsState(Enum):
@@ -36,7 +36,7 @@ class TlsState(Enum):
     HANDSHAKE = "handshake"
     UP = "up"
     REFUSED = "refused"
-    """The alert is on its way; the peer is given time to read it."""
+    """The alert was sent; the connection stays open for a moment, so that the peer can read it."""
     CLOSED = "closed"
 
 
@@ -46,17 +46,17 @@ class TlsLayer(asyncio.BufferedProtocol):
     Args:
         loop: the event loop.
         context: of `server_context` or `client_context`.
-        server_side: which side this is.
-        server_name: the name that a client expects.
+        server_side: True on a server, False on a client.
+        server_name: the name that the server's certificate must have; None on a server.
         timeout: seconds for the handshake.
-        established: called with the layer when both sides have agreed; gives the protocol above, or None where it has
+        established: called with the layer when the handshake is complete; returns the upper protocol, or None if it has
             called `refuse`.
-        failed: called with the layer and the failure where nothing came of it.
-        gone: called with the layer when the connection below has ended, behind all other calls.
+        failed: called with the layer and the failure if the handshake failed.
+        gone: called with the layer when the TCP connection has ended, after all other calls.
 
     Attributes:
-        state: how far it is.
-        failure: why it ended, where TLS is the reason.
+        state: handshake, up, refused or closed.
+        failure: why the connection ended, if TLS is the reason; otherwise None.
     """
 
     def __init__(
@@ -101,7 +101,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return self._buffer
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received TLS records, or parts of them, up to what the upper protocol takes."""
+        """Process received TLS records: continue the handshake, or pass the decrypted bytes to the upper protocol."""
         if self.state is TlsState.HANDSHAKE:
             self._stream.feed(self._records[:nbytes])
             self._shake_hands()
@@ -110,7 +110,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def eof_received(self) -> bool:
-        """Handle the end of the TCP stream, which some peers do not announce by a TLS message.
+        """Handle the end of the TCP stream, also if the peer has not announced it by TLS (close_notify).
 
         Returns whether the connection stays open for now, because replies are still unsent.
         """
@@ -212,7 +212,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         self._flush()
 
     def _tell_end(self) -> bool:
-        """Tell the upper protocol that the peer has ended its stream; close unless replies are still unsent.
+        """Call ``eof_received`` of the upper protocol; close the connection unless replies are still unsent.
 
         Returns whether the connection stays open for now.
         """
@@ -244,7 +244,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._below.write(records)
 
     def close(self) -> None:
-        """Tell the peer that the TLS stream ends, and close after the written bytes are sent."""
+        """Announce the end of the TLS stream (close_notify), and close after the written bytes are sent."""
         if self.state is TlsState.UP and not self._below.is_closing():
             self._stream.finish()
             self._flush()
@@ -253,7 +253,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self.abort()
 
     def abort(self) -> None:
-        """Close the TLS connection at once, without sending what waits."""
+        """Close the TLS connection at once; bytes that wait to be sent are dropped."""
         if self._below is not None:
             self._below.abort()
 
@@ -283,7 +283,7 @@ class TlsLayer(asyncio.BufferedProtocol):
                 self._below.resume_reading()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Set the limits of bytes that wait to be sent, above which the upper protocol pauses."""
+        """Set the limits of bytes that wait to be sent: the upper protocol pauses above ``high``, until ``low``."""
         self._below.set_write_buffer_limits(high, low)
 
     def get_write_buffer_size(self) -> int:
@@ -292,7 +292,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         return size
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """Return a detail of the connection below, or ``ssl_object``."""
+        """Return a detail of the connection: ``ssl_object``, or one of the transport below, such as ``peername``."""
         if name == "ssl_object":
             return self._stream.ssl_object
         return self._below.get_extra_info(name, default) if self._below is not None else default

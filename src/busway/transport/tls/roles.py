@@ -1,9 +1,9 @@
 """The role of a client, read from its certificate: one UTF-8 string in an extension (MODBUS/TCP Security).
 
-Knows the extension and its encoding; knows no right that a role has.
+Knows the extension and its encoding; does not know what a role permits.
 
-1. The whole string is the role. What is not exactly one UTF8String, down to the last byte, is no role.
-2. A certificate in which an extension stands twice is refused: which of them counts is undefined.
+1. The whole string is the role. If the value of the extension is not exactly one UTF8String, there is no role.
+2. A certificate that has an extension twice is refused: which of them counts is undefined.
 3. No role is None, never an empty text.
 """
 
@@ -24,7 +24,7 @@ class RoleReading:
 
     Attributes:
         role: the role; None without one.
-        reason: why there is none although the extension is there; empty otherwise.
+        reason: what is wrong with the extension for roles; empty if it is valid or missing.
     """
 
     role: str | None = None
@@ -65,7 +65,7 @@ def role_of_certificate(certificate: bytes) -> RoleReading:
 
 
 def decode_role(value: bytes) -> RoleReading:
-    """Return the role that the value of the certificate extension contains."""
+    """Return the role in the value of the certificate extension, or what is wrong with the value."""
     if len(value) < 2:
         return RoleReading(reason="the extension is empty")
     if value[0] != _UTF8_STRING:

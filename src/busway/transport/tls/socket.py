@@ -2,10 +2,10 @@
 
 Knows a socket and a `TlsStream`; knows no Modbus.
 
-1. What one receive call takes out of the socket is decrypted whole and handed over whole: nothing that has come waits
-   inside where ``poll`` would not see it.
-2. What was encrypted cannot be encrypted again: where the socket takes only a part, the rest goes out first at the
-   next `send`, and only then are the plain bytes said to be sent.
+1. All bytes that one call receives are decrypted and returned together: none stay inside, where ``poll`` on the socket
+   would not report them.
+2. Bytes cannot be encrypted twice. If the socket accepts only a part of them, the next `send` sends the rest first, and
+   only then reports the plain bytes as sent.
 """
 
 import contextlib
@@ -20,7 +20,9 @@ from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
 _RECORDS_SIZE: Final = 32_768
-"""Taken out of the socket at once; with what is left of a record before it, 16 KiB, it fits into `RECEIVE_SIZE`."""
+"""Most encrypted bytes that one call receives. Decrypted, together with the rest of a record before them (16 KiB), they
+fit into `RECEIVE_SIZE`.
+"""
 assert _RECORDS_SIZE + 2 * 16_384 <= RECEIVE_SIZE
 
 
@@ -28,13 +30,13 @@ class TlsSocket:
     """A TLS connection of a blocking client, used like a non-blocking socket.
 
     Args:
-        connection: connected, blocking; from now on this object closes it.
+        connection: connected, blocking socket; this object closes it.
         context: of `client_context`.
         server_name: the name that the server's certificate must have.
         timeout: seconds for the handshake.
 
     Raises:
-        TlsFailure, OSError: nothing came of it, and the connection is closed.
+        TlsFailure, OSError: the handshake failed; the connection is closed.
     """
 
     def __init__(
@@ -87,10 +89,12 @@ class TlsSocket:
         return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Receive decrypted bytes into at least `RECEIVE_SIZE` bytes; 0 if the server has ended.
+        """Receive decrypted bytes into ``buffer``, which must have `RECEIVE_SIZE` bytes.
+
+        Returns 0 at the end of the stream.
 
         Raises:
-            BlockingIOError: none have come.
+            BlockingIOError: no bytes have been received.
             TlsFailure, OSError: the connection has ended.
         """
         plain = 0
@@ -115,10 +119,10 @@ class TlsSocket:
     def send(self, data: bytes, /) -> int:
         """Encrypt bytes and send them. Returns how many were accepted.
 
-        Where `BlockingIOError` was raised, the next call begins with the same bytes.
+        After a `BlockingIOError` the next call must begin with the same bytes.
 
         Raises:
-            BlockingIOError: the socket takes no more now.
+            BlockingIOError: the socket accepts no more bytes now.
             TlsFailure, OSError: the connection has ended.
         """
         if not self._unsent:
@@ -130,7 +134,10 @@ class TlsSocket:
         return self._encrypted
 
     def close(self) -> None:
-        """Announce the end of the TLS stream if possible at once, and close; a waiting thread wakes up."""
+        """Announce the end of the TLS stream if that is possible without waiting, and close.
+
+        A thread that waits wakes up.
+        """
         with contextlib.suppress(OSError):
             if self._unsent:
                 discard_on_close(self._socket)

@@ -2,9 +2,9 @@
 
 Knows ``ssl``; knows no socket, no event loop and no Modbus.
 
-1. Frames and records have nothing to do with each other: what arrives is one stream of bytes (M1).
-2. Whatever happens, `outgoing` is to be sent afterwards: after a failure it is the fatal alert. This is why the drivers
-   do not use the TLS of asyncio, which drops the alert, and keeps a quarter of a megabyte for each connection.
+1. Modbus frames and TLS records are independent: a frame may be split over records, and a record may hold several.
+2. The bytes of `outgoing` have to be sent after every call, also after a failure: then they are the fatal alert. The
+   TLS of asyncio is not used, because it drops the alert and keeps a quarter of a megabyte for each connection.
 """
 
 import ssl
@@ -17,8 +17,8 @@ class TlsStream:
     """One side of a TLS connection, without IO: the driver passes received bytes in and sends what comes out.
 
     Attributes:
-        ended: whether the peer said that it sends no more.
-        heard: whether any plain bytes have come.
+        ended: whether the peer has announced the end of its stream.
+        heard: whether any decrypted bytes were received.
     """
 
     __slots__ = ("_failure", "_incoming", "_outgoing", "_server_side", "_ssl", "ended", "heard")
@@ -40,7 +40,7 @@ class TlsStream:
         return self._ssl
 
     def feed(self, data: bytes | bytearray | memoryview) -> None:
-        """Take encrypted bytes that the connection has received from the peer."""
+        """Store encrypted bytes received from the peer, for `handshake` or `read_into`."""
         self._incoming.write(data)
 
     def handshake(self) -> bool:
@@ -56,7 +56,10 @@ class TlsStream:
         return True
 
     def read_into(self, room: memoryview) -> int:
-        """Decrypt received bytes into the buffer ``room``. Returns their number. Raises `TlsFailure`."""
+        """Decrypt received bytes into the buffer ``room``. Returns the number of decrypted bytes.
+
+        Raises `TlsFailure`.
+        """
         if self._failure is not None:
             raise self._failure
         size = 0
@@ -83,7 +86,7 @@ class TlsStream:
 
     @property
     def may_hold_more(self) -> bool:
-        """Whether another read may give something: bytes that did not fit into the buffer, or a `TlsFailure`."""
+        """Whether to call `read_into` again: some bytes did not fit into the buffer, or there is a failure to raise."""
         return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
@@ -96,12 +99,11 @@ class TlsStream:
             raise failure_of(error, server_side=self._server_side) from error
 
     def end_reason(self, error: Exception | None) -> Exception | None:
-        """Return why a connection ended that had no TLS failure; ``error`` is that of the network, None without one.
+        """Return the reason for the end of a connection that had no TLS failure.
 
-        It is ``error`` itself, or, for a client that never heard anything over TLS, a `TlsFailure`.
-
-        Many servers of TLS 1.3 refuse a certificate by closing, without the alert that says so, and after the client
-        believes itself connected. Only that nothing was ever heard tells that from other ends.
+        It is ``error``, the error of the network (None without one). But if a client never received a decrypted byte,
+        it is a `TlsFailure`: many TLS 1.3 servers refuse a certificate by closing without an alert, when the client's
+        handshake is already complete.
         """
         if self._server_side or self.heard or not (error is None or isinstance(error, ConnectionError)):
             return error
@@ -115,7 +117,10 @@ class TlsStream:
         return self._outgoing.read() if self._outgoing.pending else b""
 
     def finish(self) -> None:
-        """Announce to the peer that nothing more is sent (close_notify); else the session could not be resumed."""
+        """Announce to the peer that nothing more is sent (close_notify).
+
+        Without that the TLS session could not be resumed.
+        """
         try:
             self._ssl.unwrap()
         except (ssl.SSLError, ValueError):

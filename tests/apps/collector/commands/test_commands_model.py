@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from examples import examples
 from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
@@ -273,4 +274,4 @@ def _quickly(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 TestCommands = Commands.TestCase
-TestCommands.settings = settings(max_examples=40, stateful_step_count=25, deadline=None)
+TestCommands.settings = settings(max_examples=examples(40), stateful_step_count=25, deadline=None)

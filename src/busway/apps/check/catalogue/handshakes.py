@@ -32,7 +32,10 @@ _CHANGES: Final = {
 
 
 def handshake_checks(probe: bytes) -> list[Check]:
-    """Return the checks of TLS handshakes; ``probe`` is the PDU of a read that is answered on correct connections."""
+    """Return the checks of TLS handshakes.
+
+    ``probe`` is the PDU of a read of the target's probe, which the device answers over a correct connection.
+    """
     return [
         check(name, clause, says, BesideIt(Ask(probe, _ACCEPTED.get(change, _NO_ANSWER)), change), level=Level.DIAG)
         for change, (name, clause, says) in _CHANGES.items()

@@ -49,7 +49,7 @@ def check(
     function: int | None = None,
     opens: bool = False,
 ) -> Check:
-    """Return a check; arguments as the attributes of `Check`, ``strength`` is its ``word``.
+    """Create a check. The arguments are the attributes of `Check`; ``strength`` is its attribute ``word``.
 
     ``says`` is a sentence without its subject, the device: "answers a read of a queue".
     """

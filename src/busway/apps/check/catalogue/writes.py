@@ -54,7 +54,7 @@ class _Maker(Protocol):
 
 
 def _one(function: int, of: str) -> _Maker:
-    """Return a function that makes checks of one function code; ``of`` is their clause unless another is given."""
+    """Return a function that makes checks of one function code; ``of`` is the clause of checks that name no other."""
 
     def make(
         what: str,

@@ -3,9 +3,9 @@
 Pure: knows devices, points and samples; knows no store and no clock.
 
 1. Only points with alarms cost anything: a group of points without them is found by one look-up.
-2. Where a file is read again, an alarm stays what it was under the new limit, which holds from the next sample on, and
-   a delay that runs goes on. A point that was renamed takes its alarms along; points may exchange their names. An alarm
-   whose limit is gone is ended by an event.
+2. If the file is read again, an alarm keeps its state; the new limit holds from the next sample on, and a delay that
+   runs goes on. A point that was renamed takes its alarms along; points may exchange their names. An alarm whose limit
+   was removed is ended by an event.
 """
 
 import weakref
@@ -70,7 +70,7 @@ class AlarmBook:
         return [AlarmEvent(*key, AlarmEventKind.REMOVED, at, text=alarm.text) for key, alarm in alarms.items()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """Return the alarm events (raised, cleared, …) that the samples of a read cause.
+        """Pass the samples of a read to the alarms of their points, and return the events (raised, cleared, …).
 
         Args:
             batch: the samples.

@@ -25,7 +25,7 @@ Named = TypeVar("Named", AlarmEvent, RaisedAlarm)
 
 
 class _Changed(Protocol):
-    """Interface of a function that returns a copy of an alarm or alarm event with another name or other times."""
+    """Interface of a function that returns a copy of an alarm or alarm event, such as one with another name."""
 
     def __call__(self, named: Named, /) -> Named: ...
 
@@ -95,7 +95,7 @@ class CollectorAlarms:
         return list(self._raised.values())
 
     def pending(self) -> list[AlarmKey]:
-        """Return device, point and limit of each alarm whose value is beyond the limit while its delay runs."""
+        """Return device, point and limit of each alarm that is not raised yet because its delay runs."""
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
@@ -172,7 +172,7 @@ class CollectorAlarms:
     # What the collector does.
 
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
-        """Take over, at the start of the collector, the alarms that the journal leaves active or unacknowledged.
+        """At the start of the collector, restore the alarms that the journal shows as active or unacknowledged.
 
         Args:
             journal: the stored alarm events, in their order.
@@ -215,14 +215,14 @@ class CollectorAlarms:
             reader.take(shown)
 
     def mend(self, shift: int) -> None:
-        """Add ``shift`` nanoseconds to those times of alarms and events that were taken before the wall clock was set.
+        """Correct the times of alarms and events by ``shift`` nanoseconds, after a wrong wall clock was put right.
 
-        Times from earlier processes stay.
+        Only times that this process took from the wrong clock are changed.
         """
         self._show_anew(lambda named: _moved(named, shift, self._earlier))
 
     def end(self) -> None:
-        """End `events` for all programs that follow alarm events, after the events that they have not read."""
+        """End each iteration over `events`, once it has yielded the events that wait for it."""
         self._ended = True
         for reader in self._readers:
             reader.arrived.set()
@@ -233,30 +233,30 @@ class CollectorAlarms:
             self._keep(events)
 
     def _note(self, events: Iterable[AlarmEvent]) -> None:
-        """Remember events that are not in the journal yet, because their names or times may still change."""
+        """Remember events that are not in the journal yet: their names or times may still change before."""
         self._told.update((id(event), (event, event)) for event in events)
         while len(self._told) > MOST_UNCOMMITTED:
             self._told.pop(next(iter(self._told)))
 
     def _show_anew(self, changed: _Changed) -> None:
-        """Replace all alarms and remembered events by copies, made by ``changed``, with new names or other times."""
+        """Replace all alarms and remembered events by the copies that ``changed`` returns for them."""
         self._raised = {each.key: each for each in map(changed, self._raised.values())}
         self._journal = deque(map(changed, self._journal), maxlen=RECENT)
         self._told = {key: (event, changed(shown)) for key, (event, shown) in self._told.items()}
 
 
 def _renamed(named: Named, moved: Mapping[PointKey, str]) -> Named:
-    """Return an alarm or event with the present name of its point, which ``moved`` has if the point was renamed."""
+    """Return an alarm or event with the new name of its point, if ``moved`` has one."""
     name = moved.get((named.device, named.point))
     return named if name is None else replace(named, point=name)
 
 
 def _moved(named: Named, shift: int, earlier: Container[int]) -> Named:
-    """Return an alarm or event with ``shift`` nanoseconds added to its times from before the wall clock was set.
+    """Return an alarm or event, its times corrected by ``shift`` if they were taken from a wrong wall clock.
 
     Args:
         named: the alarm or event.
-        shift: nanoseconds.
+        shift: nanoseconds to add.
         earlier: times that an earlier process gave; these are not changed.
     """
     names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")

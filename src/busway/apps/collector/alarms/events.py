@@ -138,7 +138,7 @@ class RaisedAlarm:
 def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | None:
     """Return the alarm as it is after an event; None if it is normal then, or its limit was removed.
 
-    It is unchanged by an event that its state does not allow for.
+    An event that is not possible in the alarm's state changes nothing.
 
     Args:
         alarm: the alarm before; None if it was normal.

@@ -7,7 +7,8 @@ Pure: knows a rule, values and the time as a number.
 2. The delay runs from the first value beyond the limit, and begins again after a value that is not. It is measured by
    samples: an alarm is raised by the first one beyond the limit that is at least the delay later, in nanoseconds.
 3. An active alarm is cleared, at once, by a value that has come back by the hysteresis.
-4. What the machine does is told by events, and its state is what `alarm_after` makes of them: the journal is the state.
+4. The machine reports every change as an event, and its state is what `alarm_after` makes of these events. So the
+   journal of events is enough to restore the state.
 """
 
 import math
@@ -62,7 +63,7 @@ class AlarmMachine:
             self.alarm = replace(self.alarm, point=point)
 
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
-        """Change the alarm by a sample of its point.
+        """Change the state of the alarm by a sample of its point.
 
         Args:
             value: the point's value; None if there is none.

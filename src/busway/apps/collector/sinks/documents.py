@@ -3,8 +3,8 @@
 Pure.
 
 1. A sample that is sent again has the same document with the same key, because a commit does not change.
-2. A key ends with a digest of what it stands for, so that a document with other content has another key: where a file
-   that was read again hands on other points, or where a part of a batch was refused.
+2. A key ends with a digest of the document, so that a document with other content has another key. The content differs
+   at a repetition if the file was read again and other points are sent on, or if a part of the batch was refused.
 """
 
 import hashlib
@@ -90,7 +90,7 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def sample_key(sample: CommittedSample) -> str:
-    """Return a key that is unique to a sample, so that a receiver recognises a sample that was sent twice."""
+    """Return a key that only this sample has, by which a receiver recognises a repeated sample."""
     return f"{sample.commit}-{sample.device}/{sample.point}-{_digest(sample_document(sample))}"
 
 

@@ -4,10 +4,12 @@ Knows formats; knows nothing of cursors.
 
 1. Lines are appended and made durable before `send` returns; a line that was cut off by a crash is completed by a line
    break first. A batch that comes again is there twice, with the same commit.
-2. A Parquet file is one batch, and is called by its first commit: a batch that comes again replaces its file, wherever
-   it ends then, and files that an earlier process wrote of the same commits: a full disk may have left several.
+2. A Parquet file is one batch, and is named after its first commit. A batch that comes again replaces its file, even if
+   it ends with another commit then. It also replaces files that an earlier process wrote of the same commits: a full
+   disk may have left several.
 3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample of the batch.
-4. Events of alarms go to files of their own: ``-alarms`` before the end of the name; Parquet to the folder ``alarms``.
+4. Alarm events go to files of their own: with ``-alarms`` before the ending of the name; for Parquet, in the folder
+   ``alarms``.
 """
 
 import asyncio
@@ -99,9 +101,9 @@ class FileSink:
             self._append(self._path, samples[0].time, HEADER, lines)
 
     def _remove_repeated(self, first: int, last: int) -> None:
-        """Remove the Parquet files of an earlier process that begin after commit ``first``, up to commit ``last``.
+        """Remove the Parquet files that an earlier process began after commit ``first``, and not after commit ``last``.
 
-        Their samples are sent again: they are in the batch from ``first`` to ``last``, or come in the next one.
+        Their samples are sent again: in the batch of these commits, or in the next one.
         """
         folder = Path(self._path)
         if self._ahead is None:

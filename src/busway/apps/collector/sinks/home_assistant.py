@@ -3,7 +3,7 @@
 Pure. Knows points and units of measure; knows no topics.
 
 1. The device class follows from the unit of measure (`DEVICE_CLASSES`), where Home Assistant documents the two together
-   and no other class has the unit. It refuses an entity whose unit does not go with its class.
+   and no other class has the unit. Home Assistant refuses an entity whose unit does not go with its class.
 2. Numbers are measurements. Counters with a rollover and energies are totals that only grow; the energy dashboard takes
    no others. Texts, states, and numbers that stand for names have no state class.
 3. ``meta`` of the point overrides both, by ``device_class`` and ``state_class``; an empty text leaves them out.
@@ -54,7 +54,7 @@ _STATE_CLASSES: Final[Mapping[str, str]] = {
 
 
 class EntityKind(Enum):
-    """What kind of value an entity of Home Assistant has."""
+    """Kinds of values that an entity of Home Assistant can show, such as a number or a state."""
 
     STATE = auto()
     NUMBER = auto()
@@ -66,7 +66,7 @@ class EntityKind(Enum):
 
 
 def kind_of(point: Point) -> EntityKind:
-    """Return what kind of value the entity of a point has."""
+    """Return the kind of value that a point's entity shows in Home Assistant."""
     if point.type == "bit":
         return EntityKind.STATE
     if not point.is_number:
@@ -77,7 +77,7 @@ def kind_of(point: Point) -> EntityKind:
 
 
 def kind_of_value(value: Value | None) -> EntityKind | None:
-    """Return what kind of value an entity has whose point is not described; None if the value does not tell."""
+    """Return the kind of an entity by a value of its point, for a point without description; None for no value."""
     if value is None:
         return None
     if isinstance(value, bool):
@@ -86,7 +86,7 @@ def kind_of_value(value: Value | None) -> EntityKind | None:
 
 
 def entity(kind: EntityKind, unit_of_measure: str, meta: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
-    """Return the component of Home Assistant that shows a value, and what its configuration says about the value.
+    """Return how Home Assistant shows a value: the component (``sensor``, …) and the options of the entity.
 
     Args:
         kind: the kind of the value.

@@ -6,8 +6,8 @@ Knows lines and what the answers mean; the protocol is httpx's (``busway[influxd
    again replaces itself. Texts are in the field ``text``: a field has one type. A bad sample has ``reason`` alone.
 2. A line of an event of an alarm is ``alarms,device=…,point=…,limit=H,event=raised commit=…i,place=…i,value=… time``,
    with the texts ``text`` and ``by``: tags and time are its key likewise.
-3. 400, 413 and 422 are refusals of these lines; any other error is one of the server, or of the credentials, and is
-   waited out.
+3. 400, 413 and 422 mean that these lines are refused. Any other error is one of the server or of the credentials, and
+   the lines are sent again later.
 """
 
 import math
@@ -132,7 +132,7 @@ def alarm_line_of(alarm: CommittedAlarm, measurement: str) -> str:
 
 
 def _number(value: float | None) -> str:
-    """Return a number as the field ``value`` of line protocol; empty for None, NaN and infinities."""
+    """Return the field ``value=…`` of line protocol for a number; empty for None, NaN and infinities."""
     return f"value={float(value)!r}" if value is not None and math.isfinite(value) else ""
 
 

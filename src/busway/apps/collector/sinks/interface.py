@@ -54,7 +54,7 @@ class AlarmSink(Protocol):
 
 @runtime_checkable
 class CurrentSink(Protocol):
-    """Interface of a sink whose receiver shows current values, apart from historical ones that arrive late.
+    """Interface of a sink whose receiver shows current values separately from historical values, which arrive late.
 
     It stays connected while nothing is to be sent, and is connected again after the connection was lost.
     """
@@ -73,12 +73,12 @@ class CurrentSink(Protocol):
         """
 
     async def disturbed(self) -> None:
-        """Wait until `show_current` should be called at once, because the connection may have ended, and return."""
+        """Return as soon as `show_current` should be called, because the connection may have ended; until then wait."""
 
 
 @runtime_checkable
 class DescribedSink(Protocol):
-    """Interface of a sink whose receiver is told what each point is, beside its samples."""
+    """Interface of a sink that also sends its receiver descriptions of the points, such as their units of measure."""
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
         """Use the points of a configuration, by device and name; called again for another one, from any thread."""
@@ -86,19 +86,19 @@ class DescribedSink(Protocol):
 
 @runtime_checkable
 class TopicSink(Protocol):
-    """Interface of a sink that replaces characters of names in topics, so that two names could have the same topic."""
+    """Interface of a sink that replaces some characters of names in topics, so that two names may become one."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names that the receiver knows a device and a point by.
+        """Return the names by which the receiver knows a device and a point.
 
         Returns:
-            The name of the device, and that of the point among the points of the device. Two points with equal results
-            could not be told apart.
+            The name of the device, and the name of the point within the device. The receiver could not tell two points
+            with equal results apart.
         """
 
 
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
-    """Wait until every sending has ended, accepted or failed.
+    """Wait until all messages are sent, accepted or failed; raise the most important error.
 
     Args:
         sendings: one awaitable for each message.

@@ -117,7 +117,7 @@ class MqttSink:
         self._announced_by: Mapping[tuple[str, str], Point] = self._points
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
-        """Use these points, by device and name, for what Home Assistant is told. Safe from any thread."""
+        """Set the points, by device and name, whose descriptions are sent to Home Assistant. Safe from any thread."""
         self._points = points
 
     async def open(self) -> None:
@@ -234,7 +234,7 @@ class MqttSink:
         return found
 
     def _entity(self, sample: CommittedSample, component: str) -> dict[str, Any]:
-        """Return the configuration of a point's Home Assistant entity that does not depend on the point's value."""
+        """Return the part of a Home Assistant entity's configuration that is the same for all kinds of values."""
         topic = self._name(sample.device, sample.point)
         value = "{{ value_json.value }}" if component == "sensor" else "{{ 'ON' if value_json.value else 'OFF' }}"
         return {

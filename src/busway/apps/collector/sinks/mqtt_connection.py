@@ -2,12 +2,13 @@
 
 Knows the library's client and that of paho below it; knows no topic.
 
-1. The library leaves the socket and a task of a client open that gets no answer, or is cancelled, while it connects.
-   Such a client is closed here.
-2. The thread in which it connects cannot be stopped: who gives up waits `GIVE_UP_SECONDS` for it, not longer.
-3. The library takes each acknowledgement for a success, also one that says that the message was thrown away. Here such
-   an answer is an error: `SinkRefused` for a message that can never be taken, `SinkDown` where the broker, its rights
-   or its quota can change.
+1. If a client gets no answer while it connects, or is cancelled, the library leaves its socket and a task open. Here
+   such a client is closed.
+2. The thread in which a client connects cannot be stopped: a caller that gives up waits for it for at most
+   `GIVE_UP_SECONDS`.
+3. The library takes each acknowledgement for a success, even one that says that the message was thrown away. Here such
+   an answer is an error: `SinkRefused` for a message that can never be taken, `SinkDown` if the broker, its rights or
+   its quota can change.
 4. A message above the size that a broker has announced is not sent. A broker that has announced none closes the
    connection, or answers in a way that paho takes for a broken protocol; then the message that was sent is refused.
 """

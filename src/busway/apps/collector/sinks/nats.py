@@ -5,8 +5,9 @@ Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 1. A message is one device and commit (`documents`). Its ``Nats-Msg-Id`` is the same at a repetition, so the server
    drops what it has already within its window (two minutes by default).
 2. `send` returns when the stream has acknowledged every message.
-3. Events of alarms go to the subject ``alarms`` behind what stands before ``{device}``: ``busway.alarms``.
-4. With ``stream`` it is made where it is not there; else a stream must have the subjects.
+3. Alarm events go to one subject: ``alarms`` after the part of the subject that stands before ``{device}``, such as
+   ``busway.alarms``.
+4. With ``stream``, that stream is created if it does not exist. Without it, some stream must have the subjects already.
 """
 
 import contextlib
@@ -104,9 +105,9 @@ class NatsSink:
         return self._secrets.hide(error) or type(error).__name__
 
     async def _note(self, error: Exception) -> None:
-        """Keep the text of a connection error that the NATS library reports beside the error that `connect` raises.
+        """Keep the text of an error that the NATS library reports while connecting; the library calls this.
 
-        It is the cause, which the raised error does not tell.
+        The error that `connect` raises later does not name this cause.
         """
         self._cause = self._words(error)
 

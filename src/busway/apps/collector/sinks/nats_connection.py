@@ -12,7 +12,10 @@ from typing import Any
 
 @cache
 def nats_client_kind() -> Any:  # Any: the package is loaded when it is used
-    """Return the class of NATS clients: nats-py's own with these rules; ``must_encrypt`` is set before `connect`."""
+    """Return the class of NATS clients to use: a subclass of nats-py's that keeps the rules of this file.
+
+    Set its ``must_encrypt`` before `connect`.
+    """
     nats = import_module("nats")
 
     class EncryptingClient(nats.NATS):  # type: ignore[misc, name-defined] # as above
@@ -27,7 +30,7 @@ def nats_client_kind() -> Any:  # Any: the package is loaded when it is used
                 raise
 
         def _connect_command(self) -> bytes:
-            """Return what the library sends first, with the credentials."""
+            """Return the first bytes that the library sends to a server, which contain the credentials."""
             if self.must_encrypt and not self._server_info.get("tls_required"):
                 raise nats.errors.Error("it offers no TLS, which the URL asks for; nothing was sent")
             command: bytes = super()._connect_command()

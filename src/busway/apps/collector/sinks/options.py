@@ -141,7 +141,7 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
     """Return a TLS context that checks a server's certificate; TLS 1.2 or later.
 
     Args:
-        authority: file with the certificates of trusted authorities; None for those of the system.
+        authority: file with the certificates of trusted authorities; None for the system's own.
         certificate: file with the client's own certificate; None for none.
         key: file with its private key; None if ``certificate`` has it.
 

@@ -4,11 +4,11 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
 1. A batch is one transaction. The key is (device, point, time): a batch that comes again changes nothing.
 2. PostgreSQL has microseconds: ``time`` is rounded down, and ``nanoseconds`` has the rest.
-3. The table is made where it is not there; with ``timescale`` it becomes a hypertable.
-4. Events of alarms go to a table of their own, made with the first of them, by an upsert with the number of the event:
-   its commit and its place in that.
-5. What is wrong with values (a type, a range, a constraint, what a trigger raises) is a refusal of them; anything else
-   is waited out.
+3. The table is created if it does not exist; with ``timescale`` it becomes a hypertable.
+4. Alarm events go to a table of their own, which is created at the first of them. They are upserted by the number of
+   the event: its commit, and its place in that commit.
+5. Errors about values (a type, a range, a constraint, an error of a trigger) mean that the database refuses these
+   samples. After any other error the batch is sent again later.
 """
 
 import re
@@ -160,7 +160,7 @@ class PostgresqlSink:
 
     @asynccontextmanager
     async def _writing(self) -> AsyncIterator[None]:
-        """Return a context manager that makes a transaction of the database, and turns its errors into those of sinks.
+        """Context manager for a transaction of the database; its errors are raised as errors of sinks.
 
         Raises:
             SinkRefused: the database rejects the values.

@@ -35,10 +35,11 @@ class LastValues:
     `update` is called with each commit, by the thread that commits.
 
     Args:
-        is_behind: whether commits have failed or hung for some seconds, so that there may be newer samples (rule 4).
+        is_behind: returns whether commits have failed or hung for some seconds, so that there may be newer samples
+            (rule 4).
 
     Attributes:
-        is_behind: the same.
+        is_behind: that function.
     """
 
     def __init__(self, is_behind: Callable[[], bool] = lambda: False) -> None:
@@ -49,7 +50,7 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples and intervals of a commit that the store has just made."""
+        """Store the samples and intervals of a commit as the last ones; called when the store has made the commit."""
         with self._lock:
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
@@ -61,7 +62,10 @@ class LastValues:
                 self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
 
     def _forget_covered(self) -> None:
-        """Remove the batches of which every point has a newer sample in another batch. Call with the lock held."""
+        """Remove batches that are not needed any more: all their points have a newer sample.
+
+        Call with the lock held.
+        """
         latest = self._latest()
         used = {id(batch) for batch, _ in latest.values()}
         self._batches = {group: batch for group, batch in self._batches.items() if id(batch) in used}
@@ -76,7 +80,7 @@ class LastValues:
         return found
 
     def _reason(self, device: str, reason: int, time: int) -> int:
-        """Return the number of the reason to show for a last value; bad while it only grows old (rules 3 and 4).
+        """Return the number of the reason to show for a last value; bad while nothing newer is read (rules 3 and 4).
 
         Call with the lock held.
 
@@ -98,7 +102,7 @@ class LastValues:
         return 0 if interval is None or interval.end is not None else interval.reason
 
     def intervals(self) -> dict[str, StateInterval]:
-        """Return by device the last interval in which it was not read; its end is None while it lasts."""
+        """Return for each device the last interval in which it was not read; its end is None while it lasts."""
         with self._lock:
             return dict(self._intervals)
 

@@ -5,20 +5,23 @@ is aiomqtt's (``busway[sparkplug]``).
 
 1. One connection, one edge node. Its last will is the death of the node, with the number (bdSeq) that its birth has
    too; the number is kept in a file, so that it goes on after a restart.
-2. A device is born with the last samples of all of its metrics known so far, and again when one is new, has another
-   type, or is no longer there. Data follow only a birth; those from before the connection are marked as historical.
-   Hosts do not show these: when no more follow, a device whose last values were among them is born again.
-3. Data go with QoS 0, as the standard wants it. `send` returns when a later message with QoS 1 was acknowledged: a
+2. A device is born with the last samples of all of its metrics known so far, and again when a metric is new, has
+   another type, or no longer exists. Data are sent only after a birth. Samples from before the connection are marked as
+   historical, and hosts do not show these. So when no more of them follow, a device whose last values were among them
+   is born again.
+3. Data are sent with QoS 0, as the standard demands. `send` returns when a later message with QoS 1 was acknowledged: a
    broker takes the messages of a connection in order, so it has the data too.
 4. With a primary host, nothing is sent while the host is offline: the edge node dies at once, and samples wait in the
-   store. One that was away knows nothing of before: it gets births before data.
+   store. A host that comes back does not know earlier births, so it gets births before data.
 5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
 6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
    born or not.
-7. Where the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
-   collector, as they come, by `SparkplugCommandTaker`. Subscribed to before the births, without retained messages.
-8. A device that the collector suspends, or that is in maintenance, dies; its next sample of another kind is a birth.
-   Until then it is not in births that hosts ask for, or that follow a connection.
+7. If the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
+   collector, as they come, by `SparkplugCommandTaker`. Their topics are subscribed to before the births are sent;
+   retained messages are not taken.
+8. A device dies when the collector suspends it, when it has no connection, or when its maintenance begins; its next
+   sample that has none of these reasons is a birth. Until then the device is left out of births that hosts ask for, or
+   that follow a connection.
 9. A birth that is too large for the broker goes without values.
 """
 
@@ -86,7 +89,7 @@ class _Device:
         self.is_gone = False
 
     def learn(self, sample: CommittedSample) -> bool:
-        """Take over a sample as the last one of its metric.
+        """Store a sample as the last one of its metric.
 
         Returns:
             Whether the device needs a new birth message, because a metric is new or has another type, or it is not
@@ -114,10 +117,9 @@ class _Device:
 
 
 def _wider(known: DataType | None, value: Value) -> DataType:
-    """Return the type of a metric for a new value, given its type so far (None for none).
+    """Return the type of a metric that gets a new value; ``known`` is its type so far, None for a new metric.
 
-    A metric that has had fractions, or unsigned 64-bit numbers, keeps its type for an integer that this type holds
-    exactly.
+    A metric of type DOUBLE or UINT64 keeps its type for an integer that this type holds exactly.
     """
     new = type_of(value)
     if not isinstance(value, int) or isinstance(value, bool):
@@ -312,7 +314,7 @@ class SparkplugSink:
             device.is_gone = sample.reason in _NO_DEVICE
 
     async def show_current(self, points: Collection[tuple[str, str]] | None = None) -> None:
-        """Publish again the births of devices of which hosts do not show the current values, or show removed points.
+        """Publish births again for devices of which hosts show old values or removed points.
 
         Hosts do not show values that were sent as historical. A device that has lost all of its points is reported
         dead.
@@ -339,7 +341,10 @@ class SparkplugSink:
         await self._disturbance.wait()
 
     def _without(self, points: Collection[tuple[str, str]]) -> dict[str, list[str]]:
-        """Return by device the names of its metrics whose points are not in ``points``; no device without such."""
+        """Return for each device the names of its metrics whose points no longer exist.
+
+        ``points`` has those that do.
+        """
         found = {
             name: [point for point in device.last if (name, point) not in points]
             for name, device in self._devices.items()
@@ -352,10 +357,9 @@ class SparkplugSink:
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
-        """Return a context manager that gives those of a batch of samples or alarm events that are not published yet.
+        """Context manager that yields the samples or alarm events of ``wanted`` that are not published yet.
 
-        If one of a batch is refused, the batch comes again in parts; the block is not given again what it published
-        before.
+        After the broker has refused one, the batch is sent again in parts: what was published before is then left out.
         """
         first = min((each.commit for each in wanted), default=0)
         self._passed = {each for each in self._passed if each.commit >= first}
@@ -405,7 +409,7 @@ class SparkplugSink:
     # Births, deaths, data; the lock is held
 
     async def _births(self) -> None:
-        """Publish the birth of the edge node, then those of all devices that are not suspended or in maintenance.
+        """Publish the birth of the edge node, then the birth of each device that is not suspended or in maintenance.
 
         A birth tells hosts the names, types and last values of metrics.
         """
@@ -500,7 +504,7 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """Return the number of this connection (bdSeq, 0…255), one more than that of the last, and keep it in a file.
+        """Return the number of this connection (bdSeq, 0…255), one more than the last one, and keep it in a file.
 
         Raises:
             SinkDown: the file cannot be written.
@@ -600,9 +604,9 @@ class SparkplugSink:
 
 
 def _fresh_alone() -> Any:  # as paho has it
-    """Return MQTT options of a subscription that gets no retained messages, only those published after it.
+    """Return MQTT options for a subscription that gets no retained messages, only those published after it.
 
-    Messages come with the retain flag that their sender set.
+    Messages keep the retain flag that their sender has set.
     """
     return import_module("paho.mqtt.subscribeoptions").SubscribeOptions(
         qos=1, noLocal=True, retainAsPublished=True, retainHandling=2
@@ -640,7 +644,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
 
 
 def _kind_in_message(value: Value) -> DataType:
-    """Return the type of a value as `_parts` compares it: integers that a float holds exactly count as DOUBLE."""
+    """Return the type of a value for `_parts`: an integer that a float holds exactly counts as DOUBLE."""
     kind = type_of(value)
     return DataType.DOUBLE if kind is DataType.INT64 and abs(int(value)) < _MOST_EXACT else kind
 

@@ -9,9 +9,9 @@ from .segment import sample_value
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """Return by device the states of its accumulators (running totals) at the end of all finished segments.
+    """Return for each device the states of its accumulators (running totals) at the end of the finished segments.
 
-    The states in the open segment are not among them. Points that are no longer listed are left out.
+    The states in the open segment are not included. Points that are no longer listed are left out.
     """
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}

@@ -1,7 +1,7 @@
 """Reads the alarm events of a store, from the open segment and the manifest together, and deletes old ones.
 
-Knows where both stand. A segment has its own events; when it ends they move into the manifest, in the transaction that
-lists it as finished, so that they outlive its samples.
+Knows both places. A segment has its own events; when it ends they move into the manifest, in the transaction that lists
+the segment as finished, so that they outlive its samples.
 """
 
 import sqlite3
@@ -75,7 +75,7 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Delete old alarm events from the manifest, except those of alarms that are active or not acknowledged.
+    """Delete old alarm events from the manifest, but no event of an alarm that is active or not acknowledged.
 
     Args:
         manifest: the manifest of the store.
@@ -97,9 +97,9 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
-    """Return the positions in ``journal`` of the events of alarms that are active or not acknowledged.
+    """Return the positions in ``journal`` of all events since the last raising of each alarm that needs attention.
 
-    Of each such alarm these are the events since it was raised last.
+    These are the alarms that are active or not acknowledged.
     """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     places: dict[AlarmKey, list[int]] = {}

@@ -4,10 +4,10 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 
 1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
    copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
-   before their first sample. Sealed parts come last. Where a part has gone meanwhile, all of that is done again.
-2. The journal of commands is copied at the very end: a key that it has is not sent again by who restores it, and a
-   command that it has as open ends as unknown.
-3. A backup that is cut short is in a folder with the end ``.unfinished``, and no store.
+   before their first sample. Sealed parts come last. If a part was removed meanwhile, all of this is done again.
+2. The journal of commands is copied at the very end. After the backup is restored, a command whose key is in the
+   journal is not sent again, and a command that is open in it ends as unknown.
+3. A backup that was interrupted is a folder whose name ends with ``.unfinished``, and is no store.
 """
 
 import shutil
@@ -90,9 +90,9 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether the manifest lists a segment file that is missing in the folder: then the writer has still to create it.
+    """Whether the manifest lists a segment file that is missing in the folder: the writer will create it soon.
 
-    Otherwise the segment was sealed or deleted meanwhile.
+    If it is not listed, the segment was sealed or deleted after the manifest was copied.
     """
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()

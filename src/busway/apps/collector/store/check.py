@@ -100,7 +100,7 @@ def _problems_of_segment(path: Path, part: StorePart, manifest: Manifest) -> Ite
 
 
 def _unlisted(part: StorePart, found: set[int], manifest: Manifest) -> Iterator[str]:
-    """Yield a sentence about points that have samples in a file of the store but are missing in its manifest, if any.
+    """Yield a sentence if a file of the store has samples of points that the manifest does not list.
 
     The manifest is read after the samples, because a point is listed before its first sample is written.
 

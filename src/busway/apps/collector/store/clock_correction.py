@@ -3,9 +3,11 @@
 Knows one segment and how far its times were behind; the writer says which segments, and when.
 
 1. A segment is mended by one transaction: samples, commits, intervals and alarms whose time is before `EARLIEST` move
-   by the measured difference, and samples that were uncertain for the clock alone become good. Numbers of commits stay.
+   by the measured difference, and samples that were uncertain only because of the clock become good. Numbers of commits
+   stay.
 2. To mend a segment again changes nothing, so a crash in between is made good by doing all of it again.
-3. Only what one process wrote is moved by what it measured: commits of earlier ones had another difference.
+3. Only the commits of the process that measured the difference are corrected by it: those of earlier processes had
+   another difference.
 """
 
 import sqlite3
@@ -19,10 +21,10 @@ _MOVED: Final = "CASE WHEN {0} < :earliest THEN {0} + :shift ELSE {0} END"
 
 
 def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
-    """Add ``shift`` nanoseconds to all times before `EARLIEST` in a segment, from commit ``first`` on.
+    """Add ``shift`` nanoseconds to the times in a segment that a wrong wall clock gave: those before `EARLIEST`.
 
-    Samples, commits, intervals and alarm events move, in one transaction. Samples that were uncertain only because the
-    clock was not set become good.
+    The times of samples, commits, intervals and alarm events are changed in one transaction, from commit ``first`` on.
+    Samples that were uncertain only because the clock was not set become good.
 
     Args:
         database: the SQLite file of the segment.
@@ -30,7 +32,7 @@ def mend_segment(database: sqlite3.Connection, first: int, shift: int) -> int:
         shift: how far the clock was behind, in nanoseconds.
 
     Returns:
-        The number of samples that were moved.
+        The number of corrected samples.
 
     Raises:
         sqlite3.Error: the segment is as it was.

@@ -7,11 +7,12 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
    first commit that succeeds records the time of what was dropped as a gap with its number. Polling never waits.
 3. A second thread seals and drops parts, so that no sample waits for that.
 4. Without samples an empty commit every `ALIVE` seconds says that the collector lived.
-5. With ``durability = process`` the log is synced every `SYNC` seconds: that much a power failure costs. Where that
-   fails, it is said and tried again; what was committed stays committed, and is never committed twice.
-6. What is known of points changes between commits: samples that were added before go by the names of then.
-7. Where rules keep not every sample, that is decided when it is committed. Reads of which nothing is kept make no
-   commit; subscribers are told of them all the same, because they show that the values before still hold.
+5. With ``durability = process`` the log is synced every `SYNC` seconds: a power failure loses at most that much. If a
+   sync fails, that is logged, and it is tried again; what was committed stays committed, and is never committed twice.
+6. Names and descriptions of points change between two commits: samples that were added before are stored under the
+   names of that time.
+7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit;
+   subscribers are told of them all the same, because they show that the earlier values still hold.
 8. Last values are fed by commits. `Committer.is_behind` says when they cannot be trusted, because commits fail or hang.
 """
 
@@ -192,7 +193,7 @@ class Committer:
             self._changed.notify_all()
 
     def _note_queued(self) -> None:
-        """Note since when samples or intervals are queued. Call with the lock held."""
+        """Record the time since when samples or intervals wait in the queue. Call with the lock held."""
         if self._queued_since is None:
             self._queued_since = self._clock()
 
@@ -262,7 +263,7 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, shift: int) -> None:
-        """Have all stored times from before the wall clock was set corrected, by adding ``shift`` nanoseconds.
+        """Have stored times corrected by ``shift`` nanoseconds that were taken from a wrong wall clock.
 
         Returns at once. The correction is made in the thread that commits, after the samples queued with such times are
         stored.
@@ -299,7 +300,7 @@ class Committer:
         return True
 
     def _holds_early_times(self) -> bool:
-        """Whether a time from before the wall clock was set is still queued. Call with the lock held."""
+        """Whether a time that was taken from a wrong wall clock is still queued. Call with the lock held."""
         return (
             any(batch.time < EARLIEST for batch in self._batches)
             or any(each.begin < EARLIEST for each in self._intervals)
@@ -336,7 +337,10 @@ class Committer:
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events, each with the number of changes of point names before it. Call with the lock held."""
+        """Queue alarm events; a change of point names that is queued later does not concern them.
+
+        Call with the lock held.
+        """
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
 
@@ -348,7 +352,7 @@ class Committer:
         return taken
 
     def _describe_what_is_due(self) -> None:
-        """Write the queued descriptions of points and report rules before which no samples are queued any more."""
+        """Write queued descriptions of points and report rules once all samples queued before them are stored."""
         while self._descriptions and self._descriptions[0][0] <= self._taken:
             _, descriptions, rules = self._descriptions[0]
             self.writer.describe_points(descriptions)
@@ -481,10 +485,10 @@ class Committer:
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
     def _drop_whole_intervals(self) -> None:
-        """Drop the older half of the queued intervals of which begin and end are still queued. Call with the lock held.
+        """Drop the older half of the intervals whose begin and end are both queued. Call with the lock held.
 
-        Rows of other intervals stay, few for each device: without them a device would be shown as not read for ever, or
-        not at all.
+        Entries of other intervals stay, a few for each device: without its end an interval would last for ever in the
+        store, and without its begin it would be missing there.
         """
         begun = {_key_of(each) for each in self._intervals if each.end is None}
         whole = [

@@ -92,7 +92,7 @@ class CommitRange:
 class CommitReader:
     """Reads the samples of a store in the order in which they were stored, from a commit number on.
 
-    For one thread at a time.
+    Used by one thread at a time.
     """
 
     def __init__(self, folder: Path, manifest: Manifest) -> None:
@@ -130,7 +130,7 @@ class CommitReader:
         return self._tried(lambda: self._last_before(moment, after))
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of the function ``ask``, called again if a file was replaced or deleted meanwhile."""
+        """Return the result of ``ask``; call it again if a file that it reads was replaced or deleted meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -177,7 +177,7 @@ class CommitReader:
         return sorted(found, key=lambda part: (part.segment, part.id))
 
     def _facts_of_open(self, part: StorePart) -> StorePart:
-        """Return the entry that an open segment would have in the manifest now: its times, commit numbers and rows.
+        """Return the manifest entry of an open segment with its present times, commit numbers and number of rows.
 
         Raises:
             FileNotFoundError: the segment was sealed meanwhile.
@@ -222,12 +222,9 @@ class CommitReader:
         return self._name_at(self._points[row.point], row.commit_number)
 
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
-        """Return the intervals and alarms after a commit that have no part, because no samples were stored with them.
+        """Return the commits after a number that stored intervals and alarms, but no samples; None if there are none.
 
-        Sealing a segment without samples makes no Parquet file; its intervals and alarms are in the manifest alone.
-
-        Returns:
-            The commits, without samples of reads; None if there are none.
+        A segment without samples becomes no Parquet file: its intervals and alarms are only in the manifest.
         """
         intervals = self._manifest.intervals(after)
         alarms = self._manifest.alarms(after)

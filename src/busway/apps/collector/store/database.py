@@ -41,7 +41,7 @@ def open_database(path: Path, *statements: str, script: str = "", makes: bool = 
 
 @contextmanager
 def transaction(database: sqlite3.Connection) -> Iterator[None]:
-    """Return a context manager that makes a transaction: committed when the block ends, undone if the block raises.
+    """Context manager for a transaction: it is committed when the block ends, and undone if the block raises an error.
 
     Raises:
         sqlite3.Error: the transaction cannot be begun or committed.

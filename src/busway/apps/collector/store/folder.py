@@ -146,10 +146,10 @@ def make_folder(path: Path) -> None:
 
 
 def make_durably(path: Path, *, mode: int = 0o777) -> None:
-    """Create a folder, and those above it that are missing, so that they survive a power failure.
+    """Create a folder, and missing folders above it, so that they survive a power failure.
 
     Args:
-        path: the folder; one that exists is left as it is.
+        path: the folder; an existing one is left as it is.
         mode: its permissions.
 
     Raises:

@@ -6,7 +6,7 @@ Pure: knows rules and samples; knows no file. Used by the thread that commits.
 2. The first sample of a point is kept after a start, after a gap, after a time in which its device was not read, and
    after the file was read again. So the value before holds until the next sample or interval of the store.
 3. A sample that causes an event of an alarm is kept. Alarms, computed points and accumulators see all of them.
-4. What is shown of a point whose sample is not kept is the sample before it, as read now.
+4. If a sample is not kept, the last kept value of its point is shown, with the time of this read.
 """
 
 import weakref
@@ -44,7 +44,7 @@ class Choice:
         counters: by device and point, the states of accumulators whose last sample is not kept; they are stored beside
             the samples, so that the totals continue after a restart.
         passed_over: number of samples that are not kept.
-        last: by device and point, the samples to which the report rules compare later ones, once the commit is made.
+        last: by device and point, the kept samples that later samples are compared with, once the commit is made.
         unread: devices with an interval in this commit in which they are not read.
         has_gap: whether the commit has a gap of the whole collector.
     """

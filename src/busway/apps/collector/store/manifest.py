@@ -6,10 +6,10 @@ count: a reader reads it first, a writer changes it last.
 1. Every change is one transaction, and durable when it returns (``synchronous=FULL``); changes are rare.
 2. A file that a transaction makes superfluous is named in ``unlinks`` by that transaction, and unlinked after it. What
    is found there at the start was left by a crash.
-3. Commit numbers are reserved in blocks, and a start goes on behind the block: a number is never used twice, even where
-   a power failure took the commits that had it.
+3. Commit numbers are reserved in blocks, and after a start numbers continue behind the block: a number is never used
+   twice, even if a power failure lost the commits that had it.
 4. A point that is renamed keeps its id, and so its history. All new names of a configuration are given at once, so that
-   points may exchange theirs; each once, so that the next start gives them no second time.
+   points may exchange theirs. Each is given only once: the next start does not give it again.
 """
 
 import json
@@ -212,7 +212,7 @@ class StoredPoint:
 
     @property
     def name(self) -> str:
-        """Name of the point with that of its device: ``device/point``."""
+        """Device and name of the point: ``device/point``."""
         return f"{self.device}/{self.point}"
 
 
@@ -296,7 +296,7 @@ class Manifest:
                 database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
 
     def reserve_numbers(self) -> tuple[int, int]:
-        """Reserve a range of commit numbers; return the first number, and the one after the last."""
+        """Reserve a range of commit numbers; return its first number, and the number after its last."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
             first = 1 if row is None else row[0]
@@ -453,22 +453,24 @@ class Manifest:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     def begin_maintenance_again(self, earliest: int, now: int) -> None:
-        """Set the begin of maintenance to now where it was recorded before the clock was set, and so is unknown.
+        """Set the begin of maintenance to ``now`` if it was taken from a wrong wall clock: the true time is unknown.
 
         Args:
-            earliest: nanoseconds since 1970 UTC; a begin before it is from a clock that was not set.
+            earliest: nanoseconds since 1970 UTC; an earlier time is from a clock that was not set.
             now: nanoseconds since 1970 UTC.
         """
         with self.transaction() as database:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
     def begin_mending(self, first: int, shift: int, earliest: int) -> None:
-        """Record that times from before the clock was set are to be corrected; correct the begin of maintenance now.
+        """Record that stored times must be corrected, because a wrong wall clock was put right.
+
+        The begins of maintenance are corrected at once.
 
         Args:
             first: number of the first commit whose times are corrected.
             shift: nanoseconds to be added.
-            earliest: nanoseconds since 1970 UTC; only times before it are corrected.
+            earliest: nanoseconds since 1970 UTC; only earlier times are corrected.
         """
         with self.transaction() as database:
             database.execute("DELETE FROM facts WHERE name = 'mended'")
@@ -493,7 +495,7 @@ class Manifest:
         return found
 
     def former_names(self) -> list[tuple[str, int]]:
-        """Return names that points had before and that no point has now, with the points that had them.
+        """Return former names of points that no point has now, each with the point that had it.
 
         Returns:
             Pairs of a name, ``device/point``, and the id of its point.
@@ -558,7 +560,7 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """Return by sink the last commit that it got (its cursor), and the number of samples lost for it."""
+        """Return for each sink the last commit that it got (its cursor), and the number of samples lost for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:
@@ -585,7 +587,7 @@ class Manifest:
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Replace the points, with their present and former names, in a copy of a manifest by those of the original.
+    """Copy the points, with their present and former names, from a manifest into a copy of it, replacing those there.
 
     Args:
         source: the file of the original manifest.

@@ -26,7 +26,7 @@ Row = tuple[int, int, Any, int, int, int]
 
 @dataclass(slots=True)
 class Sums:
-    """Count, total, minimum, maximum and worst reason of one point in one time bucket; can be added up.
+    """Count, total, minimum, maximum and worst reason of one point in one time bucket; `add` combines two of them.
 
     Attributes:
         count: numbers that were not bad.
@@ -69,9 +69,9 @@ _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason"
 
 
 def open_part_facts(folder: Path, part: StorePart) -> StorePart:
-    """Return the entry that an open segment would have in the manifest now, from its commits so far.
+    """Return the manifest entry of an open segment with the times and numbers of its commits so far.
 
-    A segment file without tables, to which nothing was written yet, gives ``part`` unchanged.
+    If nothing was written to the segment yet, ``part`` is returned unchanged.
 
     Raises:
         FileNotFoundError: the file is not created yet, or the segment was sealed or dropped.
@@ -89,7 +89,7 @@ def open_part_facts(folder: Path, part: StorePart) -> StorePart:
 def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
     """Return the intervals in which devices were not read, and gaps, that a segment file holds.
 
-    There are none while its tables are not made yet.
+    Empty if nothing was written to the segment yet.
 
     Raises:
         FileNotFoundError: the file is not created yet, or the segment was sealed or dropped.
@@ -165,7 +165,7 @@ def _sealed(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """Return the samples of a table read from a Parquet file as rows, equal to those of a segment file."""
+    """Return the samples of a table read from a Parquet file as rows, in the form that segment files give."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}

@@ -23,7 +23,7 @@ from .segment import alarms_of, counters_of, facts_of, intervals_of, is_unmade, 
 
 
 def close_open_segments(folder: Path, manifest: Manifest) -> None:
-    """List the segments that an earlier process left open as finished, and delete files that are no longer listed."""
+    """List as finished the segments that an earlier process left open, and delete files no longer listed."""
     for part in manifest.parts():
         if part.kind == "open":
             close_segment(folder, manifest, part)
@@ -57,7 +57,7 @@ def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
 
 
 def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[StateInterval | Gap]:
-    """Return the ends of intervals that an earlier process left open, and the gap from its end until now.
+    """Return the ends of intervals that an earlier process left open, and the gap since that process ended.
 
     Args:
         folder: the folder of the store.
@@ -77,7 +77,10 @@ def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[Stat
 
 
 def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
-    """Return when the gap before this start began, in nanoseconds since 1970 UTC by the present clock, as far as known.
+    """Return when the gap before this start began, in nanoseconds since 1970 UTC.
+
+    This is the end of the earlier process. If a clock was wrong then or is wrong now, it is the nearest time that is
+    known.
 
     Args:
         manifest: the manifest of the store.
@@ -93,7 +96,7 @@ def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
 
 
 def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
-    """Return the stored intervals in which a device was not read and that have no end yet, except for maintenance.
+    """Return the stored intervals without reads of a device that have no end yet, except maintenance.
 
     Maintenance continues after a restart.
     """
@@ -114,8 +117,8 @@ def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
 def _end_of(interval: StateInterval, alive: int) -> int:
     """Return the end (nanoseconds since 1970 UTC) of an interval that an earlier process left open.
 
-    The end is the last commit of that process, at time ``alive``. If the clock was set between the begin and that
-    commit, the interval ends where it begins.
+    The end is the last commit of that process, at time ``alive``; or the begin of the interval, if ``alive`` is before
+    it because the clock was set.
     """
     is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
     return max(alive, interval.begin) if is_known else interval.begin

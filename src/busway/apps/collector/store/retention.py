@@ -1,7 +1,7 @@
 """Retention: chooses the files of a store to delete, because they are too old or the store is too large.
 
-Pure. Knows parts; the writer drops them. A sink that has not got the samples holds nothing back: the manifest counts
-what it has lost.
+Pure. Knows parts; the writer drops them. Files are deleted even if a sink has not got their samples: the manifest
+counts what that sink has lost.
 """
 
 from collections.abc import Sequence

@@ -5,11 +5,13 @@
 Knows rows and columns; knows nothing of the manifest.
 
 1. Samples from before the ten minutes of the segment are late. They become parts of their own, one for each ten
-   minutes, so that a part covers the time that its neighbours do not; what has the same key is merged when it is read.
+   minutes, so that no part covers a long time. Samples with the same key in several parts are merged when they are
+   read.
 2. The driver of Arrow for SQLite fetches rows as columns, in half the time that rows take as objects of Python. It
-   takes the type of a column from its first row: the query puts one before the others, which is left out afterwards.
-3. Of Arrow's packages what is needed is loaded, and pandas and numpy are not, which pyarrow would load where they are
-   installed: a start takes a third of the time.
+   takes the type of a column from its first row: so the query puts an artificial row before the others, which is left
+   out afterwards.
+3. Only the needed packages of Arrow are loaded; pandas and numpy, which pyarrow would load if they are installed, are
+   not. So a start takes a third of the time.
 4. SQLite gives rows in the order of their key, by time. Then a stable sort by point alone is enough, which for numbers
    below each other costs a third of a sort by both. The order is checked, not assumed.
 5. The content of each file is durable when the program ends. Its name is not listed: the process that asked renames it.
@@ -107,9 +109,9 @@ def _facts(table: Any) -> dict[str, int]:
 
 
 def _ranges(database: sqlite3.Connection, stem: str) -> Iterator[tuple[str, int, int]]:
-    """Yield the Parquet files to write for a segment: late samples by ten minutes each, then all others.
+    """Yield the Parquet files to write for a segment: one for each ten minutes of late samples, then one for the rest.
 
-    For each file, its name and its period in nanoseconds since 1970 UTC: begin, and end, which is excluded.
+    Each file is given as its name and its period in nanoseconds since 1970 UTC: begin, and end, which is excluded.
     """
     begin = first_time_of(database)
     if begin is None:
@@ -197,9 +199,9 @@ def _query(kinds: set[str], low: int, high: int) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """Return the table with times as timestamps, and with the names of devices and points.
+    """Return the table with the names of devices and points, and with times as timestamps.
 
-    They are for people who open the Parquet file with other programs.
+    These columns are for people who open the Parquet file with other programs.
     """
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())

@@ -5,7 +5,7 @@ Knows one file and its tables; knows nothing of the manifest.
 1. A commit is one transaction: samples, intervals, and one row that says which times it covers. So rows can be read
    in the order of their commits without an index on each sample.
 2. The key is (time, point): rows arrive in the order of time, and only in that order can 400 000 of them be inserted in
-   a second. What has the same key replaces what was there.
+   a second. A sample with the key of an earlier one replaces it.
 3. NULL for a value that is not bad is NaN: SQLite has none. Integers beyond 63 bits are stored as eight bytes.
 4. The write-ahead log is moved into the file when it is larger than `LOG_LIMIT`.
 5. A segment ends, and the next commit begins another: when its ten minutes by the clock are over, when it is larger
@@ -183,17 +183,17 @@ class Segment:
         return size_of(self.path)
 
     def mend(self, first: int, shift: int) -> int:
-        """Correct times from before the wall clock was set by ``shift`` nanoseconds, from commit ``first`` on.
+        """Correct times that were taken from a wrong wall clock by ``shift`` nanoseconds, from commit ``first`` on.
 
         Returns:
-            The number of samples that were moved; see `clock_correction`.
+            The number of corrected samples; see `clock_correction`.
         """
         return mend_segment(self._database, first, shift)
 
     def sync(self) -> None:
-        """Make all commits so far survive a power failure.
+        """Make all commits so far survive a power failure: write the write-ahead log to the disk.
 
-        They are in the write-ahead log; SQLite makes durable itself what it moves from there into the file.
+        SQLite itself does that for data which it moves from the log into the file.
 
         Raises:
             OSError: the log cannot be written to the disk.
@@ -356,14 +356,14 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
 
 
 def is_unmade(error: sqlite3.OperationalError) -> bool:
-    """Whether an error of SQLite means that the tables of a segment do not exist yet, so that it has no samples."""
+    """Whether an error of SQLite means that a segment has no tables yet, because nothing was written to it."""
     return "no such table" in str(error)
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
     """Return the alarm events of a segment file after a commit number, in the order of their commits.
 
-    There are none while its tables are not made yet.
+    Empty if nothing was written to the segment yet.
     """
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
@@ -377,7 +377,7 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
     """Return the latest state of each accumulator (running total) that has one in a segment file.
 
-    There are none while its tables are not made yet.
+    Empty if nothing was written to the segment yet.
     """
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")
@@ -389,5 +389,5 @@ def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
 
 
 def intervals_of(database: sqlite3.Connection) -> list[IntervalRow]:
-    """Return the intervals without reads of devices, and the gaps, of a segment file, ordered by commit."""
+    """Return the intervals in which devices were not read, and the gaps, of a segment file, ordered by commit."""
     return [IntervalRow(*row) for row in database.execute("SELECT * FROM intervals ORDER BY commit_number")]

@@ -22,14 +22,14 @@ EVER: Final = 2**63 - 1
 
 
 def period(since: Moment | None, until: Moment | None, now: int) -> tuple[int, int]:
-    """Return begin and end of a period as nanoseconds since 1970 UTC; the end is no part of it.
+    """Return begin and end of a period as nanoseconds since 1970 UTC; the end is excluded.
 
     Args:
         since, until: begin and end as for `moment`; None for no limit.
         now: the present time, nanoseconds since 1970 UTC.
 
     Raises:
-        InvalidRequest: one of both is no time, or the end is not after the begin.
+        InvalidRequest: one of the two is no time, or the end is not after the begin.
     """
     low = 0 if since is None else moment(since, now)
     high = EVER if until is None else moment(until, now)

@@ -49,11 +49,12 @@ class StoreOptions:
     """Options of writing a store: durability, retention, when a segment ends, and sealing.
 
     Attributes:
-        durability: ``process``: what was committed survives the end of the process, and a power failure costs the last
-            seconds (see `Committer`); ``power``: it survives that too, because each commit waits for the disk.
+        durability: ``process``: what was committed survives the end of the process; a power failure costs the last
+            seconds (see `Committer`). ``power``: it survives a power failure too, because each commit waits for the
+            disk.
         retention: how much is kept.
         segment_size: bytes after which a segment ends.
-        seals: whether segments become Parquet files, where pyarrow is there.
+        seals: whether finished segments become Parquet files, if pyarrow is installed.
     """
 
     durability: Durability = "process"
@@ -224,7 +225,9 @@ class StoreWriter:
         return Commit(number, now, batches, intervals, alarms)
 
     def begin_mending(self, shift: int) -> None:
-        """Record that times stored since this start before the wall clock was set are to be corrected by `mend_next`.
+        """Record that times stored since this start must be corrected, because a wrong wall clock was put right.
+
+        `mend_next` corrects them, a segment at a time.
 
         Args:
             shift: nanoseconds to be added.
@@ -232,9 +235,9 @@ class StoreWriter:
         self.manifest.begin_mending(self._first, shift, EARLIEST)
 
     def mend_next(self) -> bool:
-        """Correct the times of one more segment that were stored before the wall clock was set.
+        """Correct the times in one more segment that were taken from a wrong wall clock.
 
-        A correction that a crash ended is continued at the next start.
+        A correction that a crash interrupted is continued at the next start.
 
         Returns:
             Whether to call again: segments may be left, or the other thread works on the files.
@@ -272,15 +275,18 @@ class StoreWriter:
             self.manifest.close_segment(found, alarms_of(database), is_mended=True)
 
     def _is_to_be_mended(self, part: StorePart) -> bool:
-        """Whether the times of a part may still have to be corrected: then it is neither sealed nor deleted for age.
+        """Whether times in a part may still have to be corrected, so that it is neither sealed nor deleted for age.
 
-        A segment without samples has intervals and alarms, whose times may be early too.
+        A segment without samples counts too, because its intervals and alarms have times.
         """
         is_early = part.low is None or part.low < EARLIEST
         return self._awaits_clock and is_early and (part.last_commit or 0) >= self._first
 
     def sync(self) -> None:
-        """Make all commits so far survive a power failure, where durability is ``process``. Raises `OSError`."""
+        """Make all commits so far survive a power failure: write the open segment's log to the disk.
+
+        Raises `OSError`.
+        """
         if self._segment is not None:
             self._segment.sync()
 
@@ -296,7 +302,11 @@ class StoreWriter:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit. Before the first commit since the start, a number below that of the first."""
+        """The number of the last commit.
+
+        Before the first commit of this run it is a number not below the last commit of earlier runs, and below the next
+        one.
+        """
         return self._next - 1
 
     def _take_number(self) -> int:
@@ -334,7 +344,7 @@ class StoreWriter:
         return self._segment
 
     def _forget_segment(self) -> None:
-        """Close the open segment file; the next commit opens the same file again."""
+        """Close the file of the open segment; the next commit opens it again."""
         if self._segment is not None:
             self._segment.close()
         self._segment = None
@@ -421,8 +431,8 @@ class StoreWriter:
 def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]) -> Iterator[StorePart]:
     """Yield the parts (files) of a store, the last first, with the times that decide how old they are.
 
-    A part that was written while the clock was not set is as old as the next part with right times. A part whose times
-    may still be corrected counts as new.
+    A part that was written while the clock was not set counts as old as the next part with right times; a part whose
+    times may still be corrected counts as new.
     """
     next_high = EVER
     for part in reversed(parts):

@@ -108,7 +108,10 @@ class LocalCoordinator:
             await asyncio.sleep(AGAIN)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield entries and changes while the file stays open; end, without an error, when it is opened anew."""
+        """Yield the entries and their changes while the file stays open.
+
+        Ends without an error when the file is opened anew.
+        """
         last, opening = 0, 0
         while True:
             try:
@@ -193,11 +196,11 @@ class LocalCoordinator:
 
 @dataclass(frozen=True, slots=True)
 class _OpenFile:
-    """The file while it is open.
+    """The SQLite file of the shared table while it is open.
 
     Attributes:
-        database: its connection.
-        opening: how many times the file had been opened then.
+        database: the connection to it.
+        opening: number of this opening: 1 for the first, one more each time that the file was opened anew.
     """
 
     database: sqlite3.Connection
@@ -205,24 +208,24 @@ class _OpenFile:
 
 
 def _identity(path: Path) -> tuple[int, int]:
-    """Return the device and number of a file, by which it is the same under another name."""
+    """Return the device number and inode of a file, which are the same under any name of the file."""
     found = path.stat()
     return found.st_dev, found.st_ino
 
 
 def _is_locked(error: Exception) -> bool:
-    """Whether an error says only that others change the file: nothing has begun then."""
+    """Whether an error of SQLite says only that another process changes the file now; then nothing was changed."""
     return isinstance(error, sqlite3.Error) and error.sqlite_errorcode & 0xFF == sqlite3.SQLITE_BUSY
 
 
 def _changed(database: sqlite3.Connection, key: str, value: bytes, revision: int | None) -> int:
-    """Change an entry if it has this revision, None for no entry, and return its new revision.
+    """Change an entry if it has this revision, and return its new revision; revision None adds a new entry.
 
     Raises:
         ConfigError: the value is too long.
         RevisionConflict: the entry has another revision.
         OutcomeUnknown: the change was not confirmed; it may have been made.
-        sqlite3.Error: the change is not made if the database is closed now; the file is locked, or cannot be used.
+        sqlite3.Error: the file is locked, or cannot be used; nothing is changed if the database is closed now.
     """
     if len(value) > LONGEST_VALUE:
         raise ConfigError(f"an entry has up to {LONGEST_VALUE} bytes, not {len(value)}", key=key)
@@ -242,7 +245,7 @@ def _changed(database: sqlite3.Connection, key: str, value: bytes, revision: int
 
 
 def _since(file: _OpenFile, prefix: str, last: int) -> tuple[int, list[Entry]]:
-    """Return how many times the file had been opened, and the entries with a prefix and with newer revisions."""
+    """Return how often the file had been opened, and the entries with a key prefix and a revision above ``last``."""
     rows = file.database.execute(
         "SELECT key, value, revision FROM entries WHERE revision > ? ORDER BY revision", (last,)
     )

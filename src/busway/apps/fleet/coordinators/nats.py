@@ -365,7 +365,7 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
 
 
 class _Watch:
-    """Compares the entries that one watch has shown with the answers of the server that leads the cluster (rule 3).
+    """What one watch has shown, to be compared with the answers of the server that leads the cluster (rule 3).
 
     Args:
         prefix: beginning of the keys that are watched.
@@ -390,7 +390,7 @@ class _Watch:
         return len(self._shown)
 
     def show(self, key: str, revision: int, value: bytes) -> None:
-        """Note that the watch has shown an entry, and compare the entry with the leader's last answer for its key."""
+        """Record that the watch has shown an entry, and compare it with the leader's last answer about its key."""
         self._shown[key] = revision, hash(value)
         owed, content, _ = self._owed.get(key, (0, None, 0.0))
         if owed and content == hash(value) and revision > owed:
@@ -399,7 +399,7 @@ class _Watch:
             del self._owed[key]
 
     def confirm(self, key: str, revision: int, value: bytes) -> None:
-        """Note a change that the leader has confirmed: the watch must show this revision within `LATE` seconds."""
+        """Record a change that the leader has confirmed: the watch must show its revision within `LATE` seconds."""
         if not key.startswith(self.prefix):
             return
         shown, content = self._shown.get(key, (0, 0))
@@ -409,7 +409,7 @@ class _Watch:
             self._owed.setdefault(key, (revision, hash(value), self._now()))
 
     def refuse(self, key: str, expected: int, revision: int) -> None:
-        """Note a change that the leader has refused: the watch must show the leader's revision within `LATE` seconds.
+        """Record a change that the leader has refused: the watch must show the leader's revision within `LATE` seconds.
 
         Args:
             key: key of the entry.
@@ -425,7 +425,7 @@ class _Watch:
             self._owed.setdefault(key, (revision, None, self._now()))
 
     def is_right(self) -> bool:
-        """Whether the watch agrees with the leader, as far as is known now; otherwise ``differs`` says why not."""
+        """Whether the watch agrees with the leader, as far as is known now; if not, ``differs`` says why."""
         if not self.differs:
             limit = self._now() - LATE
             late = [(key, revision) for key, (revision, _, since) in self._owed.items() if since < limit]
@@ -519,9 +519,10 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield the entries that one consumer of NATS gets, then their changes.
+        """Yield the entries of the shared table, then their changes, as one NATS consumer gets them.
 
-        Ends without an error when the consumer has a gap or is silent, or disagrees with the leader.
+        Ends without an error when messages of the consumer are missing, when it is silent, or when it disagrees with
+        the leader.
         """
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         watch, subscription = _Watch(prefix, time.monotonic), None

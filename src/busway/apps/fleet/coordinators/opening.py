@@ -30,7 +30,7 @@ class CoordinatorOptions:
     Attributes:
         user, password, token: credentials for the server; None if the URL or the credentials file has them.
         credentials: path of a NATS credentials file, or of a file with the seed of a key pair; None for none.
-        ca: path of a PEM file with the authorities of the server's certificate; None for those of the system.
+        ca: path of a PEM file with the authorities of the server's certificate; None for the system's own.
         certificate, key: paths of PEM files with the client's certificate and its key; None for none.
         replicas: number of servers that must keep each entry, 1…5 (NATS).
         domain: JetStream domain of the edge site that has the table, asked through the centre (NATS); None for the
@@ -135,7 +135,7 @@ def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
 
 
 async def until_up(ask: Callable[[], Awaitable[_T]], down: type[ModbusError], seconds: float) -> _T:
-    """Call a function until the server that it asks is up, and return its result; the first failure is logged.
+    """Call a function again and again until its server is up, and return its result; the first failure is logged.
 
     Args:
         ask: asks the server once.

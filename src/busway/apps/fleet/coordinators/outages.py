@@ -9,23 +9,23 @@ _log = logging.getLogger("busway.fleet")
 
 
 class OutageLog:
-    """Logs each time in which the shared table cannot be followed: one line at its begin, and one at its end."""
+    """Logs the times in which the shared table cannot be followed: one line at the begin, and one at the end."""
 
     def __init__(self) -> None:
         self._is_lost = False
 
     def lost(self, reason: str) -> None:
-        """Note that a watch cannot follow the table; logged unless the outage is known already.
+        """Record that a watch cannot follow the table, and log it unless the outage was logged before.
 
         Args:
-            reason: what the engine says, without secrets.
+            reason: what the coordinator's server or file reports, without secrets.
         """
         if not self._is_lost:
             _log.warning("the table of the zone cannot be followed, and is tried again: %s", reason)
         self._is_lost = True
 
     def complete(self) -> None:
-        """Note that a watch has shown all entries of the table; logged if an outage ends by that."""
+        """Record that a watch has shown all entries of the table; if there was an outage, its end is logged."""
         if self._is_lost:
             _log.warning("the table of the zone is followed again")
         self._is_lost = False

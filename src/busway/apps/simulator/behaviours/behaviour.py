@@ -20,10 +20,10 @@ class Behaviour(Protocol):
 
 
 class Observer(Protocol):
-    """Interface of a behaviour that takes over values of other points after each moment, to use them at the next one.
+    """Interface of a behaviour that reads other points after each moment, and uses these values at the next moment.
 
     Points with such behaviours may depend on each other in a circle, as level and inflow of a tank do.
     """
 
     def observe(self, time: float) -> None:
-        """Take over the values of the other points at a time, after all of them have changed."""
+        """Read and remember the values of the other points, once all of them have their values of this time."""

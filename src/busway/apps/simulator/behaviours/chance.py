@@ -16,7 +16,7 @@ _TO_UNIT: Final = 2.0**-53
 
 
 def stream_of(seed: int, key: str) -> int:
-    """Return the start number of a point's own sequence of random numbers, for `drawn`.
+    """Return the number that selects a point's own sequence of random numbers; `drawn` takes it.
 
     Args:
         seed: the seed of the simulation.
@@ -26,7 +26,7 @@ def stream_of(seed: int, key: str) -> int:
 
 
 def drawn(stream: int, index: int) -> float:
-    """Return number ``index`` of a random sequence, 0 ≤ x < 1, uniform: SplitMix64 by position."""
+    """Return a uniform random number, 0 ≤ x < 1: number ``index`` of the sequence ``stream`` (SplitMix64)."""
     word = (stream + index * _GOLDEN) & _WORD
     word = ((word ^ word >> 30) * 0xBF58476D1CE4E5B9) & _WORD
     word = ((word ^ word >> 27) * 0x94D049BB133111EB) & _WORD
@@ -91,7 +91,10 @@ class RandomWalk:
         self._step = 0
 
     def value(self, time: float) -> float:
-        """Return the value of the random walk at a time; steps of moments that the engine left out are made first."""
+        """Return the value of the random walk at a time.
+
+        Steps that the engine left out since the last call are made first.
+        """
         last = round(time / self._every)
         value = self._value
         for step in range(self._step + 1, last + 1):

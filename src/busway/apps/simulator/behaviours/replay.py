@@ -37,7 +37,7 @@ class Recording:
     def length(self) -> float:
         """The seconds from the start of the recording until it repeats: its last value lasts as long as the one before.
 
-        1 second if there is one value only.
+        It is 1 second if there is one value only.
         """
         times = self.times
         return times[-1] + (times[-1] - times[-2] if len(times) > 1 else 1.0)

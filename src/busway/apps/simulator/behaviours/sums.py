@@ -4,8 +4,8 @@
    nothing drifts.
 2. An expression as rate or target is computed after each moment, and holds until the next (`Observer`). If it has no
    value, a counter stands still and a lag stays where it is.
-3. A value may be set by hand between two moments. It is also the value at earlier times, should the engine ask for one;
-   after that the behaviour continues from it.
+3. A value may be set by hand between two moments. If the engine then asks for the value at an earlier time, it gets
+   the value set; at later times the behaviour continues from it.
 """
 
 import math
@@ -138,7 +138,7 @@ class Lag:
     def value(self, time: float) -> float:
         """Return the value at a time, on its way to the target that the last `observe` computed.
 
-        Without a target, or at a time before that of an earlier call, the value stays as it is.
+        The value stays as it is without a target, or if an earlier call had a later time.
         """
         if math.isfinite(self._seen):
             way = self._value - self._seen

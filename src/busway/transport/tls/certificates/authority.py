@@ -1,10 +1,10 @@
 """A certificate authority for tests and trials: issues certificates with EC keys on P-256 and SHA-256.
 
-Knows how such certificates look; a real installation has its own authority.
+Knows how such certificates look; not meant for real installations, which have an authority of their own.
 
 1. Certificates of servers are for servers, those of clients for clients (extended key usage).
-2. A role stands in the extension that MODBUS/TCP Security names.
-3. A private key is written so that its owner alone can read it.
+2. A role is in the extension that MODBUS/TCP Security names.
+3. A private key is written so that only its owner can read it.
 """
 
 import datetime
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _BACKDATED: Final = datetime.timedelta(minutes=5)
-"""Clocks of devices that are a little behind accept a new certificate too."""
+"""How much earlier a new certificate is valid, so that devices whose clocks are slow accept it."""
 KEY_MODE: Final = 0o600
 
 
@@ -32,7 +32,7 @@ class Issued:
     """An issued certificate with its private key.
 
     Attributes:
-        certificate, key: of ``cryptography``.
+        certificate, key: objects of the package ``cryptography``.
         chain: the authorities between the certificate and the root, the nearest first.
     """
 
@@ -41,13 +41,13 @@ class Issued:
     chain: "tuple[x509.Certificate, ...]" = ()
 
     def certificate_pem(self) -> bytes:
-        """The certificate in PEM, followed by those of the authorities between it and the root."""
+        """Return the certificate in PEM, followed by those of the authorities between it and the root."""
         from cryptography.hazmat.primitives.serialization import Encoding
 
         return b"".join(one.public_bytes(Encoding.PEM) for one in (self.certificate, *self.chain))
 
     def key_pem(self, password: bytes | None = None) -> bytes:
-        """The private key in PEM, encrypted if there is a password."""
+        """Return the private key in PEM, encrypted if there is a password."""
         from cryptography.hazmat.primitives import serialization
 
         encryption = (
@@ -56,7 +56,11 @@ class Issued:
         return self.key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
 
     def write(self, certificate: Path, key: Path, *, password: bytes | None = None) -> None:
-        """Write or replace both files; the key first, readable by its owner only. Raises `ConfigError`."""
+        """Write certificate and private key to files, replacing old ones; only the owner can read the key.
+
+        Raises:
+            ConfigError: a file cannot be written.
+        """
         write_private(key, self.key_pem(password))
         try:
             certificate.write_bytes(self.certificate_pem())
@@ -87,7 +91,10 @@ class Authority:
     def server(
         self, hosts: Sequence[str], *, name: str | None = None, days: float = 825.0, starts_in: float = 0.0
     ) -> Issued:
-        """Issue a certificate for a server with these host names and addresses."""
+        """Issue a certificate for a server with these host names and addresses.
+
+        ``days`` and ``starts_in`` are as for `client`.
+        """
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
 
@@ -104,10 +111,10 @@ class Authority:
         """Issue a certificate for a client.
 
         Args:
-            name: the name that the certificate says.
-            role: the role of Modbus/TCP Security that it says; None for none.
+            name: the name of the client in the certificate.
+            role: its role (Modbus/TCP Security); None for none.
             days: how long it is valid.
-            starts_in: days until it becomes valid; below 0 it has begun already.
+            starts_in: days until it becomes valid; negative if it already is.
         """
         return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
 
@@ -121,9 +128,14 @@ class Authority:
         more: Mapping[str, bytes] | None = None,
         states_purpose: bool = True,
     ) -> Issued:
-        """Issue a certificate for a client whose role extension has these raw bytes; ``more``: further extensions.
+        """Issue a certificate for a client with arbitrary bytes in its role extension, to test how they are refused.
 
-        ``states_purpose``: whether it says that it is for clients (extended key usage).
+        Args:
+            name: the name of the client in the certificate.
+            role_values: the values of the role extension, one for each time that it occurs.
+            days, starts_in: as for `client`.
+            more: further extensions, by object identifier.
+            states_purpose: whether the certificate has the extended key usage for clients.
         """
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -136,7 +148,10 @@ class Authority:
         return _build(name, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
-        """Issue a revocation list in PEM with these serial numbers, valid for ``days`` from now; negative: expired."""
+        """Issue a revocation list in PEM with these serial numbers, valid for ``days`` from now.
+
+        Negative ``days`` give an expired list.
+        """
         from cryptography import x509
         from cryptography.hazmat.primitives import hashes
         from cryptography.hazmat.primitives.serialization import Encoding
@@ -175,9 +190,7 @@ def _build(
     starts_in: float = 0.0,
     extensions: "Sequence[x509.ExtensionType]",
 ) -> Issued:
-    """Create and sign a certificate with the issuer's key, or its own. Valid for ``days`` from now;
-    negative: expired.
-    """
+    """Create a certificate for ``days`` from now (expired if negative), signed with the issuer's key or its own."""
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec

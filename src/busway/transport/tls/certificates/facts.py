@@ -31,7 +31,7 @@ class CertificateFacts:
         role: role of a client; None without one.
         role_problem: what is wrong with the role; empty otherwise.
         is_authority: whether it may sign others.
-        states_purpose: whether it says what it is for (extended key usage).
+        states_purpose: whether it has an extended key usage (for servers, for clients).
         key: kind and size of the key, as ``EC secp256r1``.
         fingerprint: SHA-256 in hexadecimal.
     """
@@ -50,8 +50,9 @@ class CertificateFacts:
     fingerprint: str
 
     def days_left(self, now: float | None = None) -> float:
-        """Return the days until the certificate expires; negative after that. ``now``: seconds since 1970, None the
-        present.
+        """Return the days until the certificate expires; negative after that.
+
+        ``now`` is in seconds since 1970; None for the present time.
         """
         return (self.not_after - (time.time() if now is None else now)) / DAY
 
@@ -69,11 +70,11 @@ class CertificateFacts:
 
 
 WARNING_DAYS: Final = 30.0
-"""From so many days before the end on, a warning is logged."""
+"""Days before the end of a certificate from which on a warning is logged."""
 
 
 def facts_of_file(name: str) -> list[CertificateFacts]:
-    """Return what each certificate in a PEM file says, in order. Raises `ConfigError` that names the file."""
+    """Return the facts of each certificate in a PEM file, in order. Raises `ConfigError` that names the file."""
     require_cryptography("reading certificates")
     from cryptography import x509
 
@@ -91,7 +92,7 @@ def facts_of_file(name: str) -> list[CertificateFacts]:
 
 
 def facts_of_der(data: bytes) -> CertificateFacts:
-    """Return what a certificate in DER says. Raises `ValueError` if it is none."""
+    """Return the facts of a certificate in DER. Raises `ValueError` if the bytes are no certificate."""
     from cryptography import x509
 
     return _facts(x509.load_der_x509_certificate(data))
