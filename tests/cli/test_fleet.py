@@ -76,6 +76,47 @@ def test_a_collector_runs_by_what_was_applied_and_is_shown(run: Callable[..., An
         east.stop()
 
 
+def test_leases_hold_for_as_long_as_an_operator_says_while_no_collector_runs(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    at = ("--coordinator", f"local:{tmp_path}/zone")
+    file = written(tmp_path)
+    plant = Path(file)
+    plant.write_text(plant.read_text().replace('name = "a"', 'name = "a"\ngateway_wait = 12', 1))
+    refused = run("fleet", "apply", file, *at)
+    assert (refused.code, "12 s of it in a gateway" in refused.err) == (2, True)
+    ttl = re.search(r"busway fleet apply --ttl (\d+s)", refused.err)
+    assert ttl is not None
+    first = run("fleet", "apply", file, "--ttl", ttl[1], "--shards", "8", *at)
+    assert first.out.startswith(f"leases of the zone hold for {ttl[1][:-1]} s\n"), first.err
+    with Busway("fleet", "run", *at, "--shards", "8", "--name", "west", "--store", str(tmp_path / "west")) as west:
+        west.wait_for("west collects into")
+        while not json.loads(run("fleet", "status", "--json", *at).out)["collectors"]:
+            assert west.process.poll() is None
+        other = run("fleet", "apply", file, "--ttl", "60s", *at)
+        assert (other.code, other.err) == (
+            2,
+            f"busway: --ttl: leases of the zone hold for {ttl[1][:-1]} s, the same for all; stop all collectors first: "
+            "west still run\n",
+        )
+        assert run("fleet", "apply", file, "--ttl", ttl[1], *at).code == 0, "nothing changes"
+        west.stop()
+    assert "leases of the zone hold for 60 s\n" in run("fleet", "apply", file, "--ttl", "60s", *at).out
+    again = run("fleet", "apply", file, *at)
+    assert again.code == 0, "the zone has the time until another one is given"
+    with Busway("fleet", "run", *at, "--shards", "8", "--name", "east", "--store", str(tmp_path / "east")) as east:
+        east.wait_for("east collects into")
+        shards: dict[str, Any] = {}
+        while not shards:
+            assert east.process.poll() is None
+            shards = {
+                shard: each
+                for shard, each in json.loads(run("fleet", "status", "--json", *at).out)["shards"].items()
+                if each["owner"] == "east"
+            }
+        east.stop()
+
+
 def test_restore_raises_the_generation_and_each_time_further(run: Callable[..., Any], tmp_path: Path) -> None:
     at = ("--coordinator", f"local:{tmp_path}/zone")
     first, second = (int(run("fleet", "restore", *at).out.split()[-1]) for _ in range(2))
@@ -92,7 +133,8 @@ def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_pat
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["status"], "--coordinator"),
+        (["run", "--ttl", "30s", "--coordinator", "local:x"], "--ttl: is for apply"),
+        (["apply", "x.toml", "--ttl", "301s", "--coordinator", "local:x"], "--ttl: a time of 3…300 s is needed"),
         (["drain", "--coordinator", "local:x"], "drain NAME"),
         (["status", "--undo", "--coordinator", "local:x"], "--undo: is for drain"),
         (["status", "--name", "a", "--coordinator", "local:x"], "--name: is for run"),
@@ -134,3 +176,94 @@ def test_collect_imports_nothing_of_the_fleet() -> None:
     )
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
     assert done.stdout == "[]\n"
+
+
+@pytest.fixture
+def at_home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The folder of a user whose environment names no coordinator."""
+    for name in ("BUSWAY_FLEET", "BUSWAY_FLEET_CREDENTIALS", "BUSWAY_FLEET_CA", "BUSWAY_FLEET_PASSWORD"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.delenv("XDG_STATE_HOME", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    return tmp_path / "home" / ".local" / "state" / "busway" / "fleet"
+
+
+def test_without_a_coordinator_all_actions_use_one_folder_of_the_user_and_say_so(
+    run: Callable[..., Any], tmp_path: Path, at_home: Path
+) -> None:
+    sentence = f"busway: the coordinator is local:{at_home}, for collectors of this machine alone; "
+    applied = run("fleet", "apply", written(tmp_path))
+    assert (applied.code, applied.err.startswith(sentence)) == (0, True), applied.err
+    with Busway("fleet", "run", "--name", "west", "--store", str(tmp_path / "west")) as west:
+        assert sentence in west.wait_for("the coordinator is")
+        west.wait_for("west collects into")
+        states: list[str] = []
+        while states != ["polls"]:
+            assert west.process.poll() is None
+            shown = run("fleet", "status", "--json")
+            assert sentence in shown.err
+            states = [each["state"] for each in json.loads(shown.out)["collectors"]]
+        drained = run("fleet", "drain", "west")
+        assert ("told to hand on" in drained.out, sentence in drained.err) == (True, True)
+        assert "west still run" in run("fleet", "restore").err
+        west.stop()
+    assert (at_home / "plant.fleet").exists()
+    named = run("fleet", "status", "--json", "--coordinator", f"local:{at_home}")
+    assert (json.loads(named.out)["revision"], named.err) == (1, ""), "the same table, by its name"
+    assert run("fleet", "status", "--quiet").err == ""
+
+
+def test_the_folder_is_that_of_the_environment(
+    run: Callable[..., Any], tmp_path: Path, at_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("XDG_STATE_HOME", str(tmp_path / "state"))
+    assert run("fleet", "restore").code == 0
+    assert (tmp_path / "state" / "busway" / "fleet" / "plant.fleet").exists()
+    monkeypatch.setenv("XDG_STATE_HOME", "relative")
+    assert run("fleet", "restore").code == 0
+    assert (at_home / "plant.fleet").exists(), "a relative path is not valid"
+    monkeypatch.setenv("BUSWAY_FLEET", f"local:{tmp_path}/named")
+    assert run("fleet", "restore", "--zone", "hall").err == ""
+    assert (tmp_path / "named" / "hall.fleet").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "name", "needed"),
+    [
+        (["run", "--stream"], "--stream", "nats://host:4222;"),
+        (["sink", "broker"], "sink", "nats://host:4222;"),
+        (["write", "meter-7", "setpoint", "20"], "write", "nats://host:4222;"),
+        (["status", "--credentials", "x.nk"], "--credentials", "nats://host:4222;"),
+        (["status", "--system-credentials", "x.nk"], "--system-credentials", "nats://host:4222;"),
+        (["apply", "x.toml", "--replicas", "3"], "--replicas", "nats://host:4222;"),
+        (["drain", "west", "--domain", "yard"], "--domain", "nats://host:4222;"),
+        (["run", "--user", "west"], "--user", "nats://host:4222 or postgresql://"),
+        (["run", "--ca", "ca.pem"], "--ca", "nats://host:4222 or postgresql://"),
+    ],
+)
+def test_what_needs_a_server_is_refused_without_one(
+    run: Callable[..., Any], at_home: Path, words: list[str], name: str, needed: str
+) -> None:
+    refused = run("fleet", *words)
+    assert refused.code == 2
+    assert refused.err.startswith(f"busway: {name}: needs --coordinator {needed}"), refused.err
+    assert refused.err.endswith(f"share the folder {at_home}\n"), refused.err
+    assert not at_home.exists()
+
+
+def test_a_user_without_a_home_has_to_name_a_coordinator(
+    run: Callable[..., Any], at_home: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("HOME", "none")
+    refused = run("fleet", "status")
+    assert (refused.code, "--coordinator: is needed, as this user has no home" in refused.err) == (2, True)
+
+
+@pytest.mark.parametrize("name", ["BUSWAY_FLEET_CREDENTIALS", "BUSWAY_FLEET_CA", "BUSWAY_FLEET_PASSWORD"])
+def test_a_machine_that_lacks_only_the_name_of_its_server_starts_no_zone_of_its_own(
+    run: Callable[..., Any], at_home: Path, name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, "x")
+    refused = run("fleet", "run")
+    assert (refused.code, refused.err.startswith(f"busway: {name}: needs --coordinator nats://host:4222")) == (2, True)
+    assert not at_home.exists()

@@ -25,6 +25,9 @@ REST = {
 }
 """What a collector file must have, for parts of one that a page shows by themselves."""
 
+OF_FLEETS = {"hosts", "gateway_wait"}
+"""Keys of links that only collector files have."""
+
 
 def blocks() -> list[tuple[str, str]]:
     pages = [page for folder in ("how-to", "reference", "tutorial") for page in (ROOT / "docs" / folder).rglob("*.md")]
@@ -40,7 +43,7 @@ def check(text: str) -> None:
     keys = values.keys()
     if "inputs" in keys:
         assert not read_telegraf(text, "page.toml").omissions
-    elif keys & {"collector", "page_access", "sink"} or any("hosts" in link for link in values.get("link", ())):
+    elif keys & {"collector", "page_access", "sink"} or any(OF_FLEETS & link.keys() for link in values.get("link", ())):
         rest = "" if "device" in keys else "".join(REST.values())
         read_source(f"{text}\n{rest}", "page.toml").checked(CollectorFile)
     elif "route" in keys:

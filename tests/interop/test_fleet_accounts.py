@@ -20,7 +20,12 @@ from program import Busway
 from waiting import until
 
 from busway.apps.collector.configuration import load_collector
-from busway.apps.fleet.control_entries import apply_configuration, drain_collector
+from busway.apps.fleet.control_entries import (
+    apply_configuration,
+    drain_collector,
+    record_times,
+    recorded_times,
+)
 from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, find_bucket, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coordinator, until_up
@@ -28,6 +33,7 @@ from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_commands import FleetCommands, send_command
 from busway.apps.fleet.fleet_status import zone_status
 from busway.apps.fleet.lease_driver import end_tasks
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.live_subjects import LiveSubjects
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_audit_stream, make_stream, sink_lags
 from busway.cli.fleet_servers import write_server_files
@@ -57,8 +63,10 @@ OWN: Final = {
 """Subjects of streams, and the one role that may publish to each."""
 PLAIN: Final = {"busway.hall.live.meter": "collector", "busway.hall.command.link": "operator"}
 """Subjects that no stream has."""
-ALSO: Final = {("collector", "busway.hall.command.link")}
-"""Roles that may publish to a subject beside its own: collectors pass on commands that reach them as messages."""
+ALSO: Final = {("collector", "busway.hall.command.link"), ("operator", "$KV.busway-hall.zone")}
+"""Roles that may publish to a subject beside its own: collectors pass on commands that reach them as messages, and the
+operator sets how long leases hold.
+"""
 
 
 class Site:
@@ -131,6 +139,13 @@ async def refusal(client: Any, subject: str, data: bytes = b"", headers: Any = N
         await client.publish(subject, data, headers=headers)
     await settled(client)
     return str(client.cause)
+
+
+async def test_the_operator_sets_how_long_leases_hold_and_collectors_have_that_time(site: Site) -> None:
+    async with site.made() as operator, site.table("collector") as collector:
+        assert await recorded_times(collector) == LeaseTimes()
+        await record_times(operator, LeaseTimes.lasting(60.0), 8)
+        assert await recorded_times(collector) == LeaseTimes.lasting(60.0)
 
 
 async def test_each_subject_is_for_the_role_whose_it_is_and_for_no_other(site: Site) -> None:

@@ -19,6 +19,7 @@
 `files`            Files that commands read; new files and capture files that they write
 `fleet`            `busway fleet`: several collectors share the links of a plant, as a coordinator says
 `fleet_demo`       `busway fleet demo`: 200 devices, three collectors that share them, and one of these is killed
+`fleet_folder`     Which coordinator `busway fleet` asks: the named one, or a folder of this machine
 `fleet_servers`    `busway fleet server-config`: configuration of NATS servers, and a secret for each role
 `fleet_sinks`      `busway fleet run --stream` and `busway fleet sink`: samples of a zone through a stream of NATS
 `fleet_write`      ``busway fleet write``: writes a value to a point of a zone by the collector that owns its link

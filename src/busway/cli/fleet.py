@@ -27,6 +27,7 @@ from ..errors import ConfigError, ModbusError
 from .arguments import JSON, QUIET, VERBOSE, seconds, show_traffic, whole_number
 from .collect_status import open_page, print_status
 from .exits import ExitCode
+from .fleet_folder import chosen_coordinator
 from .fleet_sinks import open_stream, print_stream_status, run_sink
 from .fleet_write import write_point
 from .output import print_aligned, print_json, say, warn
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
     from ..apps.fleet.durability import ServerDurability
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
+    from ..apps.fleet.lease_times import LeaseTimes
     from ..apps.fleet.records import LeaseHole
     from ..apps.fleet.streams import SinkLag
 
@@ -55,15 +57,16 @@ Examples:
   busway fleet restore --coordinator nats://10.0.0.7 --zone hall
   busway fleet server-config hall --servers 10.0.0.1,10.0.0.2,10.0.0.3 --out servers
 
-The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; BUSWAY_FLEET_PASSWORD holds
-the password of --user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS and BUSWAY_FLEET_CA those files.
+The coordinator may also be local:FOLDER (one machine) or postgresql://user@host/database; without one it is a folder of
+this user, ~/.local/state/busway/fleet, for collectors of this machine. BUSWAY_FLEET_PASSWORD holds the password of
+--user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS and BUSWAY_FLEET_CA those files.
 """
 ACTIONS = {
     "demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1, "server-config": 2,
 }  # fmt: skip
 """Number of words on the command line for each action, the action itself included."""
-LOOK = 4.0
-"""Seconds after which a collector that has not renewed its entry is shown as silent: it renews every three."""
+LOOK = 1.0
+"""Seconds beyond the time between two renewals after which a collector without a new entry is shown as silent."""
 
 
 def fleet(
@@ -73,12 +76,15 @@ def fleet(
         help="A collector file, or the name of a sink of it, or of a collector; or a value for a point.",
     ),
     coordinator: str | None = typer.Option(
-        None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER."
+        None, "--coordinator", metavar="URL", help="nats://host:4222, local:FOLDER; a folder of this user."
     ),
     zone: str = typer.Option("plant", "--zone", metavar="NAME", help="The network that reaches the devices: plant."),
     name: str | None = typer.Option(None, "--name", metavar="NAME", help="run: of this collector; the host's name."),
     folder: str | None = typer.Option(None, "--store", metavar="FOLDER", help="run: the store; that of the file."),
     shards: str = typer.Option("256", "--shards", metavar="N", help="run: of the zone, the same for all: 256."),
+    ttl: str | None = typer.Option(
+        None, "--ttl", metavar="TIME", help="apply: leases hold so long in the zone; all collectors ended: 15s."
+    ),
     user: str | None = typer.Option(None, "--user", metavar="NAME", help="The account at the coordinator."),
     credentials: str | None = typer.Option(
         None, "--credentials", metavar="FILE", help="A NATS seed or credentials file."
@@ -124,6 +130,7 @@ def fleet(
     """Share the links of a plant among several collectors."""
     from ..apps.fleet.coordinators import open_coordinator
     from ..apps.fleet.coordinators.opening import CoordinatorOptions
+    from ..apps.fleet.lease_times import LONGEST_TTL, LeaseTimes
     from ..apps.fleet.shards import checked_zone, keys_zone
     from ..apps.fleet.streams import StreamOptions
 
@@ -145,9 +152,6 @@ def fleet(
     for key_of, value in {**given, "--force": force}.items():
         if value:
             raise ConfigError("is for server-config", key=key_of)
-    url = coordinator or os.environ.get("BUSWAY_FLEET")
-    if not url:
-        raise ConfigError("is needed: nats://host:4222, local:FOLDER or postgresql://user@host/db", key="--coordinator")
     if undo and action != "drain":
         raise ConfigError("is for drain", key="--undo")
     if domain is not None and action == "run":
@@ -158,7 +162,23 @@ def fleet(
         raise ConfigError("is for run", key="--name" if name else "--store")
     if (key or by) and action != "write":
         raise ConfigError("is for write", key="--key" if key else "--by")
+    if ttl is not None and action != "apply":
+        raise ConfigError("is for apply: collectors have the time of their zone", key="--ttl")
     checked_zone(zone)
+    times = None if ttl is None else LeaseTimes.lasting(seconds(ttl, "--ttl", low=3.0, high=LONGEST_TTL))
+    needs = {
+        action: True,
+        "--stream": stream,
+        "--user": user,
+        "--credentials": credentials,
+        "--system-credentials": system,
+        "--ca": ca,
+        "--certificate": certificate,
+        "--private-key": private_key,
+        "--domain": domain,
+        "--replicas": replicas != "1",
+    }
+    url = chosen_coordinator(coordinator, needs)
     options = CoordinatorOptions(
         user=user,
         password=os.environ.get("BUSWAY_FLEET_PASSWORD"),
@@ -174,7 +194,7 @@ def fleet(
     limit = seconds(within, "--within")
     show_traffic(verbose)
     works: dict[str, Any] = {
-        "apply": lambda table: _apply(table, about[0], zone, options),
+        "apply": lambda table: _apply(table, about[0], zone, options, times, count),
         "run": lambda table: _run(
             table,
             name,
@@ -300,10 +320,27 @@ async def _tell_durability(url: str, options: "CoordinatorOptions", system: str 
         warn(f"warning: {sentence}")
 
 
-async def _apply(table: "Coordinator", file: str, zone: str, options: "CoordinatorOptions") -> None:
-    from ..apps.fleet.control_entries import apply_configuration
+async def _apply(
+    table: "Coordinator",
+    file: str,
+    zone: str,
+    options: "CoordinatorOptions",
+    times: "LeaseTimes | None",
+    shards: int,
+) -> None:
+    """Make a file the configuration of a zone; with ``times``, also change for how long leases hold.
 
-    revision = await apply_configuration(table, file)
+    Raises as `apply_configuration`, and `ConfigError` if a collector runs that has other times.
+    """
+    from ..apps.fleet.control_entries import apply_configuration, record_times, recorded_times
+
+    before = await recorded_times(table)
+    if times is not None and times != before:
+        await _refuse_running(table, "--ttl", f"leases of the zone hold for {before.ttl:g} s, the same for all; ")
+    revision = await apply_configuration(table, file, times)
+    if times is not None:
+        await record_times(table, times, shards)
+        print(f"leases of the zone hold for {times.ttl:g} s")
     await _make_streams(table, zone, options)
     print(f"{file} is the configuration of the zone, with revision {revision}")
 
@@ -375,13 +412,26 @@ async def _take_commands(
 
 async def _restore(table: "Coordinator") -> None:
     from ..apps.fleet.control_entries import raise_generation
+
+    await _refuse_running(table, "restore")
+    print(f"epochs of the zone go on in generation {await raise_generation(table, time.time())}")
+
+
+async def _refuse_running(table: "Coordinator", key: str, why: str = "") -> None:
+    """Raise `ConfigError` about ``key`` if a collector of the zone runs; ``why`` begins its sentence."""
     from ..apps.fleet.fleet_status import zone_status
 
-    status = await zone_status(table, LOOK)
+    status = await zone_status(table, await _look(table))
     living = [name for name, each in status.members.items() if each.lives and not each.record.gone]
     if living:
-        raise ConfigError(f"stop all collectors first: {', '.join(living)} still run", key="restore")
-    print(f"epochs of the zone go on in generation {await raise_generation(table, time.time())}")
+        raise ConfigError(f"{why}stop all collectors first: {', '.join(living)} still run", key=key)
+
+
+async def _look(table: "Coordinator") -> float:
+    """Return the seconds after which a collector of a zone that has not renewed its entry does not live."""
+    from ..apps.fleet.control_entries import recorded_times
+
+    return (await recorded_times(table)).renew + LOOK
 
 
 async def _run(
@@ -399,17 +449,17 @@ async def _run(
     as_json: bool,
 ) -> None:
     from ..apps.fleet.chosen_samples import refuse_what_needs_a_store
-    from ..apps.fleet.control_entries import read_configuration
+    from ..apps.fleet.control_entries import read_configuration, recorded_times
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_metrics import fleet_families
-    from ..apps.fleet.lease_times import LeaseTimes
     from ..apps.fleet.stream_head import newest_message
     from ..apps.fleet.zone_watch import ZoneWatch
 
     shared = await read_configuration(table)
     if shared is None:
         raise ConfigError("the zone has no configuration yet: busway fleet apply FILE", key="--zone")
-    configuration = await asyncio.to_thread(shared.parsed, LeaseTimes())
+    times = await recorded_times(table)
+    configuration = await asyncio.to_thread(shared.parsed, times)
     configuration = replace(configuration, store=folder or configuration.store)
     host = socket.gethostname().partition(".")[0]
     with stop_event() as stop:
@@ -428,6 +478,7 @@ async def _run(
                     name or host,
                     host=host,
                     shards=shards,
+                    times=times,
                     stream=stream,
                     revision=shared.revision,
                     keys=keys,
@@ -436,7 +487,7 @@ async def _run(
             )
             member.collector.more_metrics.append(lambda: fleet_families(member))
             await take_commands(stack, member)
-            watch = await stack.enter_async_context(ZoneWatch(table))
+            watch = await stack.enter_async_context(ZoneWatch(table, times))
             await open_page(stack, member.collector, watch, partial(newest_message, table, zone))
             say(f"{name or host} collects into {configuration.store} by revision {shared.revision}")
             while not stop.is_set():
@@ -469,7 +520,7 @@ async def _show_status(
 ) -> None:
     from ..apps.fleet.fleet_status import zone_status
 
-    status = await zone_status(table, LOOK)
+    status = await zone_status(table, await _look(table))
     lags = await _sink_lags(table, zone)
     servers = await durability()
     if as_json:

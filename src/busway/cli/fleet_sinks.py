@@ -152,10 +152,10 @@ async def _sink_of(
     """
     from ..apps.collector.report_rules import points_of, sink_rules
     from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
-    from ..apps.fleet.lease_times import LeaseTimes
+    from ..apps.fleet.control_entries import recorded_times
     from ..apps.fleet.streams import StreamSink
 
-    configuration = await asyncio.to_thread(shared.parsed, LeaseTimes())
+    configuration = await asyncio.to_thread(shared.parsed, await recorded_times(table))
     if name not in configuration.sinks:
         there = ", ".join(configuration.sinks) or "none"
         raise ConfigError(f"the configuration has no sink {name}; there are {there}", key="NAME")

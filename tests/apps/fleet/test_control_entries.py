@@ -16,10 +16,14 @@ from busway.apps.fleet.control_entries import (
     drain_collector,
     read_configuration,
     read_entries,
+    record_times,
+    recorded_times,
+    refuse_other_figures,
 )
 from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.records import ZONE, ZoneRecord
 from busway.errors import ConfigError
 
@@ -167,6 +171,25 @@ async def test_a_file_is_checked_against_the_leases_that_the_zone_has(tmp_path: 
         shared = await read_configuration(table)
         assert shared is not None
         assert shared.revision == first
+    finally:
+        await table.close()
+
+
+async def test_how_long_leases_hold_is_recorded_for_collectors_that_start_later(tmp_path: Path) -> None:
+    table = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        assert await recorded_times(table) == LeaseTimes()
+        longer = LeaseTimes.lasting(60.0)
+        await record_times(table, longer, 8)
+        assert await recorded_times(table) == longer
+        await record_times(table, LeaseTimes.lasting(30.0), 256)
+        assert (await read_entries(table, ZONE))[ZONE].value == ZoneRecord(8, 30.0, 2.0).encode(), "it has 8 shards"
+        await refuse_other_figures(table, 8, LeaseTimes.lasting(30.0))
+        with pytest.raises(
+            ConfigError, match="the zone has leases of 30 s and not 15, a guard of 2 s and not 1"
+        ) as told:
+            await refuse_other_figures(table, 8, LeaseTimes())
+        assert told.value.key == "times"
     finally:
         await table.close()
 

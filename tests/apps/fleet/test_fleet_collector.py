@@ -5,7 +5,7 @@ import contextlib
 import sqlite3
 import threading
 import time
-from collections.abc import AsyncGenerator, AsyncIterator
+from collections.abc import AsyncGenerator, AsyncIterator, Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,6 +23,7 @@ from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.lease_holder import OwnedShard
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
@@ -369,3 +370,62 @@ async def test_a_link_is_polled_by_its_hosts_alone_and_by_the_second_where_the_f
         await until(lambda: devices[0].reads > reads, 60)
         assert not other.links
         assert not other.member.owned
+
+
+async def test_a_transaction_that_could_reach_the_device_exactly_at_the_deadline_does_not_begin(tmp_path: Path) -> None:
+    text = plant(
+        tmp_path / "one", [FleetDevice("line", 502)], "timeout = 0.5\nconnect_timeout = 0.25\ngateway_wait = 1"
+    )
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    clock = [0.0]
+    try:
+        one = FleetCollector(
+            parse_collector(text, "one.toml"),
+            coordinator,
+            "one",
+            host="box",
+            shards=1,
+            times=TIMES,
+            now=lambda: clock[0],
+        )
+        one.member.owned["0000"] = OwnedShard(Epoch(1, 1), 1, asked=100.0, renew_at=101.0)
+        one._activate(["line"], Epoch(1, 1))
+        deadline = 100.0 + TIMES.ttl - TIMES.guard
+        for worst, asks in ((1.75, one._permit), (1.5, one._may_send)):
+            clock[0] = deadline - worst
+            assert not _may(asks), "its last byte could reach the device when the lease ends"
+            clock[0] -= 1e-6
+            assert _may(asks)
+    finally:
+        await coordinator.close()
+
+
+def _may(asks: Callable[[str], bool | None]) -> bool:
+    try:
+        return asks("line") is not False
+    except LinkDown:
+        return False
+
+
+async def test_a_configuration_is_confirmed_once_no_gateway_holds_a_request_of_what_it_ended(tmp_path: Path) -> None:
+    """Another collector may poll the endpoint under another name after that."""
+    clock = [100.0]
+    text = plant(
+        tmp_path / "one", [FleetDevice("line", 502)], "timeout = 0.5\nconnect_timeout = 0.25\ngateway_wait = 1"
+    )
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        one = FleetCollector(
+            parse_collector(text, "x.toml"), coordinator, "one", host="b", shards=1, times=TIMES, now=lambda: clock[0]
+        )
+        one._note_unanswered("line")
+        assert one._held_for(["line", "other"]) == 1.5
+        one._left_until, one.revision = clock[0] + 0.05, 7
+        one._confirm_revision(7)
+        assert one.member.members(0.0)[0].revision == 0
+        clock[0] += 0.05
+        await until(lambda: one.member.members(0.0)[0].revision == 7)
+        clock[0] += 1.45
+        assert one._held_for(["line"]) == 0.0
+    finally:
+        await coordinator.close()

@@ -474,3 +474,42 @@ def test_a_lease_says_the_hole_before_it_as_long_as_it_is_held() -> None:
 def test_the_first_owner_of_a_shard_has_no_hole_before_it() -> None:
     world = settled(1)
     assert all(owned.hole is None for owned in world.drivers["c0"].member.owned.values())
+
+
+@pytest.mark.parametrize(
+    ("own", "of_the_lease", "free_at"),
+    [
+        (LeaseTimes(), LeaseTimes.lasting(60.0).silence, 64.0),
+        (LeaseTimes.lasting(60.0), LeaseTimes().silence, 64.0),
+        (LeaseTimes(), LeaseTimes().silence, 16.0),
+        (LeaseTimes(), 0.0, 16.0),
+        (LeaseTimes(), 1e300, 375.0),
+    ],
+)
+def test_a_lease_holds_for_its_own_time_and_for_that_of_the_collector_that_wants_its_shard(
+    own: LeaseTimes, of_the_lease: float, free_at: float
+) -> None:
+    """As where a collector was cut off while all others were stopped and started with other times."""
+    member = alone(own)
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    member.outcome(first["zone"], 2, 0.0)
+    held = LeaseRecord("east", "run of east", True, 3, 0.1, Epoch(1, 3), silence=of_the_lease)
+    member.entry(Entry("lease.0001", held.encode(), 5), 0.0)
+    now, taken = 3.0, None
+    while taken is None:
+        now += 0.1
+        turned = proposed(member, now)
+        taken = turned.get("lease.0001")
+    assert free_at <= now < free_at + 2.0
+    record = decode_lease(taken.value)
+    assert record is not None
+    assert record.silence == own.silence, "the new owner writes what holds for its own lease"
+
+
+def test_every_renewal_says_how_long_the_lease_holds() -> None:
+    world = settled(1)
+    world.run(10)
+    records = [decode_lease(entry.value) for key, entry in world.entries.items() if key.startswith(LEASES)]
+    assert {each.silence for each in records if each is not None} == {LeaseTimes().silence}

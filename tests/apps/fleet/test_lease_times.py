@@ -27,3 +27,23 @@ def test_times_that_cannot_keep_two_owners_apart_are_refused(wrong: dict[str, fl
 def test_a_generation_outweighs_every_revision() -> None:
     assert Epoch(2, 1) > Epoch(1, 10_000)
     assert str(Epoch(2, 17)) == "2.17"
+
+
+@pytest.mark.parametrize(
+    ("ttl", "expected"),
+    [
+        (15.0, LeaseTimes()),
+        (60.0, LeaseTimes(ttl=60.0, renew=12.0, guard=4.0, answer=10.0)),
+        (3.0, LeaseTimes(ttl=3.0, renew=0.6, guard=0.2, answer=0.5)),
+        (300.0, LeaseTimes(ttl=300.0, renew=60.0, guard=20.0, answer=50.0)),
+    ],
+)
+def test_leases_that_hold_longer_have_all_times_in_proportion(ttl: float, expected: LeaseTimes) -> None:
+    assert LeaseTimes.lasting(ttl) == expected
+    assert LeaseTimes.lasting(ttl, 0.5 * expected.guard).guard == 0.5 * expected.guard
+
+
+def test_two_renewals_may_fail_before_the_longest_transaction_may_not_begin() -> None:
+    times = LeaseTimes()
+    assert times.longest_transaction == 8.0
+    assert times.deadline(100.0) - times.longest_transaction == 100.0 + 2 * times.renew

@@ -7,12 +7,14 @@ from fleet_devices import FleetDevice, plant
 
 from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
 from busway.apps.collector.sinks.sparkplug import SparkplugSink
+from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.plant import (
+    link_times,
     links_of_shards,
-    longest_transaction,
     name_edge_nodes,
     refuse_moved_endpoints,
     refuse_ports_of_any_host,
+    refuse_slow_links,
     refuse_two_owners,
     with_short_user_timeout,
 )
@@ -36,7 +38,7 @@ def test_the_system_repeats_no_request_for_longer_than_the_transaction_may_take(
 ) -> None:
     text = plant(tmp_path / "store", [FleetDevice("hall", 502)], more).replace("tcp://127.0.0.1:502", url)
     configuration = with_short_user_timeout(parse_collector(text, "x.toml"))
-    assert longest_transaction(configuration, "hall") == longest
+    assert link_times(configuration)["hall"].transaction == longest
 
 
 def made(tmp_path: Path, *links: tuple[str, str, list[str]]) -> CollectorConfiguration:
@@ -120,3 +122,46 @@ def test_each_collector_of_a_fleet_is_an_edge_node_of_its_own(tmp_path: Path) ->
     assert sink.edge_node == "hall-west"
     with pytest.raises(ConfigError, match=r"sink\.scada\.edge_node: names one edge node.*add \{collector\}"):
         name_edge_nodes(configured("hall"), "west")
+
+
+def test_what_a_gateway_holds_is_a_part_of_each_transaction_of_all_links_to_it(tmp_path: Path) -> None:
+    quick = "timeout = 1\nconnect_timeout = 0.5"
+    devices = [FleetDevice("a", 502), FleetDevice("b", 502), FleetDevice("other", 503)]
+    text = plant(tmp_path / "store", devices, quick)
+    assert {each.held for each in link_times(parse_collector(text, "x.toml")).values()} == {0.0}
+    text = text.replace('name = "a"\n', 'name = "a"\ngateway_wait = 2.5\n', 1)
+    text = text.replace('name = "b"\n', 'name = "b"\ngateway_wait = 1\n', 1)
+    times = link_times(with_short_user_timeout(parse_collector(text, "x.toml")))
+    assert {name: (each.after_sending, each.transaction) for name, each in times.items()} == {
+        "a": (3.5, 4.0), "b": (3.5, 4.0), "other": (1.0, 1.5)
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("wait", "said"),
+    [
+        ("12", r"may take 13\.5 s, 12 s of it in a gateway, and a lease of 15 s leaves 8 s: .*fleet apply --ttl 26s"),
+        ("299", r"299 s of it in a gateway, .* or let leases hold longer$"),
+        ("6.5", ""),
+    ],
+)
+def test_a_gateway_that_holds_requests_for_longer_than_leases_allow_is_refused(
+    tmp_path: Path, wait: str, said: str
+) -> None:
+    text = plant(
+        tmp_path / "store", [FleetDevice("a", 502)], f"timeout = 1\nconnect_timeout = 0.5\ngateway_wait = {wait}"
+    )
+    configuration = with_short_user_timeout(parse_collector(text, "x.toml"))
+    if said:
+        with pytest.raises(ConfigError, match=said):
+            refuse_slow_links(configuration, LeaseTimes())
+    else:
+        refuse_slow_links(configuration, LeaseTimes())
+    if wait == "12":
+        refuse_slow_links(configuration, LeaseTimes.lasting(26.0))
+
+
+@pytest.mark.parametrize("wait", ["-1", "301", '"long"'])
+def test_a_wait_that_cannot_be_is_refused_with_its_line(tmp_path: Path, wait: str) -> None:
+    with pytest.raises(ConfigError, match=r"x\.toml:\d+: .*gateway_wait"):
+        parse_collector(plant(tmp_path / "store", [FleetDevice("a", 502)], f"gateway_wait = {wait}"), "x.toml")

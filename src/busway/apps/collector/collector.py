@@ -117,6 +117,7 @@ class Collector:
         *,
         permit: Callable[[str], None] | None = None,
         may_send: Callable[[str], bool] | None = None,
+        unanswered: Callable[[str], None] | None = None,
         claims: KeyClaims | None = None,
         plant: Callable[[], CollectorConfiguration] | None = None,
         others: OtherOwners | None = None,
@@ -130,6 +131,8 @@ class Collector:
             may_send: called with the name of a link right before each of its frames leaves, which may be seconds later
                 on a serial line. If it returns False, nothing is sent, and the connection is reset. None if all frames
                 may leave.
+            unanswered: called with the name of a link after a transaction that was permitted, of which a request may
+                have been sent and got no valid reply. None if nothing has to know.
             claims: ensures that of all collectors of a fleet only one executes a write command; None for a collector
                 that works alone.
             plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this
@@ -139,6 +142,7 @@ class Collector:
         """
         self.configuration: CollectorConfiguration = configuration
         self._permit, self._may_send, self._claims = permit, may_send, claims
+        self._unanswered = unanswered
         self._plant, self._others = plant, others
         self._committer: Committer | None = None
         self.knowledge: Knowledge = Knowledge()
@@ -670,7 +674,7 @@ class Collector:
         )
         poller = LinkPoller(
             name,
-            link if self._permit is None else PermittedLink(name, link, self._permit),
+            link if self._permit is None else PermittedLink(name, link, self._permit, self._unanswered),
             schedule,
             self._clock,
             self._take,

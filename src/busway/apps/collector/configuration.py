@@ -159,6 +159,11 @@ class CollectorConfiguration:
         return {each.name: each for each in self.file.sink if each.name in self.inputs}
 
     @property
+    def gateway_waits(self) -> Mapping[str, float]:
+        """By link, the seconds for which what is behind it may hold a request; without links that hold none."""
+        return {each.name: each.gateway_wait for each in self.file.link if each.gateway_wait}
+
+    @property
     def learnt_path(self) -> FilePath:
         """Path of the file in which the collector keeps what it learns about devices."""
         return FilePath(self.store) / LEARNT_FILE

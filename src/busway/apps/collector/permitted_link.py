@@ -3,7 +3,7 @@
 from collections.abc import Callable, Sequence
 from typing import Any
 
-from ...errors import LinkDown
+from ...errors import ExceptionReply, InvalidRequest, LinkDown, ModbusError, Overloaded, UnitSuspended
 from ...pdu.message import Request
 from .poller import PollLink
 
@@ -15,10 +15,15 @@ class PermittedLink:
         name: the name of the link.
         link: the link that sends the requests.
         permit: called with the name right before requests are sent; raises `LinkDown` if they may not be sent.
+        unanswered: called with the name after requests of which one may have been sent, and got no valid reply;
+            None if nothing has to know.
     """
 
-    def __init__(self, name: str, link: PollLink, permit: Callable[[str], None]) -> None:
-        self._name, self._link, self._permit = name, link, permit
+    def __init__(
+        self, name: str, link: PollLink, permit: Callable[[str], None], unanswered: Callable[[str], None] | None
+    ) -> None:
+        self._name, self._link = name, link
+        self._permit, self._unanswered = permit, unanswered
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
         """Send requests to a unit if ``permit`` allows it now, and return a reply or an error for each, in order.
@@ -30,4 +35,19 @@ class PermittedLink:
             self._permit(self._name)
         except LinkDown as error:
             return [error] * len(requests)
-        return await self._link.run(unit, requests, call_options)
+        are_answered = False
+        try:
+            outcomes = await self._link.run(unit, requests, call_options)
+            are_answered = not any(map(_may_be_on_its_way, outcomes))
+        finally:
+            if not are_answered and self._unanswered is not None:
+                self._unanswered(self._name)
+        return outcomes
+
+
+def _may_be_on_its_way(outcome: object) -> bool:
+    """Whether a request with this outcome may have been sent, and may not have reached its device yet."""
+    if isinstance(outcome, LinkDown):
+        return outcome.sent
+    answered_or_not_sent = (ExceptionReply, InvalidRequest, Overloaded, UnitSuspended)
+    return isinstance(outcome, ModbusError) and not isinstance(outcome, answered_or_not_sent)

@@ -7,6 +7,9 @@ Knows entries and the checks of a collector file; knows no collector.
 2. The text alone is shared, with the path of its file: device profiles that the text names must be under the same path
    on every machine of the fleet.
 3. Keys begin with ``control.``, so that a server can deny them to collectors.
+4. How long leases hold is in the entry of the zone, which the first collector makes, or an operator before. It changes
+   only while no collector runs; one that is cut off meanwhile is told by that entry, and its leases say how long they
+   hold.
 """
 
 import asyncio
@@ -111,15 +114,36 @@ async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
     The table has only ``ttl`` and ``guard``: ``renew`` and ``answer`` are the defaults, in proportion to ``ttl``.
 
     Raises:
-        ConfigError: the table can never be read.
+        ConfigError: the table can never be read, or its times are out of their range.
     """
-    usual = LeaseTimes()
     entry = (await read_entries(coordinator, ZONE)).get(ZONE)
     zone = None if entry is None else decode_zone(entry.value)
-    if zone is None:
-        return usual
-    part = zone.ttl / usual.ttl
-    return LeaseTimes(zone.ttl, part * usual.renew, zone.guard, part * usual.answer)
+    return LeaseTimes() if zone is None else LeaseTimes.lasting(zone.ttl, zone.guard)
+
+
+async def record_times(coordinator: Coordinator, times: LeaseTimes, shards: int) -> None:
+    """Make these the lease times of a zone: all collectors that start from now on have them.
+
+    No collector of the zone may run: the caller has made sure of that.
+
+    Args:
+        coordinator: the coordinator of the zone.
+        times: the lengths of the leases.
+        shards: how many shards (groups of links) the zone has, if no collector has recorded that yet, 1…1024.
+
+    Raises:
+        ConfigError: the table can never be read.
+        RevisionConflict: a collector recorded its figures meanwhile, and these hold.
+        CoordinatorDown: nothing was changed.
+        OutcomeUnknown: the times may have been recorded.
+    """
+    entry = (await read_entries(coordinator, ZONE)).get(ZONE)
+    zone = None if entry is None else decode_zone(entry.value)
+    value = ZoneRecord(shards if zone is None else zone.shards, times.ttl, times.guard).encode()
+    if entry is None:
+        await coordinator.create(ZONE, value)
+    else:
+        await coordinator.replace(ZONE, value, entry.revision)
 
 
 async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseTimes | None = None) -> int:
@@ -197,7 +221,10 @@ async def refuse_other_figures(coordinator: Coordinator, shards: int, times: Lea
     zone = None if entry is None else decode_zone(entry.value)
     difference = "" if zone is None else ZoneRecord(shards, times.ttl, times.guard).difference(zone)
     if difference:
-        raise ConfigError(f"the zone has {difference}; all its collectors must have the same", key="shards")
+        raise ConfigError(
+            f"the zone has {difference}; all its collectors must have the same",
+            key="times" if zone is not None and zone.shards == shards else "shards",
+        )
 
 
 async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool = True) -> None:

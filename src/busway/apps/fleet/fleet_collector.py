@@ -3,7 +3,9 @@
 Knows the collector, the member and the log of ownership; what is owned is decided by `lease_holder`.
 
 1. Polling of a link begins after its epoch is on disk. It stops before the link's shard is handed on: running requests
-   end, samples taken so far are committed, and only then is the lease released.
+   end, samples taken so far are committed, and only then is the lease released. Where a gateway may still hold a
+   request that was not answered (``gateway_wait``), the release waits for that long, and so does the confirmation of a
+   newer configuration without the link.
 2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take, and
    again when each of its frames leaves: on a line that may be seconds later. A lease that lapses therefore ends
    polling at once, whatever else waits.
@@ -54,9 +56,8 @@ from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog
 from .plant import (
     costs_by_link,
+    link_times,
     links_of_shards,
-    longest_after_sending,
-    longest_transaction,
     name_edge_nodes,
     refuse_ports_of_any_host,
     refuse_slow_links,
@@ -169,6 +170,8 @@ class FleetCollector:
         self._link_followers: list[Callable[[], None]] = []
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
+        self._held_until: dict[str, float] = {}
+        self._left_until = -math.inf
         self._waiting: list[ShardEvent] = []
         self._newer: tuple[CollectorConfiguration, int] | None = None
         self._gone: dict[str, Epoch] = {}
@@ -190,6 +193,7 @@ class FleetCollector:
                 restricted(self._configuration, ()),
                 permit=self._permit,
                 may_send=self._may_send,
+                unanswered=self._note_unanswered,
                 claims=self._keys,
                 plant=lambda: self._configuration,
                 others=self._others,
@@ -219,15 +223,17 @@ class FleetCollector:
     ) -> None:
         """Stop polling, release all owned shards (groups of links) in at most `END_LIMIT` seconds, and close the store.
 
-        Leases that could not be released in time lapse: others take the shards later.
+        The limit is longer while a gateway may hold a request, but by no more than a lease lasts. Leases that could not
+        be released in time lapse: others take the shards later.
         """
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
             steps.push_async_exit(self._keys)
             steps.push_async_exit(self.collector)
             steps.push_async_callback(self._end_tasks)
-            if not any(task.done() for task in self._tasks) and not await self._driver.end(END_LIMIT):
-                _log.warning("not all shards were handed back in %g s: others take them later", END_LIMIT)
+            limit = END_LIMIT + min(self._held_for(self._times_of), self.member.times.ttl)
+            if not any(task.done() for task in self._tasks) and not await self._driver.end(limit):
+                _log.warning("not all shards were handed back in %.3g s: others take them later", limit)
 
     @property
     def links(self) -> frozenset[str]:
@@ -299,8 +305,7 @@ class FleetCollector:
         self._configuration = configuration
         self._links_of = links_of_shards(configuration, self._shards, self._hosts)
         self._shard_of = {link: shard for shard, links in self._links_of.items() for link in links}
-        self._worst = {link: longest_transaction(configuration, link) for link in configuration.links}
-        self._worst_sent = {link: longest_after_sending(configuration, link) for link in configuration.links}
+        self._times_of = link_times(configuration)
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
     def _tell_costs(self) -> None:
@@ -354,6 +359,7 @@ class FleetCollector:
         if changed:  # they stop before the flush: what they take later is of the newer configuration
             staying = self._active.keys() - changed
             await self.collector.reload(restricted(self._configuration, staying), by=self.member.name, origin="fleet")
+        self._left_until = max(self._left_until, self._now() + self._held_for(changed))
         await self.collector.flush()
         commit = self.collector.newest_commit
         await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, time.time_ns())
@@ -369,7 +375,7 @@ class FleetCollector:
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
-        self.member.set_revision(revision)
+        self._confirm_revision(revision)
         self._tell_costs()
         self._driver.wake()
         if self._newer is taken:
@@ -395,13 +401,53 @@ class FleetCollector:
 
     def _permit(self, link: str) -> None:
         """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now."""
-        if link not in self._active or not self.member.may_begin(self._shard_of[link], self._now(), self._worst[link]):
+        if link not in self._active or not self.member.may_begin(
+            self._shard_of[link], self._now(), self._times_of[link].transaction
+        ):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
         self._permitted[link] = time.time_ns()
 
     def _may_send(self, link: str) -> bool:
         """Whether a frame sent on a link now can reach the device only before the lease ends (rule 2)."""
-        return self.member.may_begin(self.shard_of(link), self._now(), self._worst_sent.get(link, math.inf))
+        times = self._times_of.get(link)
+        worst = math.inf if times is None else times.after_sending
+        return self.member.may_begin(self.shard_of(link), self._now(), worst)
+
+    def _note_unanswered(self, link: str) -> None:
+        """Note that a gateway behind a link may now hold a request, and until when (rule 1)."""
+        times = self._times_of.get(link)
+        if times is not None and times.held:
+            self._held_until[link] = self._now() + times.after_sending
+
+    def _held_for(self, links: Iterable[str]) -> float:
+        """Return the seconds from now for which a gateway behind one of some links may still hold a request."""
+        now = self._now()
+        for link in [link for link, until in self._held_until.items() if until <= now]:
+            del self._held_until[link]
+        return max((self._held_until.get(link, now) - now for link in links), default=0.0)
+
+    def _release(self, shard: str, epoch: Epoch) -> None:
+        """Have the lease of a shard released whose links have stopped, once no gateway holds a request (rule 1)."""
+        owned = self.member.owned.get(shard)
+        if owned is None or owned.epoch != epoch or owned.leaving is None:
+            return
+        held = self._held_for(self._links_of.get(shard, ()))
+        if held > 0:
+            asyncio.get_running_loop().call_later(held, self._release, shard, epoch)
+            return
+        self.member.left(shard)
+        self._driver.wake()
+
+    def _confirm_revision(self, revision: int) -> None:
+        """Tell the others that this collector works by a revision, once no gateway holds a request of stopped links."""
+        if revision != self.revision:
+            return
+        held = self._left_until - self._now()
+        if held > 0:
+            asyncio.get_running_loop().call_later(held, self._confirm_revision, revision)
+            return
+        self.member.set_revision(revision)
+        self._driver.wake()
 
     def _told(self, event: ShardEvent) -> None:
         self._waiting.append(event)
@@ -446,7 +492,7 @@ class FleetCollector:
             await self._record_ends(ended)
             for event in ended:
                 if event.step is Step.LEAVE:
-                    self.member.left(event.shard)
+                    self._release(event.shard, event.epoch)
             self._driver.wake()
         gained = [event for event in events if self._is_owned(event)]
         if gained:
@@ -562,7 +608,8 @@ class FleetCollector:
         """
         if renewed is None:
             return now
-        over = self._permitted.get(link, 0) + int(self._worst[link] * NANOSECONDS)
+        times = self._times_of[link]
+        over = self._permitted.get(link, 0) + int((times.connecting + times.exchange) * NANOSECONDS)
         return min(max(int(renewed * NANOSECONDS), over), now)
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:

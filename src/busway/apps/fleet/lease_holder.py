@@ -7,7 +7,8 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
 1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
    renewal was sent, plus the time to live, less the guard. A renewal without an answer does not count.
 2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
-   guard, by this collector's own clock. It is taken by a compare-and-set on that revision: an old view harms nothing.
+   guard, by this collector's own clock. The longer times count, of this collector or of the owner, whose lease has its
+   own. It is taken by a compare-and-set on that revision: an old view harms nothing.
 3. A shard whose lease this start of the collector has let lapse is free for it at once; it gets a new epoch. A lease of
    an earlier start of the same name counts as another owner's. An epoch is above all that the taker has seen of the
    shard, whatever revision the coordinator gives: a server may count lower than the one before it.
@@ -16,8 +17,9 @@ The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.out
 6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
    so. Its clock is compared with the coordinator's; if most collectors agree that the coordinator's clock is wrong, it
    is the wrong one.
-7. The first collector of a zone records how many shards there are and how long leases hold; a collector
-   with other figures owns nothing and says so. With two numbers of shards a link could be in two, with two owners.
+7. The first collector of a zone records how many shards there are and how long leases hold, if no operator has; a
+   collector with other figures owns nothing and says so. With two numbers of shards a link could be in two, with two
+   owners. Two collectors with other times are kept apart by rule 2, also before they have read of each other.
 """
 
 import random
@@ -633,6 +635,7 @@ class FleetMember:
                     target if owned.has_left else "",
                     now + self.wall_ahead,
                     hole=owned.hole,
+                    silence=self.times.silence,
                 )
                 self._propose(key, record.encode(), owned.revision, now, found)
 
@@ -670,6 +673,7 @@ class FleetMember:
                     at=now + self.wall_ahead,
                     before=self._last_epochs.get(shard),
                     hole=self._hole_before(seen, now + self.wall_ahead),
+                    silence=self.times.silence,
                 )
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
 
@@ -709,7 +713,7 @@ class FleetMember:
         if not record.held:
             for_another = record.target and record.target != self.name
             return seen.at + (1.0 if for_another else 0.0)
-        return seen.at if record.run == self._me.run else self.times.free_at(seen.at)
+        return seen.at if record.run == self._me.run else max(self.times.free_at(seen.at), seen.at + record.silence)
 
     def _hand_on(self, now: float) -> None:
         """Begin to give away the shards (groups of links) that this collector must not keep or that `balance` moves."""

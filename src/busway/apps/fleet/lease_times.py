@@ -4,8 +4,12 @@ All times are seconds of a clock that is never set and counts while the machine 
 """
 
 from dataclasses import dataclass
+from typing import Final
 
 from ...errors import ConfigError
+
+LONGEST_TTL: Final = 300
+"""Seconds for which a lease may hold at most."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,9 +32,32 @@ class LeaseTimes:
     guard: float = 1.0
     answer: float = 2.5
 
+    @classmethod
+    def lasting(cls, ttl: float, guard: float | None = None) -> "LeaseTimes":
+        """Return the times of leases that hold for ``ttl`` seconds, all others in the proportion of the defaults.
+
+        Args:
+            ttl: seconds for which a lease holds.
+            guard: seconds of the guard; None for that of the proportion.
+        """
+        usual = cls()
+        part = ttl / usual.ttl
+        guard = round(part * usual.guard, 3) if guard is None else guard
+        return cls(ttl, round(part * usual.renew, 3), guard, round(part * usual.answer, 3))
+
+    @property
+    def longest_transaction(self) -> float:
+        """The most seconds that a transaction may take, so that two renewals may fail before a link pauses."""
+        return self.ttl - self.guard - 2 * self.renew
+
+    @property
+    def silence(self) -> float:
+        """Seconds for which a lease must not change before another collector may take its shard."""
+        return self.ttl + self.guard
+
     def __post_init__(self) -> None:
-        if not 3 <= self.ttl <= 300:
-            raise ConfigError(f"a lease holds for 3…300 s, not {self.ttl:g}", key="ttl")
+        if not 3 <= self.ttl <= LONGEST_TTL:
+            raise ConfigError(f"a lease holds for 3…{LONGEST_TTL} s, not {self.ttl:g}", key="ttl")
         if not 0 < self.renew <= self.ttl / 3:
             raise ConfigError(
                 f"leases are renewed at least three times in their {self.ttl:g} s: {self.ttl / 3:g} s at most, "
@@ -57,7 +84,7 @@ class LeaseTimes:
             seen: when the lease of the shard was last seen to change, by the clock of the collector that wants the
                 shard.
         """
-        return seen + self.ttl + self.guard
+        return seen + self.silence
 
 
 @dataclass(frozen=True, slots=True, order=True)

@@ -4,12 +4,16 @@
    one shard, that of the first of their names.
 2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
    name their hosts, unless all collectors are on one machine.
-3. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
+3. A gateway may hold a request in a queue and send it to the device later, also when its client has gone. The plant
+   says for how long (``gateway_wait`` of a link); that time is a part of each transaction. Where links to one endpoint
+   say different times, the longest counts for all: what one of them sends, the device hears.
+4. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
    move an endpoint from one shard to another while a collector may live.
 """
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from math import ceil, inf
 
 from ...client.settings import link_settings, options_of
 from ...config.links import NamedLink
@@ -17,7 +21,7 @@ from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration
 from ..collector.sinks.sparkplug import SparkplugSink
 from ..server.configuration import Configuration
-from .lease_times import LeaseTimes
+from .lease_times import LONGEST_TTL, LeaseTimes
 from .shards import links_by_shard
 
 
@@ -70,50 +74,73 @@ def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
     return replace(link, options=options, settings=link_settings(link.url, options))
 
 
-def longest_transaction(configuration: CollectorConfiguration, link: str) -> float:
-    """Return how long a transaction may take from its permission until none of its bytes can reach the device any more.
+@dataclass(frozen=True, slots=True)
+class LinkTimes:
+    """For how long a request of one link may still reach the device, in seconds.
 
-    The result is in seconds. It includes the time to connect, and the time for which TCP repeats bytes that are not
-    acknowledged; it is infinite if TCP repeats them without limit. A poller repeats nothing. It does not include the
-    wait of a frame for a serial line: permission is asked again when the frame leaves, with `longest_after_sending`. A
-    gateway on the way that queues requests adds to this time: its longest wait belongs to `LeaseTimes.guard`.
-
-    Args:
-        configuration: the configuration of the plant.
-        link: name of one of its links.
+    Attributes:
+        connecting: the longest time to connect; 0 for a serial port.
+        exchange: how long after the sending of a frame its reply is waited for, or TCP may repeat it; infinity if TCP
+            repeats bytes without limit.
+        held: for how long what is behind the link may hold the request (rule 3).
     """
-    settings = configuration.links[link].settings
-    connecting = settings.sockets.connect_timeout if "connect_timeout" in options_of(settings.endpoint) else 0.0
-    return connecting + longest_after_sending(configuration, link)
+
+    connecting: float
+    exchange: float
+    held: float
+
+    @property
+    def after_sending(self) -> float:
+        """Seconds from the sending of a frame until none of its bytes can reach the device any more."""
+        return self.exchange + self.held
+
+    @property
+    def transaction(self) -> float:
+        """Seconds from the permission of a transaction until none of its bytes can reach the device any more.
+
+        A poller repeats nothing. The wait of a frame for a serial line is not included: permission is asked again when
+        it leaves, with `after_sending`.
+        """
+        return self.connecting + self.after_sending
 
 
-def longest_after_sending(configuration: CollectorConfiguration, link: str) -> float:
-    """Return how long a transaction may take from the sending of its frame until none of it can reach the device.
-
-    The operating system repeats bytes that are not acknowledged. A gateway that queues requests adds to this time: its
-    longest wait belongs to `LeaseTimes.guard`.
-
-    Args:
-        configuration: the configuration of the plant.
-        link: name of one of its links.
-    """
-    settings = configuration.links[link].settings
-    repeating = settings.sockets.effective_user_timeout if "user_timeout" in options_of(settings.endpoint) else 0.0
-    return max(settings.parameters.timeout, float("inf") if repeating is None else repeating)
+def link_times(configuration: CollectorConfiguration) -> dict[str, LinkTimes]:
+    """Return by name of each link of a plant for how long its requests may still reach the device."""
+    held: dict[str, float] = {}
+    for link, seconds in configuration.gateway_waits.items():
+        for place in _places(configuration, link, configuration.hosts):
+            held[place] = max(seconds, held.get(place, 0.0))
+    found = {}
+    for link, named in configuration.links.items():
+        settings, offered = named.settings, options_of(named.settings.endpoint)
+        repeating = settings.sockets.effective_user_timeout if "user_timeout" in offered else 0.0
+        found[link] = LinkTimes(
+            settings.sockets.connect_timeout if "connect_timeout" in offered else 0.0,
+            max(settings.parameters.timeout, inf if repeating is None else repeating),
+            max((held.get(place, 0.0) for place in _places(configuration, link, configuration.hosts)), default=0.0),
+        )
+    return found
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
     """Raise `ConfigError` for a link whose transactions may take longer than a lease (right to poll) holds."""
-    longest = times.ttl - times.guard - 2 * times.renew
-    for name in configuration.links:
-        seconds = longest_transaction(configuration, name)
-        if seconds > longest:
+    longest = times.longest_transaction
+    for name, each in link_times(configuration).items():
+        if each.transaction > longest:
+            held = f", {each.held:g} s of it in a gateway" if each.held else ""
             raise ConfigError(
-                f"connecting and one transaction of link {name} may take {seconds:g} s, and a lease of {times.ttl:g} s "
-                f"leaves {longest:g} s: lower its timeout or connect_timeout, or raise ttl",
+                f"connecting and one transaction of link {name} may take {each.transaction:g} s{held}, and a lease of "
+                f"{times.ttl:g} s leaves {longest:g} s: lower its timeout, connect_timeout or gateway_wait, or let "
+                f"leases hold longer{_enough(each.transaction, times)}",
                 file=configuration.name,
                 key=f"link.{name}",
             )
+
+
+def _enough(seconds: float, times: LeaseTimes) -> str:
+    """Return in brackets how long leases must hold for transactions of ``seconds``; empty if none are that long."""
+    ttl = ceil(min(seconds * times.ttl / times.longest_transaction, LONGEST_TTL + 1))
+    return f" (busway fleet apply --ttl {ttl}s)" if ttl <= LONGEST_TTL else ""
 
 
 def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, float]) -> dict[str, float]:
@@ -173,7 +200,7 @@ def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if a new configuration would move an endpoint from one shard to another (rule 3)."""
+    """Raise `ConfigError` if a new configuration would move an endpoint from one shard to another (rule 4)."""
     owners = [
         {
             place: (first, tuple(each.hosts.get(first, ())))

@@ -14,6 +14,8 @@ LEASES: Final = "lease."
 MEMBERS: Final = "member."
 GENERATION: Final = "generation"
 ZONE: Final = "zone"
+LONGEST_SILENCE: Final = 375.0
+"""Seconds that no valid lease times exceed (`LeaseTimes.silence`): a wrong entry keeps a shard for no longer."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +52,8 @@ class LeaseRecord:
             no decision rests on it.
         before: in the entry that takes the lease, the last epoch of the shard that the owner knows; None for none.
         hole: the time without an owner before this one took the shard; None if it is not known.
+        silence: seconds for which the entry must not change before another collector may take the shard, by the lease
+            times of the owner; 0 in an entry of an older version. The taker waits for the longer of this and its own.
     """
 
     owner: str
@@ -62,6 +66,7 @@ class LeaseRecord:
     at: float = 0.0
     before: Epoch | None = None
     hole: LeaseHole | None = None
+    silence: float = 0.0
 
     def epoch_at(self, revision: int, generation: int) -> Epoch:
         """Return the epoch of the ownership; in the entry that takes the lease, the entry's revision gives the epoch.
@@ -86,6 +91,7 @@ class LeaseRecord:
                 round(self.at, 3),
                 _numbers(self.before),
                 None if self.hole is None else _hole_row(self.hole),
+                round(self.silence, 3),
             ],
             separators=(",", ":"),
         ).encode()
@@ -186,7 +192,7 @@ def decode_zone(value: bytes) -> ZoneRecord | None:
 def decode_lease(value: bytes) -> LeaseRecord | None:
     """Return the lease in the bytes of a table entry; None if they are not a lease."""
     try:
-        owner, run, held, count, cost, epoch, target, at, before, hole, *_ = [*_list(value), None, None]
+        owner, run, held, count, cost, epoch, target, at, before, hole, silence, *_ = _filled(_list(value), 11)
         return LeaseRecord(
             str(owner),
             str(run),
@@ -198,6 +204,7 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
             float(at),
             _epoch(before),
             None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), float(hole[2]), float(hole[3])),
+            min(float(silence or 0.0), LONGEST_SILENCE),
         )
     except (ValueError, TypeError, IndexError):
         return None
@@ -242,6 +249,11 @@ def _numbers(epoch: Epoch | None) -> list[int] | None:
 
 def _epoch(numbers: Any) -> Epoch | None:  # Any: what an entry has there
     return None if numbers is None else Epoch(int(numbers[0]), int(numbers[1]))
+
+
+def _filled(row: list[Any], length: int) -> list[Any]:
+    """Return a row with None for what an older version of this program did not write."""
+    return [*row, *[None] * (length - len(row))]
 
 
 def _list(value: bytes) -> list[Any]:

@@ -91,6 +91,7 @@ RIGHTS: Final[dict[str, tuple[Right, ...]]] = {
     "operator": (
         _READS,
         Right("applies configurations, drains collectors", ("$KV.busway-{zone}.control.>",)),
+        Right("sets how long leases hold, while no collector runs", ("$KV.busway-{zone}.zone",)),
         Right("raises the generation (restore)", ("$KV.busway-{zone}.generation",)),
         Right("makes the streams of the zone", tuple(f"$JS.API.STREAM.CREATE.{stream}" for stream in STREAMS)),
         Right(

@@ -138,6 +138,12 @@ class CollectedLinkSection(LinkSection):
         "in a fleet, the machine that can reach it, or two, the preferred one first; left out: all of them. A serial "
         "port needs it where collectors run on several machines.",
     ] = NO_LIST
+    gateway_wait: Annotated[
+        float,
+        Range(0, 300, "seconds"),
+        "in a fleet, seconds for which a gateway behind this link may hold a request, repetitions included. The "
+        "link gets another collector only when none can be held any more. 0: a serial port, or a device itself.",
+    ] = 0.0
 
 
 def _none_here(value: object) -> object:

@@ -1,0 +1,114 @@
+"""A collector whose machine sleeps: the clock of its leases goes on, and it sends nothing when it wakes too late."""
+
+import asyncio
+import contextlib
+import os
+import shutil
+import sqlite3
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from fleet_devices import FleetDevice, devices_of, plant
+from shifted_clock import set_shift
+from waiting import until
+
+from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.lease_driver import MemberDriver, boot_time
+from busway.apps.fleet.zone_watch import ZoneWatch
+
+SOURCE = Path(__file__).parents[2] / "support" / "slept_clock.c"
+NIGHT = 60
+"""Seconds for which the machine sleeps: four times a lease."""
+
+pytestmark = [
+    pytest.mark.real_time,
+    pytest.mark.skipif(not hasattr(time, "CLOCK_BOOTTIME"), reason="this system has no clock that counts in its sleep"),
+]
+
+
+def test_the_clock_of_leases_counts_while_the_machine_sleeps(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = []
+
+    def clock_gettime(clock: int) -> float:
+        asked.append(clock)
+        return 7.0
+
+    def monotonic() -> float:
+        raise AssertionError("it stands still while the machine sleeps")
+
+    monkeypatch.setattr(time, "clock_gettime", clock_gettime)
+    monkeypatch.setattr(time, "monotonic", monotonic)
+    assert (boot_time(), asked) == (7.0, [time.CLOCK_BOOTTIME])
+
+
+@pytest.mark.parametrize("part", [FleetCollector, MemberDriver, ZoneWatch])
+def test_all_parts_have_that_clock_if_none_is_given(part: type) -> None:
+    assert part.__init__.__kwdefaults__["now"] is boot_time
+
+
+@contextlib.contextmanager
+def collecting(tmp_path: Path, slept: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """``busway fleet run`` on a machine that has slept for as long as a file says."""
+    library = tmp_path / "slept_clock.so"
+    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, SOURCE, "-ldl"], check=True, timeout=60)
+    words = ["run", "--coordinator", f"local:{tmp_path}/zone", "--name", "west", "--store", str(tmp_path / "west")]
+    environment = {**os.environ, "LD_PRELOAD": str(library), "BUSWAY_SLEPT": str(slept)}
+    with (tmp_path / "log").open("wb") as log:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "busway", "fleet", *words], env=environment, stdout=log, stderr=log
+        )
+    try:
+        yield process
+    finally:
+        process.terminate()
+        try:
+            process.wait(30)
+        except subprocess.TimeoutExpired:
+            process.kill()
+            process.wait()
+
+
+@contextlib.contextmanager
+def locked(table: Path) -> Iterator[None]:
+    """A time in which no lease can be renewed."""
+    with contextlib.closing(sqlite3.connect(table, isolation_level=None, timeout=30.0)) as opened:
+        opened.execute("BEGIN IMMEDIATE")
+        yield
+        opened.execute("ROLLBACK")
+
+
+async def apply(tmp_path: Path, devices: list[FleetDevice]) -> None:
+    file = tmp_path / "plant.toml"
+    file.write_text(plant(tmp_path / "west", devices).replace("[collector]\n", '[collector]\npage = "off"\n'))
+    words = ["apply", str(file), "--coordinator", f"local:{tmp_path}/zone"]
+    await asyncio.to_thread(
+        subprocess.run, [sys.executable, "-m", "busway", "fleet", *words], check=True, capture_output=True, timeout=60
+    )
+
+
+@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
+async def test_an_owner_that_wakes_after_its_lease_begins_no_transaction(tmp_path: Path) -> None:
+    slept = tmp_path / "slept"
+    set_shift(slept, 0)
+    async with devices_of(1) as devices:
+        (device,) = devices
+        await apply(tmp_path, devices)
+        with collecting(tmp_path, slept) as west:
+            await until(lambda: device.reads > 5 or west.poll() is not None, 60)
+            with locked(tmp_path / "zone" / "plant.fleet"):
+                before = device.reads
+                await until(lambda: device.reads > before + 5, 60)
+                set_shift(slept, NIGHT * 1_000_000_000)
+                await asyncio.sleep(0.3)  # what was on its way
+                reads = device.reads
+                await asyncio.sleep(3.0)
+                assert device.reads == reads, (
+                    "absence is the claim: by the other clock it could send for ten seconds more"
+                )
+            await until(lambda: device.reads > reads + 5, 60)
+            assert west.poll() is None, "it takes the link again, with a new epoch, and goes on"
+    assert "could not be renewed in time" in (tmp_path / "log").read_text()
