@@ -11,15 +11,15 @@
 7. The examples of a property are the same in each run, so that a change is judged by what it changes. With
    BUSWAY_NEW_EXAMPLES in the environment they are drawn anew: `make explore` looks for what no run has seen yet.
    On the second and third Python a property gets a tenth of its examples (`support.examples`).
-8. The kernel is not asked whether a time service keeps the clock right: on a machine that was just started, samples
-   would be uncertain.
+8. The clock of the machine is trusted, here and in the programs that tests start: samples of a machine that was just
+   started would be uncertain.
 """
 
 import asyncio
 import inspect
 import os
 import signal
-from collections.abc import Awaitable, Iterator
+from collections.abc import Awaitable
 from pathlib import Path
 from typing import Any
 
@@ -27,12 +27,12 @@ import pytest
 from examples import examples
 from hypothesis import HealthCheck, settings
 
-from busway.apps.collector import time_service
-
 # A shell that starts the tests in the background makes them, and the programs that they start, deaf to interrupts.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+
+os.environ["BUSWAY_CLOCK"] = "trusted"
 
 LIMIT = 100.0
 """Seconds for one coroutine test: far above what any needs, so that only a hang reaches it."""
@@ -54,13 +54,6 @@ settings.register_profile(
     derandomize="BUSWAY_NEW_EXAMPLES" not in os.environ,
 )
 settings.load_profile("of the tests")
-
-
-@pytest.fixture(scope="session", autouse=True)
-def kernel_that_is_not_asked() -> Iterator[None]:
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(time_service, "kernel_synchronisation", lambda: time_service.Synchronisation.UNKNOWN)
-        yield
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:

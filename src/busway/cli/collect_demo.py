@@ -16,6 +16,7 @@ from .signals import on_hangup, stop_event
 
 COLLECTOR_FILE = """\
 [collector]
+clock = "trusted"
 store = "data"
 page = "{page}"
 

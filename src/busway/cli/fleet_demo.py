@@ -53,6 +53,7 @@ type = "uint32"
 """
 FILE = """\
 [collector]
+clock = "trusted"
 store = "{folder}/store"
 page = "127.0.0.1:0"
 

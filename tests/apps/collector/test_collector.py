@@ -99,6 +99,7 @@ async def test_samples_are_uncertain_until_a_time_service_has_set_the_clock_and_
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     said = [Synchronisation.NO]
+    monkeypatch.delenv("BUSWAY_CLOCK")
     monkeypatch.setattr(collecting, "CLOCK_EVERY", 0.01)
     monkeypatch.setattr(time_service, "kernel_synchronisation", lambda: said[0])
     monkeypatch.setattr(time_service, "seconds_since_boot", lambda: 20.0)

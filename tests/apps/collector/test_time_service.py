@@ -14,7 +14,9 @@ from busway.apps.collector.time_service import (
     Synchronisation,
     kernel_synchronisation,
     seconds_since_boot,
+    trust_of,
 )
+from busway.errors import ConfigError
 
 YES, NO, UNKNOWN = Synchronisation.YES, Synchronisation.NO, Synchronisation.UNKNOWN
 DAY = 86_400.0
@@ -52,6 +54,18 @@ def test_an_option_believes_always_or_only_what_the_kernel_confirms() -> None:
     said = ((NO, 5.0), (UNKNOWN, DAY), (NO, 2 * DAY), (YES, 3 * DAY))
     assert judged("trusted", *said) == [True] * 4
     assert judged("synchronised", *said) == [False, False, False, True]
+
+
+def test_the_environment_says_how_far_the_clock_is_trusted_where_the_file_does_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.delenv("BUSWAY_CLOCK")
+    assert (trust_of(None), trust_of("trusted")) == ("auto", "trusted")
+    monkeypatch.setenv("BUSWAY_CLOCK", "synchronised")
+    assert (trust_of(None), trust_of("auto")) == ("synchronised", "auto")
+    monkeypatch.setenv("BUSWAY_CLOCK", "yes")
+    with pytest.raises(ConfigError, match="BUSWAY_CLOCK: must be auto, synchronised, trusted, not 'yes'"):
+        trust_of(None)
 
 
 def test_the_kernel_of_this_machine_can_be_asked() -> None:

@@ -181,7 +181,7 @@ class Collector:
         """Open the store and start every part; if one cannot start, those before it are stopped."""
         loop = asyncio.get_running_loop()
         self._started = loop.time()
-        self._judge = ClockJudge(self.configuration.file.collector.clock)
+        self._judge = ClockJudge(time_service.trust_of(self.configuration.file.collector.clock))
         is_known = self._clock_is_known()
         self._clock = SampleClock(loop.time(), time.time_ns(), is_known=is_known)
         if not is_known:

@@ -8,12 +8,16 @@ Knows the kernel's call and how long the machine has run; `sample_clock` knows w
    tools of virtual machines set the clock and leave that bit, and a plant may have no time service at all. It counts
    while a time service may still come: for `SETTLES` after the machine has started, and `SETTLES` after one is lost.
 3. Where the kernel cannot be asked, nothing is known against the clock.
+4. A machine whose clock is set by other means says so once, in its environment (`BUSWAY_CLOCK`).
 """
 
 import ctypes
+import os
 import time
 from enum import Enum
-from typing import Final, Literal
+from typing import Final, Literal, cast, get_args
+
+from ...errors import ConfigError
 
 SETTLES: Final = 600.0
 """Seconds within which a time service sets the clock after a start, or comes back after it was restarted."""
@@ -21,6 +25,8 @@ _UNSYNCHRONISED_BIT: Final = 0x0040
 """``STA_UNSYNC`` of <sys/timex.h>."""
 
 ClockTrust = Literal["auto", "synchronised", "trusted"]
+_VARIABLE: Final = "BUSWAY_CLOCK"
+"""Environment variable with the `ClockTrust` of collectors whose file does not say it."""
 
 
 class Synchronisation(Enum):
@@ -61,6 +67,18 @@ def seconds_since_boot() -> float:
     """Return for how many seconds the machine has run, with those in which it was suspended."""
     boot = getattr(time, "CLOCK_BOOTTIME", None)  # Linux alone has it
     return time.monotonic() if boot is None else time.clock_gettime(boot)
+
+
+def trust_of(option: ClockTrust | None) -> ClockTrust:
+    """Return how far the wall clock is trusted: ``option``; if that is None, what ``BUSWAY_CLOCK`` says, else ``auto``.
+
+    Raises:
+        ConfigError: ``BUSWAY_CLOCK`` has another value.
+    """
+    said = option or os.environ.get(_VARIABLE) or "auto"
+    if said not in get_args(ClockTrust):
+        raise ConfigError(f"must be {', '.join(get_args(ClockTrust))}, not {said!r}", key=_VARIABLE)
+    return cast(ClockTrust, said)
 
 
 class ClockJudge:

@@ -59,11 +59,11 @@ class CollectorSection(Section):
     ] = ReportSection()
     learn: Annotated[bool, "whether what was learnt of devices is kept, in `learnt.json` in the store."] = True
     clock: Annotated[
-        Literal["auto", "synchronised", "trusted"],
+        Literal["auto", "synchronised", "trusted"] | None,
         "when the wall clock is known to be right: `synchronised`, while the kernel says that a time service keeps it",
         "right; `trusted`, always; `auto`, as `synchronised` in the first ten minutes of the machine, and ten minutes",
-        "after a time service was lost.",
-    ] = "auto"
+        "after a time service was lost; None: what `BUSWAY_CLOCK` in the environment says, else `auto`.",
+    ] = None
     page: Annotated[str, Name("an address such as 127.0.0.1:8503"), "host and port of the page; `off` for none."] = (
         "127.0.0.1:8503"
     )
