@@ -10,7 +10,7 @@ import struct
 import time
 from pathlib import Path
 
-VARIABLE = "BUSWAY_CLOCK"
+VARIABLE = "BUSWAY_SHIFTED_CLOCK"
 _SHIFT = struct.Struct("<q")
 
 
