@@ -1,7 +1,7 @@
 """Shifts the wall clock of a program by what a file says, so that a test can step it while the program runs.
 
-Import it before anything that asks the time. The environment names the file (``BUSWAY_SHIFTED_CLOCK``); without it nothing is
-shifted. The file has eight bytes: signed nanoseconds.
+Import it before anything that asks the time. The environment names the file (``BUSWAY_SHIFTED_CLOCK``); without it
+nothing is shifted. The file has eight bytes: signed nanoseconds.
 """
 
 import mmap
