@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from examples import examples
 from hypothesis import HealthCheck, settings
 
 # A shell that starts the tests in the background makes them, and the programs that they start, deaf to interrupts.
@@ -49,7 +48,7 @@ ALONE_FOLDERS = (f"{TESTS / 'load'}{os.sep}",)
 settings.register_profile(
     "of the tests",
     deadline=None,
-    max_examples=examples(100),
+    max_examples=10 if "BUSWAY_FEW_EXAMPLES" in os.environ else 100,
     suppress_health_check=[HealthCheck.too_slow],
     derandomize="BUSWAY_NEW_EXAMPLES" not in os.environ,
 )

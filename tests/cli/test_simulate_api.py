@@ -66,6 +66,7 @@ def test_a_token_of_a_file_is_needed_then(file: Path, tmp_path: Path) -> None:
 
 def test_without_the_extra_it_says_what_to_install(file: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(sys.modules, "uvicorn", None)
-    monkeypatch.delitem(sys.modules, "busway.apps.web.hosting", raising=False)
+    for module in ("hosting", "simulation_page"):
+        monkeypatch.delitem(sys.modules, f"busway.apps.web.{module}", raising=False)
     with pytest.raises(ConfigError, match=r"busway\[web\]"):
         _page(Simulation(load_declaration(file)), "127.0.0.1:0", None, str(file))
