@@ -135,7 +135,9 @@ def test_a_broken_file_is_refused_with_its_line(run: Callable[..., Any], tmp_pat
     [
         (["run", "--ttl", "30s", "--coordinator", "local:x"], "--ttl: is for apply"),
         (["apply", "x.toml", "--ttl", "301s", "--coordinator", "local:x"], "--ttl: a time of 3…300 s is needed"),
-        (["drain", "--coordinator", "local:x"], "drain NAME"),
+        (["drain", "--coordinator", "local:x"], "drain: wants NAME, not nothing"),
+        (["status", "west", "--coordinator", "local:x"], "status: wants nothing, not west"),
+        (["begin", "--coordinator", "local:x"], "ACTION: must be demo, apply, run,"),
         (["status", "--undo", "--coordinator", "local:x"], "--undo: is for drain"),
         (["status", "--name", "a", "--coordinator", "local:x"], "--name: is for run"),
         (["status", "--coordinator", "etcd://x"], "local:FOLDER"),

@@ -62,9 +62,10 @@ this user, ~/.local/state/busway/fleet, for collectors of this machine. BUSWAY_F
 --user, BUSWAY_FLEET the coordinator, BUSWAY_FLEET_CREDENTIALS and BUSWAY_FLEET_CA those files.
 """
 ACTIONS = {
-    "demo": 1, "apply": 2, "run": 1, "sink": 2, "write": 4, "status": 1, "drain": 2, "restore": 1, "server-config": 2,
+    "demo": "", "apply": "FILE", "run": "", "sink": "NAME", "write": "DEVICE POINT VALUE", "status": "",
+    "drain": "NAME", "restore": "", "server-config": "ZONE",
 }  # fmt: skip
-"""Number of words on the command line for each action, the action itself included."""
+"""What follows each action on the command line."""
 LOOK = 1.0
 """Seconds beyond the time between two renewals after which a collector without a new entry is shown as silent."""
 
@@ -230,11 +231,13 @@ def _action(words: list[str]) -> list[str]:
     Raises:
         ConfigError: there is no such action, or it has too few or too many words.
     """
-    if len(words) != ACTIONS.get(words[0]):
+    action, *rest = words
+    wanted = ACTIONS.get(action)
+    if wanted is None:
+        raise ConfigError(f"must be {', '.join(ACTIONS)}, not {action}", key="ACTION")
+    if len(rest) != len(wanted.split()):
         raise ConfigError(
-            "must be demo, apply FILE, run, sink NAME, write DEVICE POINT VALUE, status, drain NAME, restore or "
-            f"server-config ZONE, not {' '.join(words)}",
-            key="ACTION",
+            f"{f'wants {wanted}' if wanted else 'wants nothing'}, not {' '.join(rest) or 'nothing'}", key=action
         )
     return words
 
