@@ -95,8 +95,8 @@ def test_buckets(run: Callable[..., Any], data: str) -> None:
     out = run("query", data, "meter-7/current", "--bucket", "2s", "--csv").out
     rows = list(csv.DictReader(io.StringIO(out)))
     assert [(row["minimum"], row["maximum"], row["mean"], row["count"]) for row in rows] == [
-        ("0", "1", "0.5", "2"),
-        ("2", "2", "2.0", "1"),
+        ("0.0", "1.0", "0.5", "2"),
+        ("2.0", "2.0", "2.0", "1"),
     ]
 
 

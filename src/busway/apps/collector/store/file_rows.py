@@ -26,8 +26,8 @@ class Sums:
     """
 
     count: int
-    low: float | int | None
-    high: float | int | None
+    low: float | None
+    high: float | None
     total: float | int
     samples: int
     reason: int
@@ -48,6 +48,13 @@ SumsByBucket = dict[tuple[int, int], Sums]
 """The sums of samples, by the number of the time bucket (time // its length) and the id of the point."""
 
 
+def number_of(value: Any) -> float | None:  # Any: what SQLite has
+    """Return a stored value as sums have it, a float; None for a text or nothing. Eight bytes are a large integer."""
+    if isinstance(value, bytes):
+        return float(int.from_bytes(value, "big"))
+    return float(value) if isinstance(value, int | float) else None
+
+
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
     """Return count, total, minimum and maximum of samples by time bucket and point.
 
@@ -59,8 +66,8 @@ def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
     """
     found: SumsByBucket = {}
     for time, point, value, reason, _, _ in rows:
-        usable = reason < Reason.TIMEOUT and type(value) in (int, float)
-        one = Sums(1, value, value, value, 1, reason) if usable else Sums(0, None, None, 0, 1, reason)
+        number = number_of(value) if reason < Reason.TIMEOUT else None
+        one = Sums(0, None, None, 0, 1, reason) if number is None else Sums(1, number, number, number, 1, reason)
         key = (time // bucket, point)
         if key in found:
             found[key].add(one)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Final
 
 from ..samples import Reason
-from .file_rows import Row, Sums, SumsByBucket
+from .file_rows import Row, Sums, SumsByBucket, number_of
 from .folder import SEGMENTS
 from .manifest import IntervalRow, StorePart
 from .sealed_files import sealed_rows, sealed_sums
@@ -25,7 +25,9 @@ _CHOSEN: Final = " AND point IN (SELECT value FROM json_each(?))"
 _SUMS: Final = f"""
 SELECT time / ?, point, count(number), min(number), max(number), total(number), count(*), max(reason) FROM (
     SELECT time, point, reason,
-        CASE WHEN reason < {int(Reason.TIMEOUT)} AND typeof(value) IN ('integer', 'real') THEN value END AS number
+        CASE WHEN reason < {int(Reason.TIMEOUT)} THEN CASE typeof(value)
+            WHEN 'integer' THEN CAST(value AS REAL) WHEN 'real' THEN value WHEN 'blob' THEN number_of(value)
+        END END AS number
     FROM samples WHERE time >= ? AND time < ?"""
 
 
@@ -103,5 +105,6 @@ def part_sums(
         return sealed_sums([folder / SEGMENTS / part.file], ids, low, high, bucket)
     chosen, values = ("", ()) if ids is None else (_CHOSEN, (json.dumps(list(ids)),))
     with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
+        database.create_function("number_of", 1, number_of, deterministic=True)
         found = database.execute(f"{_SUMS}{chosen}) GROUP BY 1, 2", (bucket, low, high, *values)).fetchall()
     return {(number, point): Sums(*rest) for number, point, *rest in found}
