@@ -51,12 +51,12 @@ ONE_PYTHON := $(addprefix tests/, \
 	$(addprefix test_, coroutine_tests.py extras.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
 	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
 	$(addprefix session/test_, client_stateful.py late_replies_model.py multidrop.py unit_breaker.py) \
-	$(addprefix apps/collector/test_, clock_walk.py dashboards.py learning.py many_dead_devices.py plan.py \
-	right_values.py schedule.py) \
+	$(addprefix apps/collector/test_, clock_trust_walk.py clock_walk.py dashboards.py held_walk.py learning.py \
+	many_dead_devices.py plan.py reload_walk.py right_values.py schedule.py) \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
 	apps/collector/commands/test_crashes.py apps/collector/commands/test_no_write_twice.py \
 	$(addprefix apps/collector/sinks/test_, hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
-	$(addprefix apps/collector/store/test_, crashes.py power_failure.py reading.py sealed_files.py) \
+	$(addprefix apps/collector/store/test_, crashes.py power_failure.py reading.py same_answers.py sealed_files.py) \
 	apps/control/test_service.py \
 	$(addprefix apps/fleet/test_, chain_model.py coordinators.py lease_holder.py) \
 	$(addprefix cli/test_, demo.py fleet.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \

@@ -83,6 +83,8 @@ def test_reports_follow_the_deadband_and_end_a_silence() -> None:
     percent = ReportRule("change", deadband=10.0, percent=True, max_silence=60.0)
     assert [percent.is_due(-200.0, now, 0.0) for now in (-219.0, -221.0)] == [False, True]
     assert (percent.is_due(5.0, 5.0, 59.0), percent.is_due(5.0, 5.0, 60.0)) == (False, True)
+    assert percent.is_due(5.0, 5.0, -3600.0), "the clock was set back: how long it was silent is not known"
+    assert not change.is_due(5.0, 5.0, -3600.0)
     assert change.is_due(False, True, 0.0)
     assert change.is_due(1.0, math.nan, 0.0)
     assert change.is_due("a", "b", 0.0)

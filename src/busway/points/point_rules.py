@@ -175,12 +175,13 @@ class ReportRule:
         Args:
             before: the value passed on before.
             now: the value of this sample.
-            silence: seconds between the two.
+            silence: seconds between the two; below 0 where the clock was set back between them, which is passed on as
+                a silence is: how long it was is not known.
         """
         if self.when == "every" or self.is_change(before, now):
             return True
         limit = self.longest_silence
-        return limit is not None and silence >= limit
+        return limit is not None and not 0 <= silence < limit
 
     @property
     def longest_silence(self) -> float | None:

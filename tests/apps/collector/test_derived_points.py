@@ -65,6 +65,21 @@ def test_what_is_computed_from_an_input_that_was_not_read_when_due_is_held() -> 
     assert (list(found.values), found.reasons) == ([6.0, 2.0], 0)
 
 
+def test_whether_the_clock_is_right_now_decides_and_not_whether_it_was_when_inputs_were_read() -> None:
+    derived = DerivedPoints("d", [number("fast", 1), number("slow", 2), computed("sum", "fast + slow")])
+    derived.take(batch({"fast": 1, "slow": 2}, Reason.CLOCK), 0.0)
+    early = derived.computed(1, 1, 0.0, Reason.CLOCK)
+    derived.take(batch({"fast": 1}), 1.0)
+    right = derived.computed(1, 1, 1.0)
+    derived.take(batch({"fast": 1}), 2.0)
+    lost = derived.computed(1, 1, 2.0, Reason.CLOCK)
+    assert [list(each.reason_column()) for each in (early, right, lost) if each] == [
+        [Reason.CLOCK],
+        [0],
+        [Reason.CLOCK],
+    ]
+
+
 def test_a_computed_point_has_no_value_where_a_read_of_an_input_failed() -> None:
     derived = DerivedPoints("d", [number("u", 1), computed("double", "2 * u")])
     derived.take(batch({"u": 1}), 0.0)

@@ -15,6 +15,7 @@ from typing import Any
 
 import pytest
 from commanded_plant import RecordedDevice, commanded_plant
+from foreign_servers import free_port
 from waiting import until
 
 import busway
@@ -22,6 +23,7 @@ from busway.apps.collector.commands.audit import LONGEST_DIFFERENCE, configurati
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.reloading import left_for_the_next_start, replace_file
 from busway.apps.collector.store.retention import Retention
+from busway.apps.web.collector_stream import CollectorStream
 from busway.config.files.file_error import FileError
 from busway.errors import ConfigError
 from busway.points import Reason
@@ -195,6 +197,66 @@ async def test_a_page_for_prometheus_changes_in_place_and_a_port_that_is_taken_r
                 assert 'point="level"' in await shown(collector)
                 assert await collector.replace_configuration(text, by="a") == ["sink scrape ended"]
                 assert collector.pages == []
+
+
+async def test_pages_for_prometheus_exchange_their_ports_and_names_and_a_check_binds_none(tmp_path: Path) -> None:
+    pytest.importorskip("prometheus_client")
+    one, two, three = free_port(), free_port(), free_port()
+
+    def pages(**ports: int) -> str:
+        return "".join(
+            f'[[sink]]\nname = "{name}"\nurl = "prometheus://127.0.0.1:{port}"\npoints = ["{name}/*"]\n'
+            for name, port in ports.items()
+        )
+
+    def points(collector: busway.Collector) -> dict[int, tuple[str, ...]]:
+        return {int(page.url.split(":")[2].split("/")[0]): page._points for page in collector._systems._pages.values()}
+
+    file = commanded_plant(tmp_path, "tcp://127.0.0.1:1")
+    text = file.read_text()
+    async with busway.collect(file) as collector:
+        for wanted in (
+            {"a": one, "b": two},
+            {"a": two, "b": one},
+            {"c": two, "b": one},
+            {"a": one, "c": two},
+            {"b": two, "a": three, "c": one},
+            {"c": three},
+        ):
+            assert await collector.replace_configuration(text + pages(**wanted), by="anna")
+            assert points(collector) == {port: (f"{name}/*",) for name, port in wanted.items()}
+            for port in {one, two, three} - set(wanted.values()):
+                socket.create_server(("127.0.0.1", port)).close()
+        collector.check(parse_collector(text + pages(c=three, d=one), str(file)))
+        file.unlink()
+        with pytest.raises(ConfigError, match="cannot be replaced"):
+            await collector.replace_configuration(text + pages(d=two), by="anna")
+        for port in (one, two):
+            socket.create_server(("127.0.0.1", port)).close()
+        assert points(collector) == {three: ("c/*",)}
+
+
+async def test_a_device_that_is_removed_has_no_last_value_and_others_keep_theirs_on_the_page(tmp_path: Path) -> None:
+    boiler = RecordedDevice()
+    async with boiler.server() as server:
+        file = commanded_plant(tmp_path, server.endpoints[0])
+        text = file.read_text()
+        other = f'[[link]]\nname = "b"\nurl = "{server.endpoints[0]}"\n' + (
+            '[[device]]\nname = "other"\nlink = "b"\nunit = 1\nprofile = "valve.toml"\n'
+        )
+        async with busway.collect(file) as collector:
+            stream = CollectorStream(collector)
+            await collector.replace_configuration(text + other, by="anna")
+            await until(lambda: all(collector.values.last(device, "mode") for device in ("boiler", "other")))
+            stream.refresh().columns()
+            await collector.replace_configuration(text, by="anna")
+            assert collector.values.last("other", "mode") is None
+            collector._links["hall"].poller.finish()
+            await collector.flush()
+            values, _, times = stream.refresh().columns()
+            assert values[stream.points.index(("boiler", "mode"))] is not None
+            assert {device for device, *_ in collector.values.samples()} == {"boiler"}
+            assert min(times[place] for place, key in enumerate(stream.points) if key[1] == "mode") > 0
 
 
 async def test_limits_of_the_store_hold_at_once(tmp_path: Path) -> None:

@@ -5,7 +5,8 @@ from typing import Any
 
 import pytest
 
-from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
+from busway.apps.collector.sample_clock import ClockCorrection
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, StateInterval
 from busway.apps.collector.store.writer import Commit
 from busway.apps.web import live_values
 from busway.apps.web.live_values import LiveValues
@@ -105,6 +106,48 @@ def test_a_good_value_that_is_not_read_again_when_due_is_held_until_it_is() -> N
     values.set_limits({})
     moment[0] = 99.0
     assert not values.advance()
+
+
+def test_a_value_is_held_at_once_when_its_limit_is_over_and_counts_from_its_read() -> None:
+    moment = [0.0]
+    values = LiveValues(POINTS, limits=dict.fromkeys(POINTS, 3.0), moment=lambda: moment[0])
+    values.update(commit(SampleBatch(METER, SECOND, 0, (1,))))
+    values.update(Commit(2, 3 * SECOND, [SampleBatch(PUMP, SECOND, 0, (1.5, 7, 2))], ()))
+    shown = {}
+    for tenth in range(60):
+        moment[0] = tenth / 10
+        reasons = values.columns()[1]
+        shown[tenth] = (reasons[0], reasons[3])
+    assert [tenth for tenth, (pump, _) in shown.items() if pump == 0] == list(range(11)), "committed 2 s after the read"
+    assert [tenth for tenth, (_, meter) in shown.items() if meter == 0] == list(range(31))
+
+
+@pytest.mark.parametrize("shift", [-3600 * SECOND, 3600 * SECOND])
+def test_values_of_before_the_clock_was_set_move_and_are_replaced_by_later_ones(shift: int) -> None:
+    begin = 10_000 * SECOND
+    values = LiveValues(POINTS)
+    values.update(commit(SampleBatch(PUMP, begin, 0, (1.5, 7, None), (Reason.CLOCK, Reason.CLOCK, Reason.TIMEOUT))))
+    values.update(Commit(1, 0, [], [StateInterval("meter", begin, begin + SECOND, Reason.SUSPENDED)]))
+    values.advance()
+    right = begin + shift
+    correction = ClockCorrection(shift, begin, begin + 5 * SECOND)
+    more = [SampleBatch(METER, right + 2 * SECOND, 0, (4,))]
+    values.update(Commit(2, 0, more, (), correction=correction))
+    assert values.columns() == (
+        [1.5, 7, None, 4],
+        [0, 0, Reason.TIMEOUT, 0],
+        [right // 1_000_000] * 3 + [right // 1_000_000 + 2000],
+    )
+    values.update(commit(SampleBatch(PUMP, right + 3 * SECOND, 0, (2.5, 8, 3))))
+    assert values.columns()[0] == [2.5, 8, 3, 4]
+    assert replayed([since(values, 1)]) == replayed([since(values, -1)])
+
+
+def test_one_that_begins_has_what_was_read_before() -> None:
+    values = LiveValues(POINTS, limits={POINTS[3]: 3.0}, moment=lambda: 9.0, reads=[
+        (SampleBatch(PUMP, SECOND, 0, (1.5, 7, 2)), 8.0), (SampleBatch(METER, SECOND, 0, (1,)), 5.0),
+    ])  # fmt: skip
+    assert values.columns() == ([1.5, 7, 2, 1], [0, 0, 0, Reason.HELD], [1000] * 4)
 
 
 def test_one_that_begins_is_told_of_points_that_were_not_read_too() -> None:

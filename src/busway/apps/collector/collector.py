@@ -50,7 +50,7 @@ from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
 from .reloading import Reloading, refuse_what_cannot_change
-from .report_rules import store_rules
+from .report_rules import points_of, store_rules
 from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
 from .samples import CounterState, PointDescription, SampleBatch, StateInterval
@@ -161,7 +161,9 @@ class Collector:
         self._journal: CommandJournal | None = None
         self._maintenance: MaintenanceBook | None = None
         self._names = PointNames()
-        self._reloading = Reloading(lambda: self.configuration, lambda: self._audit, self._apply, self._systems.prepare)
+        self._reloading = Reloading(
+            lambda: self.configuration, lambda: self._audit, self._apply, self._systems.prepare, self._systems.check
+        )
 
     async def __aenter__(self) -> Self:
         """Open the store, start the sinks and begin to poll the devices.
@@ -550,7 +552,7 @@ class Collector:
     def check(self, configuration: CollectorConfiguration) -> None:
         """Raise `ConfigError` if another configuration cannot be used while the collector runs; changes nothing."""
         refuse_what_cannot_change(self.configuration, configuration)
-        self._systems.prepare(configuration)
+        self._systems.check(configuration)
 
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
@@ -610,7 +612,7 @@ class Collector:
         """
         assert self._committer is not None
         self.configuration = configuration
-        self.values.limits = configuration.hold_limits()
+        self.values.configure(configuration.hold_limits(), points_of(configuration).keys())
         done: list[str] = []
         changed = sorted(self.changed_links(configuration))
         for name in changed:  # before anything is awaited: no command of a new point goes to a device of before

@@ -3,7 +3,8 @@
 Knows which of them a configuration has; what each does is its own.
 
 1. One whose table in the file is the same in another configuration is not touched.
-2. What can fail is made before anything is changed (`prepare`): the port of a new page, the place of a new sink.
+2. What can fail is made before anything is changed (`prepare`): the port of a new page, the place of a new sink. A page
+   that gets the URL of one that ends, or moves, goes on listening where that one does.
 3. A sink that begins anew goes on after the last commit that it has got; a sink that comes back, too.
 """
 
@@ -44,6 +45,7 @@ class ConnectedSystems:
         self._thread: SinkThread | None = None
         self._pages: dict[str, PrometheusPage] = {}
         self._prepared: dict[str, PrometheusPage] = {}
+        self._inherited: dict[str, str] = {}
         self._receiving: dict[str, tuple[CommandReceiver, asyncio.Task[None]]] = {}
 
     def begin(self, writer: StoreWriter, configuration: CollectorConfiguration) -> None:
@@ -85,13 +87,23 @@ class ConnectedSystems:
                 self._thread.reserve(name)
         except sqlite3.Error as error:
             raise ConfigError(f"the store cannot be written now: {error}", file=configuration.name) from error
-        for name, section in configuration.pages.items():
-            if self._is_elsewhere(name, section):
+        elsewhere = {name for name, section in configuration.pages.items() if self._is_elsewhere(name, section)}
+        free = {self._keys[name].url: name for name in self._pages.keys() - (configuration.pages.keys() - elsewhere)}
+        for name in elsewhere:
+            section = configuration.pages[name]
+            if section.url in free:
+                self._inherited[name] = free.pop(section.url)
+            else:
                 try:
                     self._prepared[name] = self._page(section)
                 except LinkDown as error:
                     self._discard()
                     raise ConfigError(error.message, file=configuration.name, key=f"sink.{name}.url") from error
+
+    def check(self, configuration: CollectorConfiguration) -> None:
+        """Raise `ConfigError` if `prepare` does; leave no port bound."""
+        self.prepare(configuration)
+        self._discard()
 
     def _is_elsewhere(self, name: str, section: SinkSection) -> bool:
         known = self._keys.get(name)
@@ -100,7 +112,7 @@ class ConnectedSystems:
     def _discard(self) -> None:
         for page in self._prepared.values():
             page.close()
-        self._prepared = {}
+        self._prepared, self._inherited = {}, {}
 
     async def apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Put the sinks, pages and inputs of another configuration into use; `prepare` was called with it.
@@ -130,11 +142,14 @@ class ConnectedSystems:
         ]
 
     def _change_pages(self, configuration: CollectorConfiguration) -> None:
-        for name in list(self._pages):
-            if name not in configuration.pages or name in self._prepared:
-                self._pages.pop(name).close()
-        self._pages |= self._prepared
-        self._prepared = {}
+        inherited = {name: self._pages[before] for name, before in self._inherited.items()}
+        stays = configuration.pages.keys() - self._inherited.keys() - self._prepared.keys()
+        pages = {name: self._pages[name] for name in stays} | inherited | self._prepared
+        for page in self._pages.values():
+            if page not in pages.values():
+                page.close()
+        self._pages = {name: pages[name] for name in configuration.pages}
+        self._prepared, self._inherited = {}, {}
         for name, section in configuration.pages.items():
             self._pages[name].configure(section.points, section.stale)
 

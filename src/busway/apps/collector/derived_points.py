@@ -8,6 +8,7 @@ Pure: knows points and their latest readings; knows no request and no clock.
 3. The size of some groups is itself a point of the device. Members of such a group are read once the size is known, and
    only those that the device has.
 4. An input that was not read when it was due, as after an outage, is held: what is computed from it is uncertain.
+5. Whether the clock is right decides for the time of the computed sample, whenever its inputs were read.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -99,7 +100,9 @@ class DerivedPoints:
             states = self._counter_states(made)
             batch = SampleBatch(batch.group, batch.time, batch.half_width, values, batch.reasons, states)
         if self._group is not None:
-            self._latest |= found
+            self._latest |= {
+                name: Reading(each.value) if each.reason == Reason.CLOCK else each for name, each in found.items()
+            }
             self._touched |= found.keys()
             for name in self._limits.keys() & found.keys():
                 self._read_at[name] = at
@@ -125,7 +128,7 @@ class DerivedPoints:
             self._latest |= {name: Reading(None, reason) for name in points}
             self._touched |= set(points)
 
-    def computed(self, time: int, half_width: int, at: float) -> SampleBatch | None:
+    def computed(self, time: int, half_width: int, at: float, usual: Reason = Reason.NONE) -> SampleBatch | None:
         """Return the samples of all computed points at the end of a round.
 
         None if there are no computed points, or if the round read none of their inputs.
@@ -134,18 +137,16 @@ class DerivedPoints:
             time: time of the samples, nanoseconds since 1970 UTC.
             half_width: half the length of the last transaction, nanoseconds.
             at: the same time, seconds of the monotonic clock.
+            usual: the reason of a sample that nothing else is wrong with: `Reason.CLOCK` while the clock is not right.
         """
         touched, self._touched = self._touched, set()
         if self._group is None or not any(inputs & touched for inputs in self._inputs.values()):
             return None
         made = self._formulas.apply(self._latest | self._held(at), time / NANOSECONDS)
         readings = [made.get(name, Reading(None, Reason.NO_INPUT)) for name in self._group.points]
+        reasons = [int(each.reason or usual) for each in readings]
         return SampleBatch(
-            self._group,
-            time,
-            half_width,
-            [each.value for each in readings],
-            [each.reason for each in readings] if any(each.reason for each in readings) else 0,
+            self._group, time, half_width, [each.value for each in readings], reasons if any(reasons) else 0
         )
 
     def _held(self, at: float) -> dict[str, Reading]:

@@ -14,6 +14,7 @@ from typing import Final
 
 from ...points.expression import parse_expression
 from ...points.point import Point
+from .samples import NANOSECONDS, SampleBatch
 
 LATE: Final = 2.0
 """Seconds that a value may be late, at least: a timeout, the transaction of another device, and the commit."""
@@ -22,6 +23,11 @@ LATE: Final = 2.0
 def held_after(period: float) -> float:
     """Return the seconds after which a value that is read each ``period`` seconds, and was not, is held."""
     return period + max(period, LATE)
+
+
+def age_of(batch: SampleBatch, at: int) -> float:
+    """Return the seconds from the end of the read of ``batch`` to ``at``, nanoseconds since 1970 UTC; never below 0."""
+    return max(0, at - batch.time - batch.half_width) / NANOSECONDS
 
 
 def hold_limits(

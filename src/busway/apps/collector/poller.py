@@ -507,7 +507,8 @@ class LinkPoller:
             device.reads += turn.kind is TurnKind.ROUND
             self._learn(device, turn, each.read, ReadOutcome.SUCCESS, ended - began, alone=len(compiled) == 1)
         if device.derived is not None and turn.round is not None and not turn.round.reads:
-            computed = device.derived.computed(middle, half, ended)
+            usual = Reason.NONE if self._clock.is_right else Reason.CLOCK
+            computed = device.derived.computed(middle, half, ended, usual)
             if computed is not None:
                 self._give(device, computed)
         if result is TurnOutcome.ANSWERED:

@@ -45,6 +45,7 @@ class Reloading:
         audit: returns the audit log; None while there is none.
         apply: puts another configuration into use, and returns the changes, each as a sentence.
         prepare: does what can fail of that, and changes nothing that is in use; raises `ConfigError`.
+        check: raises `ConfigError` if ``prepare`` would, and leaves nothing behind.
 
     Attributes:
         running: the tasks that change the configuration, or wait for their turn to do so.
@@ -60,8 +61,10 @@ class Reloading:
         audit: Callable[[], AuditLog | None],
         apply: Callable[[CollectorConfiguration], Awaitable[list[str]]],
         prepare: Callable[[CollectorConfiguration], None] = lambda new: None,
+        check: Callable[[CollectorConfiguration], None] = lambda new: None,
     ) -> None:
-        self._current, self._audit, self._apply, self._prepare = current, audit, apply, prepare
+        self._current, self._audit, self._apply = current, audit, apply
+        self._prepare, self._check = prepare, check
         self._started_with = current()
         self._lock = asyncio.Lock()
         self.running: set[asyncio.Task[list[str]]] = set()
@@ -145,17 +148,13 @@ class Reloading:
             raise ConfigError(f"the configuration is {in_use} by now, not {revision}: read it again", key="revision")
         configuration = await self._parsed(text, by, origin)
         try:
+            refuse_what_cannot_change(self._current(), configuration)
             self._check(configuration)
             await asyncio.to_thread(replace_file, configuration.name, text)
         except ConfigError as error:
             self._record(text, [str(error)], False, by, origin)
             raise
         return await self._use(configuration, by, origin)
-
-    def _check(self, configuration: CollectorConfiguration) -> None:
-        """Raise `ConfigError` if a configuration cannot be put into use."""
-        refuse_what_cannot_change(self._current(), configuration)
-        self._prepare(configuration)
 
     async def _parsed(self, text: str, by: str, origin: str) -> CollectorConfiguration:
         try:
@@ -167,7 +166,8 @@ class Reloading:
     async def _use(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         old = self._current()
         try:
-            self._check(configuration)
+            refuse_what_cannot_change(old, configuration)
+            self._prepare(configuration)
         except ConfigError as error:
             self._record(configuration.text, [str(error)], False, by, origin)
             raise

@@ -13,12 +13,13 @@ Pure: knows no clock, file or socket. The poller makes samples, the store keeps 
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 from ...errors import InvalidRequest
 from ...points.quality import Quality, Reason, exception_code_of, exception_reason, quality_of, reason_text
 from ...values.refusal import shown
+from .sample_clock import ClockCorrection
 
 __all__ = [
     "NANOSECONDS",
@@ -35,6 +36,8 @@ __all__ = [
     "exception_code_of",
     "exception_reason",
     "failed_batch",
+    "mended_batch",
+    "mended_interval",
     "quality_of",
     "reason_text",
 ]
@@ -182,6 +185,14 @@ def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> 
     return SampleBatch(group, time, half_width, (None,) * len(group.points), reason)
 
 
+def mended_batch(batch: SampleBatch, correction: ClockCorrection) -> SampleBatch:
+    """Return the samples of a read with their corrected time; good where they were uncertain for the clock alone."""
+    if not correction.begin <= batch.time < correction.end:
+        return batch
+    reasons = [0 if each == Reason.CLOCK else each for each in batch.reason_column()]
+    return replace(batch, time=correction.corrected(batch.time), reasons=reasons if any(reasons) else 0)
+
+
 @dataclass(frozen=True, slots=True)
 class StateInterval:
     """A period in which a device was not read, and why; it stands for bad samples of all points of the device.
@@ -203,6 +214,12 @@ class StateInterval:
 
     def __post_init__(self) -> None:
         _check_interval(self.begin, self.end, self.reason)
+
+
+def mended_interval(interval: StateInterval, correction: ClockCorrection) -> StateInterval:
+    """Return an interval with its corrected begin and end."""
+    begin, end = correction.corrected(interval.begin), interval.end
+    return replace(interval, begin=begin, end=None if end is None else max(begin, correction.corrected(end)))
 
 
 @dataclass(frozen=True, slots=True)

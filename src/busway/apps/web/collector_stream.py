@@ -116,7 +116,7 @@ class CollectorStream:
 
     def _made(self) -> LiveValues:
         last = self._collector.values
-        return LiveValues(self.points, last.intervals(), last.is_behind, last.limits)
+        return LiveValues(self.points, last.intervals(), last.is_behind, last.limits, reads=last.reads())
 
     def _committed(self, commit: Commit) -> None:
         self.values.update(commit)

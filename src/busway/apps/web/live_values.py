@@ -10,7 +10,7 @@ thread may call the rest.
    that as the reason, until each point is read again.
 4. While the store cannot be written, all points are bad with that as the reason: what was read since is not known here.
 5. A good value that was not read again when it was due is held, and so uncertain (`..collector.held_values`). This is
-   looked at every second.
+   looked at when the first of them may be.
 6. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
    values as a run.
 """
@@ -23,14 +23,25 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
-from ..collector.samples import PointGroup, Quality, Reason, SampleBatch, StateInterval, Value, quality_of, reason_text
+from ..collector.held_values import age_of
+from ..collector.sample_clock import ClockCorrection
+from ..collector.samples import (
+    PointGroup,
+    Quality,
+    Reason,
+    SampleBatch,
+    StateInterval,
+    Value,
+    mended_batch,
+    mended_interval,
+    quality_of,
+    reason_text,
+)
 from ..collector.store.writer import Commit
 from .messages import plain_value
 
 MOST_WAITING: Final = 10_000
 """Most groups of points whose latest samples wait for the next tick; with more, `LiveValues.update` begins a tick."""
-_LOOK_EVERY: Final = 1.0
-"""Seconds between two looks whether values are held."""
 _MILLION: Final = 1_000_000
 
 
@@ -43,6 +54,7 @@ class LiveValues:
         is_behind: whether commits have failed or hung for some seconds (rule 4).
         limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
         moment: returns seconds of the monotonic clock.
+        reads: what was read before, each with when it ended, seconds of the monotonic clock.
 
     Attributes:
         tick: number of the last tick; 0 before the first.
@@ -58,6 +70,7 @@ class LiveValues:
         is_behind: Callable[[], bool] = lambda: False,
         limits: Mapping[tuple[str, str], float] | None = None,
         moment: Callable[[], float] = time.monotonic,
+        reads: Sequence[tuple[SampleBatch, float]] = (),
     ) -> None:
         self.tick: int = 0
         self.values: list[Value | None] = [None] * len(points)
@@ -71,7 +84,7 @@ class LiveValues:
         self._held = [False] * len(points)
         self._look_at = 0.0
         self._groups: WeakKeyDictionary[PointGroup, list[int]] = WeakKeyDictionary()
-        self._waiting: dict[PointGroup, tuple[SampleBatch, float]] = {}
+        self._waiting: dict[PointGroup, tuple[SampleBatch, float]] = {read[0].group: read for read in reads}
         self._by_device: dict[str, list[int]] = {}
         for place, (device, _) in enumerate(points):
             self._by_device.setdefault(device, []).append(place)
@@ -86,13 +99,17 @@ class LiveValues:
     def set_limits(self, limits: Mapping[tuple[str, str], float]) -> None:
         """Use other limits from now on: by device and point, seconds after which a value is held (rule 5)."""
         self._limits = [limits.get(key, math.inf) for key in self._places]
+        self._shortest = min(self._limits, default=math.inf)
+        self._look_at = 0.0
 
     def update(self, commit: Commit) -> None:
         """Take over the samples of a commit. Called by the thread of the store for each commit, once it is stored."""
         now = self._moment()
         with self._lock:
+            if commit.correction is not None:
+                self._mend(commit.correction)
             for batch in commit.last_values:
-                self._waiting[batch.group] = batch, now
+                self._waiting[batch.group] = batch, now - age_of(batch, commit.at)
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each
@@ -129,16 +146,27 @@ class LiveValues:
                     self._changed_at[place] = self.tick
 
     def _newly_held(self) -> list[int]:
-        """Return the places of good values that are held since `_LOOK_EVERY` seconds at most; empty before that."""
+        """Return the places of values that are held by now, and were not at the last look."""
         now = self._moment()
-        if now < self._look_at:
+        if now <= self._look_at:
             return []
-        ages = enumerate(zip(self._taken_at, self._limits, strict=True))
-        found = [place for place, (at, limit) in ages if now - at > limit]
-        found = [place for place in found if not self._held[place]]
+        ends = [at + limit for at, limit in zip(self._taken_at, self._limits, strict=True)]
+        found = [place for place, end in enumerate(ends) if end < now and not self._held[place]]
         if not found:
-            self._look_at = now + _LOOK_EVERY
+            self._look_at = min((end for end in ends if end >= now), default=math.inf)
         return found
+
+    def _mend(self, correction: ClockCorrection) -> None:
+        """Correct the times of what was stored before the clock was right; it is good if only the clock was wrong."""
+        self._waiting = {group: (mended_batch(each, correction), at) for group, (each, at) in self._waiting.items()}
+        self._intervals = {device: mended_interval(each, correction) for device, each in self._intervals.items()}
+        for place, at in enumerate(self.times):
+            if at and correction.begin - _MILLION < at * _MILLION < correction.end:
+                self.times[place] = at + correction.shift // _MILLION
+                self._read_at[place] = self.tick + 1
+                if self.reasons[place] == Reason.CLOCK:
+                    self.reasons[place] = 0
+                    self._changed_at[place] = self.tick + 1
 
     def _shown(self, place: int) -> int:
         """Return the reason code to show for a point (rules 4 and 5)."""
@@ -163,6 +191,7 @@ class LiveValues:
 
     def _take(self, batch: SampleBatch, taken_at: float) -> None:
         tick, at = self.tick, batch.time // _MILLION
+        self._look_at = min(self._look_at, taken_at + self._shortest)
         values, reasons, times, held = self.values, self.reasons, self.times, self._held
         for place, value, reason in zip(self._places_of(batch.group), batch.values, batch.reason_column(), strict=True):
             if place < 0 or times[place] > at:

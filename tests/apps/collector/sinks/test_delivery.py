@@ -4,17 +4,20 @@ import asyncio
 import json
 import sqlite3
 import threading
+from collections.abc import Sequence
 from pathlib import Path
 
 import pytest
-from collected import METER, NOON, PUMP, at, filled, read_of
+from collected import METER, NOON, PUMP, SECOND, at, filled, read_of
 from deliveries import RecordingSink, assert_in_order, commit_reads, delivered_once, delivery_to, run_until
 from waiting import until, wait_until
 
+from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import Reason, StateInterval
 from busway.apps.collector.sinks.delivery import ASIDE, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.sink_thread import SinkThread
+from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import ConfigError
@@ -103,6 +106,63 @@ async def test_samples_that_waited_too_long_are_dropped_and_counted(tmp_path: Pa
         assert {sample.time for sample in sink.taken} == {at(700), at(800), at(900)}
         assert delivery.status().lost == 21
         assert writer.manifest.cursors()["sink"][1] == 21
+
+
+async def test_samples_whose_time_is_still_to_be_corrected_have_not_waited_too_long(tmp_path: Path) -> None:
+    """A machine that was off for a month begins where it ended; its network, and so the time, come after a while."""
+    month, sink = 30 * 86_400 * SECOND, RecordingSink()
+    with StoreWriter(tmp_path, now=at(0), clock_is_right=False) as writer:
+        for second in range(1, 6):
+            writer.commit([read_of(PUMP, second, second, reasons=Reason.CLOCK)], [], at(second))
+        delivery = delivery_to(sink, writer)
+        delivery._now = lambda: at(10) + month
+        assert delivery._reader.last_before(at(3), 0) == 0
+        await run_until(delivery, lambda: len(sink.taken) == 5)
+        assert delivery.status().lost == 0
+        writer.begin_mending(ClockCorrection(month, at(0), at(6)), writer.newest_commit)
+        while writer.mend_next():
+            pass
+        assert delivery._reader.last_before(at(3) + month, 0) == 3
+
+
+async def test_commits_that_are_old_by_a_wrong_clock_take_none_of_before_with_them(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    sink.is_down = True
+    with filled(tmp_path, 3) as writer:
+        commit_reads(writer, -400, 2)  # a process with a clock that was never set
+        commit_reads(writer, 10, 2)
+        delivery = delivery_to(sink, writer, DeliveryOptions(age=0, keep=300.0))
+        delivery._now = lambda: at(20)
+        await run_until(delivery, lambda: delivery.status().error is not None)
+        assert delivery.status().lost == 0
+        delivery._now = lambda: at(305)
+        sink.is_down = False
+        await run_until(delivery, lambda: delivery.status().cursor == writer.newest_commit)
+        assert {sample.time for sample in sink.taken} == {at(10), at(11)}
+
+
+def test_a_sink_that_is_removed_finishes_what_it_sends_so_that_its_successor_does_not_send_it_again(
+    tmp_path: Path,
+) -> None:
+    arrived, taken = threading.Event(), list[CommittedSample]()
+
+    class Slow(RecordingSink):
+        async def send(self, samples: Sequence[CommittedSample]) -> None:
+            taken.extend(samples)
+            arrived.set()
+            await asyncio.sleep(0.2)
+
+    with filled(tmp_path, 10) as writer:
+        options = DeliveryOptions(age=0, most=9)
+        thread = SinkThread(writer, {"slow": (Slow(), options)})
+        for _ in range(3):
+            assert arrived.wait(10)
+            thread.remove("slow")
+            arrived.clear()
+            thread.add("slow", Slow(), options)
+        wait_until(lambda: len(taken) >= 30)
+        thread.close()
+    assert len(taken) == len(delivered_once(taken)) == 30
 
 
 async def test_what_retention_takes_from_a_sink_is_counted(tmp_path: Path) -> None:

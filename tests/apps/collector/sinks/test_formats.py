@@ -13,11 +13,12 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
 import pytest
-from collected import METER, PUMP, at, filled, meter_read, read_of
+from collected import METER, NOON, PUMP, SECOND, at, filled, meter_read, read_of
 from deliveries import commit_reads, delivery_to, run_until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, exception_reason
+from busway.apps.collector.sample_clock import ClockCorrection
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, StateInterval, exception_reason
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.documents import documents, sample_document
 from busway.apps.collector.sinks.files import FileSink
@@ -315,6 +316,44 @@ def test_last_values_that_were_not_read_again_when_due_are_held_and_uncertain_fo
         page.close()
     values.update(Commit(2, 0, [SampleBatch(group, 6, 0, [1.5, 2, 3], 0)], []))
     assert values.last("meter-7", "power") == (1.5, 0, 6)
+
+
+def test_a_value_whose_commit_had_to_wait_is_held_by_the_time_of_its_read() -> None:
+    moment = [100.0]
+    values = LastValues(limits={("meter-7", "power"): 3.0}, moment=lambda: moment[0])
+    late = SampleBatch(PointGroup("meter-7", ("power",)), NOON, SECOND, [1.5])
+    values.update(Commit(1, NOON + 4 * SECOND, [late], []))
+    assert values.last("meter-7", "power") == (1.5, 0, NOON), "its transaction ended 3 s ago"
+    moment[0] += 0.1
+    assert values.last("meter-7", "power") == (1.5, Reason.HELD, NOON)
+
+
+@pytest.mark.parametrize("shift", [-3600 * SECOND, 3600 * SECOND])
+def test_last_values_of_before_the_clock_was_set_move_and_later_ones_replace_them(shift: int) -> None:
+    values = LastValues()
+    alone, other = PointGroup("meter-7", ("power",)), PointGroup("meter-7", ("power", "load"))
+    values.update(Commit(1, 0, [SampleBatch(other, NOON, 0, [1.5, 2], Reason.CLOCK)], []))
+    values.update(Commit(2, 0, [], [StateInterval("meter-7", NOON - 9, NOON - 1, Reason.SUSPENDED)]))
+    correction = ClockCorrection(shift, NOON - 9, NOON + 5)
+    values.update(Commit(3, 0, [SampleBatch(alone, NOON + shift + 1, 0, [7])], [], correction=correction))
+    assert values.last("meter-7", "power") == (7, 0, NOON + shift + 1)
+    assert values.last("meter-7", "load") == (2, 0, NOON + shift)
+    assert [reason for *_, reason, _ in values.samples()] == [0, 0]
+
+
+def test_a_point_that_is_no_longer_in_the_configuration_has_no_last_value() -> None:
+    values = LastValues()
+    group = PointGroup("meter-7", ("power", "load"))
+    values.update(
+        Commit(1, 0, [SampleBatch(group, 5, 0, [1.5, 2]), SampleBatch(PointGroup("old", ("a",)), 5, 0, [1])], [])
+    )
+    values.configure({}, [("meter-7", "load")])
+    values.update(
+        Commit(2, 0, [SampleBatch(group, 6, 0, [1.5, 2]), SampleBatch(PointGroup("old", ("a",)), 6, 0, [1])], [])
+    )
+    assert list(values.samples()) == [("meter-7", "load", 2, 0, 6)]
+    assert values.last("old", "a") is None
+    assert values.last("meter-7", "power") is None
 
 
 def test_last_values_hold_one_batch_for_each_group() -> None:

@@ -7,11 +7,13 @@ from pathlib import Path
 import pytest
 from collected import METER, NOON, SECOND, at, meter_read
 from deliveries import RecordingSink, delivery_to, run_until
+from waiting import wait_until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.sample_clock import EARLIEST, ClockCorrection, SampleClock
 from busway.apps.collector.samples import Gap, Reason, SampleBatch, StateInterval
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
+from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.alarm_events import forget_old_alarms
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.commit_thread import Committer
@@ -86,7 +88,7 @@ def test_what_was_mended_is_durable_before_it_is_noted_as_done(tmp_path: Path, m
     with monkeypatch.context() as patched:
         patched.setattr(Manifest, "set_fact", lambda manifest, name, value: order.append(f"{name} {value}"))
         mend(writer)
-    assert order == ["mended", "synced", "mend_from None"]
+    assert order == ["mended", "synced", "awaits_clock None", "mend_from None"]
     writer.close(at(2))
 
 
@@ -330,3 +332,62 @@ def test_the_committer_never_mixes_times_to_be_corrected_with_right_ones(tmp_pat
     assert voltages(tmp_path) == [(at(second), second, 0) for second in range(1, 400)]
     found = [each.begin for each in Store(tmp_path).read("meter-7").intervals]
     assert found == [at(second) for second in range(50, 400, 50)]
+
+
+def test_a_sample_whose_right_time_equals_a_wrong_one_that_is_not_mended_yet_replaces_nothing(tmp_path: Path) -> None:
+    clock, now, values = SampleClock(0.0, NOON, is_known=False), NOON, LastValues()
+    writer = StoreWriter(tmp_path, now=NOON, clock_is_right=False)
+    committer = Committer(writer, now=lambda: now, interval=0.001)
+    committer.subscribe(values.update)
+
+    def read(second: float, reason: int) -> None:
+        nonlocal now
+        now = clock.time_ns(second)
+        committer.add(SampleBatch(METER, now, 0, (second, 1, "on"), reason))
+        assert committer.flush() or reason == 0
+
+    for second in range(1, 20):
+        read(float(second), int(Reason.CLOCK))
+        if second == 10:
+            writer.roll()
+    with writer._files:  # as if a segment was being sealed, so that mending waits
+        correction = clock.adjust(20.0, at(15), is_known=True)
+        assert correction is not None
+        committer.mend(correction)
+        for second in range(20, 30):
+            committer.add(SampleBatch(METER, clock.time_ns(float(second)), 0, (float(second), 1, "on"), 0))
+        wait_until(lambda: (values.last("meter-7", "voltage") or (0, 0, 0))[0] == 29.0)
+        assert values.last("meter-7", "voltage") == (29.0, 0, at(24)), "later than what it replaces by its right time"
+    assert committer.flush()
+    committer.close()
+    assert voltages(tmp_path) == [(at(second - 5), float(second), 0) for second in range(1, 30)]
+
+
+def test_a_process_that_completes_the_correction_of_another_waits_for_its_own(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, now=at(0), clock_is_right=False) as writer:
+        writer.commit([meter_read(1)], [], at(1))
+        writer.begin_mending(ClockCorrection(3600 * SECOND, at(0), at(2)))
+    with StoreWriter(tmp_path, now=at(0), clock_is_right=False) as writer:
+        writer.commit([SampleBatch(METER, at(3), 0, (3.0, 1, "on"), int(Reason.CLOCK))], [], at(3))
+        last = writer.newest_commit
+        writer.roll()
+        assert writer.seal_closed() == 1, "what the other process wrote"
+        writer.begin_mending(ClockCorrection(7200 * SECOND, at(0), at(4)), last)
+        mend(writer)
+        assert writer.seal_closed() == 1
+    times = [(time, value, reason) for time, value, reason in voltages(tmp_path)]
+    assert times == [(at(3601), 230.0, 0), (at(7203), 3.0, 0)]
+
+
+@pytest.mark.parametrize("shift", [2 * 3600 * SECOND, 3700 * SECOND])
+def test_the_gap_before_a_process_whose_clock_was_behind_keeps_its_begin(tmp_path: Path, shift: int) -> None:
+    """The clock showed the end of the process before as still to come, and reached it before it was set."""
+    with StoreWriter(tmp_path, now=at(-10)) as writer:
+        writer.commit([meter_read(0)], [], at(0))
+    with StoreWriter(tmp_path, now=at(-3600), clock_is_right=False) as writer:
+        for second in (-3500, 100):
+            writer.commit([SampleBatch(METER, at(second), 0, (1.0, 1, "on"), int(Reason.CLOCK))], [], at(second))
+        writer.begin_mending(ClockCorrection(shift, at(-3600), at(101)), writer.newest_commit)
+        mend(writer)
+        assert [(gap.begin, gap.end) for gap in Store(tmp_path).read().gaps] == [(at(0), at(-3600) + shift)]

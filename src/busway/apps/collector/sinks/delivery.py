@@ -20,6 +20,7 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
 """
 
 import asyncio
+import contextlib
 import json
 import logging
 import sqlite3
@@ -113,8 +114,10 @@ class Delivery:
         self._now, self._pause, self._monotonic = now, pause, monotonic
         self._unset_since: float | None = None
         self._reader = CommitReader(folder, manifest)
-        self._cursor, self._lost = manifest.cursors().get(name, (0, 0))
-        manifest.set_cursor(name, self._cursor, self._lost)
+        known = manifest.cursors().get(name)
+        self._cursor, self._lost = known or (0, 0)
+        if known is None:
+            manifest.set_cursor(name, 0, 0)
         self._named: dict[tuple[str, str], bool] = {}
         self._point_rules: Mapping[tuple[str, str], ReportRule] = point_rules or {}
         self._points = points
@@ -127,6 +130,8 @@ class Delivery:
         self._store_error: str | None = None
         self._unkept: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
         self._is_open = False
+        self._is_finishing = False
+        self._step_ended: asyncio.Event | None = None
         self._shown = points
         if isinstance(sink, CurrentSink):
             self._forget_all_but(points)
@@ -170,7 +175,7 @@ class Delivery:
         try:
             while True:
                 try:
-                    more = await self.step()
+                    more = await self._whole_step()
                 except SinkDown as error:
                     await self._down(error)
                     await self._pause(wait)
@@ -182,6 +187,23 @@ class Delivery:
         finally:
             self._is_open = False
             await self._sink.close()
+
+    async def finish(self, seconds: float) -> None:
+        """Let the batch that is being sent arrive, and begin no other; return then, after ``seconds`` at most."""
+        self._is_finishing = True
+        if self._step_ended is not None:
+            with contextlib.suppress(TimeoutError):
+                await asyncio.wait_for(self._step_ended.wait(), seconds)
+
+    async def _whole_step(self) -> bool:
+        if self._is_finishing:
+            return False
+        self._step_ended = ended = asyncio.Event()
+        try:
+            return await self.step()
+        finally:
+            self._step_ended = None
+            ended.set()
 
     async def step(self) -> bool:
         """Send the next commits of the store to the sink, and move its cursor.

@@ -9,13 +9,16 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
    the begin of that interval until each point is read again: no value stays good while it only grows old.
 4. While the store cannot be written, no value is replaced by a newer one, so all are bad for that reason.
 5. A good value that was not read again when it was due is held, and so uncertain (`held_values`): the link is
-   overloaded or waits for a reply, or polling has ended by a defect.
+   overloaded or waits for a reply, or polling has ended by a defect. It was read when its transaction ended, however
+   long its commit had to wait.
+6. A point that is no longer in the configuration has no last value.
+7. When the clock is set, last values of before move with the samples of the store, so that later ones replace them.
 """
 
 import math
 import threading
 import time
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from fnmatch import fnmatchcase
 from typing import Any, Final
 
@@ -25,7 +28,19 @@ from ....observe.http import HttpService, bind_tcp
 from ....observe.http_messages import HttpRequest, HttpResponse
 from ....options.text import host_and_port
 from ..alarms.events import RaisedAlarm
-from ..samples import NANOSECONDS, PointGroup, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
+from ..held_values import age_of
+from ..samples import (
+    NANOSECONDS,
+    PointGroup,
+    Quality,
+    Reason,
+    SampleBatch,
+    StateInterval,
+    Value,
+    mended_batch,
+    mended_interval,
+    quality_of,
+)
 from ..store.writer import Commit
 
 _FORGET_ABOVE: Final = 10_000
@@ -56,6 +71,7 @@ class LastValues:
         self.limits: Mapping[tuple[str, str], float] = limits or {}
         self._moment = moment
         self._lock = threading.Lock()
+        self._points: frozenset[tuple[str, str]] | None = None
         self._batches: dict[PointGroup, SampleBatch] = {}
         self._taken_at: dict[PointGroup, float] = {}
         self._forget_above = _FORGET_ABOVE
@@ -65,15 +81,40 @@ class LastValues:
         """Take over the samples and intervals of a commit that the store has just made."""
         now = self._moment()
         with self._lock:
+            correction = commit.correction
+            if correction is not None:
+                self._batches = {group: mended_batch(each, correction) for group, each in self._batches.items()}
+                self._intervals = {name: mended_interval(each, correction) for name, each in self._intervals.items()}
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
-                self._taken_at[batch.group] = now
+                self._taken_at[batch.group] = now - age_of(batch, commit.at)
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each
             if len(self._batches) > self._forget_above:
                 self._forget_covered()
                 self._forget_above = max(_FORGET_ABOVE, 2 * len(self._batches))
+
+    def configure(self, limits: Mapping[tuple[str, str], float], points: Collection[tuple[str, str]]) -> None:
+        """Use the limits and points of a configuration that was read again (rule 6).
+
+        Args:
+            limits: by device and point, seconds after which a value is held.
+            points: device and name of each point.
+        """
+        with self._lock:
+            self.limits, self._points = limits, frozenset(points)
+            devices = {device for device, _ in points}
+            self._batches = {group: each for group, each in self._batches.items() if group.device in devices}
+            self._taken_at = {group: self._taken_at[group] for group in self._batches}
+
+    def reads(self) -> list[tuple[SampleBatch, float]]:
+        """Return the reads that last values come from, each with when it ended, seconds of the monotonic clock."""
+        with self._lock:
+            return [(batch, self._taken_at[group]) for group, batch in self._batches.items()]
+
+    def _is_known(self, device: str, point: str) -> bool:
+        return self._points is None or (device, point) in self._points
 
     def _forget_covered(self) -> None:
         """Remove batches that are not needed any more: all their points have a newer sample.
@@ -136,7 +177,9 @@ class LastValues:
         found: tuple[Value | None, int, int] | None = None
         with self._lock:
             for batch in self._batches.values():
-                if batch.device == device and point in batch.points and (found is None or batch.time >= found[2]):
+                if batch.device != device or not self._is_known(device, point):
+                    continue
+                if point in batch.points and (found is None or batch.time >= found[2]):
                     index = batch.points.index(point)
                     reason = batch.reasons if isinstance(batch.reasons, int) else batch.reasons[index]
                     found = batch.values[index], self._reason(batch, point, reason), batch.time
@@ -150,6 +193,8 @@ class LastValues:
         with self._lock:
             found = []
             for (device, point), (batch, index) in sorted(self._latest().items()):
+                if not self._is_known(device, point):
+                    continue
                 reason = self._reason(batch, point, batch.reason_column()[index])
                 found.append((device, point, batch.values[index], reason, batch.time))
         yield from found

@@ -9,6 +9,7 @@ import logging
 import threading
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Final
 
 from ....errors import ConfigError
 from ....options.sinks import DeliveryOptions
@@ -17,6 +18,9 @@ from ....points.point_rules import ReportRule
 from ..store.writer import StoreWriter
 from .delivery import PAUSE_LIMIT, Delivery, SinkStatus
 from .interface import DescribedSink, Sink
+
+FINISH: Final = 2.0
+"""Seconds for which a sink that is removed may finish what it sends."""
 
 _log = logging.getLogger("busway.sinks")
 
@@ -88,9 +92,12 @@ class SinkThread:
         manifest.set_cursor(name, *manifest.cursors().get(name, (0, 0)))
 
     def remove(self, name: str, timeout: float = 10.0) -> None:
-        """Stop sending to a sink within ``timeout`` seconds; one that is added under its name later goes on there."""
+        """Stop sending to a sink within ``timeout`` seconds; one that is added under its name later goes on there.
+
+        What is being sent arrives first, if that takes `FINISH` seconds at most: it is not sent again then.
+        """
         running = self._running.pop(name)
-        ended = asyncio.run_coroutine_threadsafe(_end(running), self._loop)
+        ended = asyncio.run_coroutine_threadsafe(_finish(running), self._loop)
         try:
             ended.result(timeout)
         except TimeoutError:
@@ -147,6 +154,11 @@ def check_name(name: str) -> None:
     """Raise `ConfigError` for a name that no sink can have: it is part of the name of a file."""
     if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
         raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
+
+
+async def _finish(running: _RunningSink) -> None:
+    await running.delivery.finish(FINISH)
+    await _end(running)
 
 
 async def _end(running: _RunningSink) -> None:

@@ -17,7 +17,7 @@ import sqlite3
 from dataclasses import dataclass
 from typing import Final
 
-from ..sample_clock import ClockCorrection
+from ..sample_clock import EARLIEST, ClockCorrection
 from ..samples import Reason
 from .database import transaction
 
@@ -25,6 +25,8 @@ EVERY: Final = 2**63 - 1
 """A number above those of all commits."""
 _MOVED: Final = "CASE WHEN {0} >= :begin AND {0} < :end THEN {0} + :shift ELSE {0} END"
 _OF_CLOCK: Final = "commit_number BETWEEN :first AND :last"
+_OWN_GAP: Final = f"(device IS NULL AND (begin < {EARLIEST} OR begin = (SELECT at FROM commits WHERE number = :first)))"
+"""Whether a gap in the first commit begins by the clock of this process: nothing better was known of the one before."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,15 +80,15 @@ def mend_segment(database: sqlite3.Connection, correction: CommitCorrection) -> 
         else:
             moved = database.execute(f"UPDATE samples SET time = -1 - time, {good} WHERE {here}", known).rowcount
             database.execute("UPDATE OR REPLACE samples SET time = -1 - time + :shift WHERE time < 0", known)
-        columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("at", "low", "high"))
-        database.execute(f"UPDATE commits SET {columns} WHERE number BETWEEN :first AND :last", known)
         columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("begin", '"end"'))
-        database.execute(  # the first commit also ends what an earlier process left open, by the clock of then
-            f"UPDATE intervals SET {columns} WHERE {_OF_CLOCK} AND (device IS NULL OR commit_number > :first)",
+        database.execute(  # the first commit has times of an earlier process too, by the clock of then
+            f"UPDATE intervals SET {columns} WHERE {_OF_CLOCK} AND (commit_number > :first OR {_OWN_GAP})",
             known,
         )
+        columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("at", "low", "high"))
+        database.execute(f"UPDATE commits SET {columns} WHERE number BETWEEN :first AND :last", known)
         database.execute(  # the time from the end of an earlier process to the first commit of this one
-            'UPDATE intervals SET "end" = max("end", (SELECT at FROM commits WHERE number = :first))'
+            'UPDATE intervals SET "end" = max(begin, (SELECT at FROM commits WHERE number = :first))'
             " WHERE device IS NULL AND commit_number = :first",
             known,
         )

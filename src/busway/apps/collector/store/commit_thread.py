@@ -138,6 +138,7 @@ class Committer:
         self._described = 0
         self._correction: _Correction | None = None
         self._is_mending = False
+        self._untold: ClockCorrection | None = None
         self._taken = 0
         self._waiting = 0
         self._queued_since: float | None = None
@@ -277,7 +278,8 @@ class Committer:
 
     def _commit_until_closed(self) -> None:
         while self._wait_for_work():
-            if not self._commit_once() or not self._mend():
+            mended = self._mend()  # first: no right time joins wrong ones that it could be equal to
+            if not self._commit_once() or not mended:
                 self._ended.wait(self._retry)
 
     def mend(self, correction: ClockCorrection) -> None:
@@ -304,6 +306,7 @@ class Committer:
         queued = (*map(id, self._intervals), *(id(each) for _, each in self._alarms))
         if correction.others.isdisjoint(queued):
             correction.last = newest
+            self._untold = correction.clock
 
     def _mend(self) -> bool:
         """Correct times in one segment file, if a correction is wanted.
@@ -317,6 +320,7 @@ class Committer:
                 return True
         try:
             if not self._is_mending:
+                self.writer.roll()  # what is committed from now on has right times, some equal to wrong ones
                 self.writer.begin_mending(correction.clock, correction.last)
                 self._is_mending = True
             more = self.writer.mend_next()
@@ -447,7 +451,8 @@ class Committer:
             if self._error is not None:
                 _log.warning("the store can be written again; %d samples were lost so far", self._lost)
             self._error = None
-        self._tell(commit)
+            correction, self._untold = self._untold, None
+        self._tell(commit if correction is None else replace(commit, correction=correction))
         with self._changed:  # only now: subscribers have what was committed
             self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False

@@ -18,6 +18,7 @@ from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
 from ..samples import Quality, Value, quality_of
 from .alarm_events import alarm_events, alarm_rows
+from .clock_correction import EVERY
 from .file_rows import Row
 from .folder import SEGMENTS
 from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
@@ -125,6 +126,8 @@ class CommitReader:
     def last_before(self, moment: int, after: int) -> int:
         """Return the number of the last commit before a time; ``after`` if there is none after that commit.
 
+        All commits up to it are from before that time too. One whose time is still to be corrected is not.
+
         Of a sealed part only the time of its last commit is known: it counts if all its commits are before the time.
 
         Args:
@@ -158,17 +161,25 @@ class CommitReader:
         return found
 
     def _last_before(self, moment: int, after: int) -> int:
-        last = after
+        last, unmended = after, self._manifest.fact("awaits_clock") or EVERY
         for part in self._parts(after):
             if part.kind == "sealed":
-                if EARLIEST <= (part.alive or 0) < moment:
+                if (part.alive or 0) >= moment:
+                    break
+                if (part.alive or 0) >= EARLIEST:
                     last = max(last, part.last_commit or 0)
                 continue
             with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:
-                row = database.execute(
-                    "SELECT max(number) FROM commits WHERE at >= ? AND at < ?", (EARLIEST, moment)
+                (young,) = database.execute(
+                    "SELECT min(number) FROM commits WHERE number > ? AND at >= ?", (after, moment)
                 ).fetchone()
-                last = max(last, row[0] or 0)
+                end = min(unmended, EVERY if young is None else young)
+                (old,) = database.execute(
+                    "SELECT max(number) FROM commits WHERE number < ? AND at >= ?", (end, EARLIEST)
+                ).fetchone()
+                last = max(last, old or 0)
+                if young is not None or unmended <= (part.last_commit or 0):
+                    break
         return last
 
     def _parts(self, after: int) -> list[StorePart]:

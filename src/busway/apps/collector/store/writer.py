@@ -75,6 +75,7 @@ class Commit:
         alarms: events of alarms.
         shown: all reads of the commit, to show last values; None if ``batches`` has them all. In place of a sample that
             the report rules do not keep, a read has the last kept sample of the point.
+        correction: the correction of all times in commits before this one, since the start; None for no correction.
     """
 
     number: int
@@ -83,6 +84,7 @@ class Commit:
     intervals: Sequence[StateInterval | Gap]
     alarms: Sequence[AlarmEvent] = ()
     shown: Sequence[SampleBatch] | None = None
+    correction: ClockCorrection | None = None
 
     @property
     def last_values(self) -> Sequence[SampleBatch]:
@@ -149,8 +151,9 @@ class StoreWriter:
                 remove_unlisted(self.folder, self.manifest)
                 self._next, self._behind = self.manifest.reserve_numbers()
                 self._first = self._next
-                self._awaits_clock = now < EARLIEST or not clock_is_right
                 self._recover(now)
+                self._awaits_clock = now < EARLIEST or not clock_is_right
+                self.manifest.set_fact("awaits_clock", self._first if self._awaits_clock else None)
                 unless_open.pop_all()
         except (sqlite3.Error, OSError) as error:
             raise ConfigError(f"the store cannot be written: {error}", file=str(self.folder)) from error
@@ -270,6 +273,7 @@ class StoreWriter:
                 return True  # the next commit opens it again
         finally:
             self._files.release()
+        self.manifest.set_fact("awaits_clock", None)
         self.manifest.set_fact("mend_from", None)
         self._awaits_clock = False
         return False
