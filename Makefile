@@ -54,7 +54,7 @@ ONE_PYTHON := $(addprefix tests/, \
 	$(addprefix apps/collector/test_, clock_walk.py dashboards.py learning.py many_dead_devices.py plan.py \
 	right_values.py schedule.py) \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
-	apps/collector/commands/test_crashes.py \
+	$(addprefix apps/collector/commands/test_, crashes.py no_way_round_rules.py) \
 	$(addprefix apps/collector/sinks/test_, hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
 	$(addprefix apps/collector/store/test_, crashes.py power_failure.py sealed_files.py) \
 	$(addprefix apps/fleet/test_, chain_model.py coordinators.py lease_holder.py) \
