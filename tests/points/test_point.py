@@ -77,6 +77,41 @@ def test_a_write_keeps_to_its_range_and_its_steps() -> None:
         rule.check(math.nan)
 
 
+@pytest.mark.parametrize(
+    ("value", "step", "low"),
+    [
+        (1_000_000.5, 1, None),  # half a step, also where a share of all steps is more than that
+        (8_388_607.5, 1, None),  # a number of 32 bits, as are the next two
+        (2_000_000.25, 0.5, None),
+        (-524_288.03125, 0.0625, None),
+        (2**60 + 1, 2, None),  # floats do not tell it from 2**60
+        (float(2**52 + 1), 2, None),
+        (1_000_000_000.5, 1, 1_000_000_000),
+    ],
+)
+def test_a_value_between_two_steps_is_refused_however_large_it_is(value: float, step: float, low: float | None) -> None:
+    with pytest.raises(InvalidRequest, match="must be a whole number of steps"):
+        WriteRule(minimum=low, step=step).check(value)
+
+
+@pytest.mark.parametrize("value", [0.1 + 0.2, 0.30000001192092896, 1e6, 123456.7, 1e15 + 0.1, 1e300, -0.7])
+def test_the_error_of_a_binary_fraction_is_no_part_of_a_step(value: float) -> None:
+    WriteRule(step=0.1).check(value)
+
+
+@pytest.mark.parametrize(
+    ("value", "scale"), [(100_000.05, 0.1), (1234.5009, 0.1), (2**30 + 1, 2.0), (150_000.75, 0.5), (9_000_000.05, 0.1)]
+)
+def test_a_value_between_two_raw_numbers_is_refused_however_large_it_is(value: float, scale: float) -> None:
+    with pytest.raises(InvalidRequest, match="is no whole number of steps"):
+        Point("p", HOLDING, 0, value_type("int64"), Conversion(scale)).encode(value)
+
+
+@pytest.mark.parametrize(("value", "raw"), [(0.1 + 0.2, 3), (18.299999237060547, 183), (1e15 + 0.1, 10**16 + 1)])
+def test_the_error_of_a_binary_fraction_changes_no_raw_number(value: float, raw: int) -> None:
+    assert Point("p", HOLDING, 0, value_type("int64"), Conversion(0.1)).encode(value) == raw.to_bytes(8, "big")
+
+
 def test_reports_follow_the_deadband_and_end_a_silence() -> None:
     change = ReportRule("change", deadband=0.5)
     assert [change.is_due(10.0, now, 1e9) for now in (10.5, 10.6, 9.4)] == [False, True, True]

@@ -11,6 +11,7 @@ Knows numbers; knows no register, type or point.
 """
 
 import math
+import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
@@ -19,10 +20,14 @@ from typing import Final
 from ..errors import InvalidRequest
 from ..values.refusal import shown
 
-_MOST_STEPS_OFF: Final = 1e-6
-"""How far a value may be from a whole number of steps, because of the error of binary fractions: in steps, or as a
-share of their number.
-"""
+_MOST_STEPS_OFF: Final = Fraction(1, 1_000_000)
+"""How far a value may be from a whole number of steps in any case, in steps."""
+_MOST_STEPS_OFF_OF_ALL: Final = Fraction(1, 10)
+"""The same for the largest values: half a step is never taken for a whole one."""
+_ROUNDING: Final = Fraction(1, 1 << 49)
+"""Largest relative error of a float that was computed in a few steps: eight times its last bit."""
+_ROUNDING_OF_FLOAT32: Final = Fraction(1, 1 << 24)
+"""Largest relative error of the nearest number of 32 bits."""
 LARGEST_EXPONENT: Final = 10
 """Scale factors lie in -10…10 (SunSpec Device Information Model Specification, sunssf)."""
 
@@ -74,9 +79,9 @@ class Conversion:
     def factors(self) -> tuple[Fraction, Fraction]:
         """Return scale and offset as exact fractions; those of the linear range if there is one."""
         if self.linear is None:
-            return _exact(self.scale), _exact(self.offset)
-        low, high = _exact(self.linear.raw[0]), _exact(self.linear.raw[1])
-        least, most = _exact(self.linear.value[0]), _exact(self.linear.value[1])
+            return exact(self.scale), exact(self.offset)
+        low, high = exact(self.linear.raw[0]), exact(self.linear.raw[1])
+        least, most = exact(self.linear.value[0]), exact(self.linear.value[1])
         scale = (most - least) / (high - low)
         return scale, least - low * scale
 
@@ -129,16 +134,36 @@ class Conversion:
                 raise InvalidRequest(f"{shown(value)} is no whole number of steps of {self.scale:g}")
             return value
         scale, offset = self.factors()
-        steps = (_exact(value) / Fraction(10) ** exponent - offset) / scale
+        steps = (exact(value) / Fraction(10) ** exponent - offset) / scale
         if not whole:
             return float(steps)
-        nearest = round(steps)
-        if abs(steps) >= 1 << 64 or abs(steps - nearest) > max(_MOST_STEPS_OFF, _MOST_STEPS_OFF * float(abs(steps))):
+        if abs(steps) >= 1 << 64 or not is_whole(steps, value, scale * Fraction(10) ** exponent):
             raise InvalidRequest(f"{shown(value)} is no whole number of steps of {float(scale):g}")
-        return nearest
+        return round(steps)
 
 
-def _exact(number: float) -> Fraction:
+def is_whole(steps: Fraction, value: float, step: Fraction) -> bool:
+    """Whether a number of steps is whole, but for the error of the binary fraction that it was computed from.
+
+    Args:
+        steps: the number of steps.
+        value: the value that they make, in the unit of measure.
+        step: the size of a step, in the unit of measure.
+    """
+    error = Fraction(0)
+    if not isinstance(value, int):
+        error = abs(exact(value) / step) * (_ROUNDING_OF_FLOAT32 if _is_float32(value) else _ROUNDING)
+    return abs(steps - round(steps)) <= max(_MOST_STEPS_OFF, min(error, _MOST_STEPS_OFF_OF_ALL))
+
+
+def _is_float32(value: float) -> bool:
+    try:
+        return bool(struct.unpack("<f", struct.pack("<f", value))[0] == value)
+    except OverflowError:
+        return False
+
+
+def exact(number: float) -> Fraction:
     """Return a float as the exact decimal fraction that its text shows: 1/10 for 0.1."""
     return Fraction(number) if isinstance(number, int) else Fraction(repr(float(number)))
 

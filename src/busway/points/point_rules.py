@@ -14,6 +14,7 @@ from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
 from ..errors import InvalidRequest
 from ..values import Address
 from ..values.refusal import shown
+from .conversion import exact, is_whole
 
 _ROUNDING: Final = 2.0**-49
 """Largest relative error of a float that was computed in a few steps: eight times its last bit."""
@@ -106,8 +107,8 @@ class WriteRule:
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
         if self.step is not None:
-            steps = (value - (low or 0.0)) / self.step
-            if abs(steps - round(steps)) > 1e-6 * max(1.0, abs(steps)):
+            step = exact(self.step)
+            if not is_whole((exact(value) - exact(low or 0)) / step, value, step):
                 raise InvalidRequest(
                     f"must be a whole number of steps of {self.step:g} from {low or 0.0:g} on, not {shown(value)}"
                 )

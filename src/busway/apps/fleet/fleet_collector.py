@@ -149,7 +149,7 @@ class FleetCollector:
         self.refused: str | None = None
         self.unowned_seconds: float = 0.0
         self.outbox = None
-        self.pass_on: Callable[[str, PointCommand], Awaitable[dict[str, Any]]] | None = None
+        self.pass_on: Callable[[str, PointCommand, str], Awaitable[dict[str, Any]]] | None = None
         self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
         name_edge_nodes(configuration, name)
         self._set_configuration(configuration)
@@ -663,8 +663,8 @@ class _OtherOwners:
         await asyncio.sleep(LOOK_AGAIN)
         return self._fleet.is_responsible(link)
 
-    async def pass_on(self, command: PointCommand) -> dict[str, Any]:
+    async def pass_on(self, command: PointCommand, role: str) -> dict[str, Any]:
         if self._fleet.pass_on is None:
             reason = f"the link of {command.device} is not owned here, and commands cannot be passed on now"
             return {"key": command.key, "state": CommandState.REFUSED.value, "reason": f"{reason}; nothing was sent"}
-        return await self._fleet.pass_on(self._fleet.link_of(command.device), command)
+        return await self._fleet.pass_on(self._fleet.link_of(command.device), command, role)

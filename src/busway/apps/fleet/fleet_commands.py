@@ -3,15 +3,16 @@
 Knows subjects and the collector, and how another program asks (`send_command`); which request a command is, its rules,
 its key and the wire are the collector's own. Works with nats-server 2.9.
 
-1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by and expires. Only
-   the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
+1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by, expires and
+   role. Only the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
 2. Its key is taken as that of any write of a collector of a fleet (`key_table`).
 3. When a command of this collector ends, whatever way it came, a message about it is also sent to the stream of audit
    lines, ``busway.<zone>.audit``.
 4. A command that reached a collector as a message, for a link that another one owns, goes the same way to its owner.
 5. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
-   sender says of itself. Such a sender has the role `configure`, as a program has; a point whose commands must be armed
-   is not written this way, because there is one step only.
+   sender says of itself. Such a sender has the role `configure`, as a program has, if it does not say that it has less:
+   a collector that passes on a message says the role of that. A point whose commands must be armed is not written this
+   way, because there is one step only.
 """
 
 import asyncio
@@ -25,9 +26,11 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from ...errors import ConfigError, InvalidRequest, LinkDown, WriteOutcomeUnknown
+from ...values.refusal import shown
 from ..collector.commands.audit import command_line
 from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks
+from ..collector.commands.rights import WriterRights
 from ..collector.sinks.nats import subject_token
 from ..collector.task_errors import log_defect
 from .coordinators.nats import asked
@@ -43,7 +46,9 @@ LISTEN_AGAIN: Final = 5.0
 LONGEST_WAIT: Final = 60.0
 ANSWER_SECONDS: Final = 15.0
 """Seconds to wait for the answer beyond the time of a command that was passed on: the value is read back before."""
-_KEYS: Final = {"key", "device", "point", "value", "by", "expires"}
+_KEYS: Final = {"key", "device", "point", "value", "by", "expires", "role"}
+_MAY_BE_LEFT_OUT: Final = {"by", "expires", "role"}
+_ROLES: Final = ("operate", "configure")
 _log = logging.getLogger("busway.fleet")
 
 
@@ -58,7 +63,7 @@ async def send_command(client: Any, zone: str, link: str, content: dict[str, Any
     Args:
         client: connected client of `connect_nats`.
         zone, link: names of the zone and the link.
-        content: the command: key, device, point and value, and if wanted by and expires (rule 1).
+        content: the command: key, device, point and value, and if wanted by, expires and role (rule 1).
         seconds: seconds to wait for the answer.
 
     Returns:
@@ -170,11 +175,11 @@ class FleetCommands:
             with contextlib.suppress(errors.Error, OSError):
                 self._subscribed[subject] = await self._client.subscribe(subject, cb=self._came)
 
-    async def _pass_on(self, link: str, command: PointCommand) -> dict[str, Any]:
+    async def _pass_on(self, link: str, command: PointCommand, role: str) -> dict[str, Any]:
         """Ask the owner of a link to execute a command, and return its answer; an error is returned as an answer."""
         left = max(0.0, command.expires - self._now())
         content = {"key": command.key, "device": command.device, "point": command.point, "value": command.value}
-        content |= {"by": command.by, "expires": command.expires}
+        content |= {"by": command.by, "expires": command.expires, "role": role}
         try:
             return await send_command(self._client, self._zone, link, content, min(left, LONGEST_WAIT) + ANSWER_SECONDS)
         except WriteOutcomeUnknown as error:
@@ -202,7 +207,7 @@ class FleetCommands:
             data: the command in JSON (rule 1).
         """
         try:
-            command = self._parsed(data)
+            command, rights = self._parsed(data)
             device = self._fleet.collector.configuration.devices.get(command.device)
             if device is None or command_subject(self._zone, device.link) != subject:
                 raise InvalidRequest(f"{command.device} is not a device of this link here; nothing was sent")
@@ -214,21 +219,25 @@ class FleetCommands:
                 origin=command.origin,
                 expires=command.expires,
                 key=command.key,
+                rights=rights,
             )
             return result.content()
         except InvalidRequest as error:
             return {"state": CommandState.REFUSED.value, "reason": error.message}
 
-    def _parsed(self, data: bytes) -> PointCommand:
+    def _parsed(self, data: bytes) -> tuple[PointCommand, WriterRights]:
         try:
             given = json.loads(data) if len(data) <= LONGEST_REQUEST else None
         except (ValueError, RecursionError) as error:
             raise InvalidRequest(f"a command is a JSON object: {error}") from error
-        if not isinstance(given, dict) or not _KEYS - {"by", "expires"} <= given.keys() <= _KEYS:
+        if not isinstance(given, dict) or not _KEYS - _MAY_BE_LEFT_OUT <= given.keys() <= _KEYS:
             raise InvalidRequest(
-                "a command is a JSON object of key, device, point, value and, if wanted, by and expires"
+                "a command is a JSON object of key, device, point, value and, if wanted, by, expires and role"
             )
-        return PointCommand(
+        role = given.get("role", "configure")
+        if role not in _ROLES:
+            raise InvalidRequest(f"role is {' or '.join(_ROLES)}, not {shown(role)}")
+        command = PointCommand(
             given["key"],
             given["device"],
             given["point"],
@@ -237,6 +246,7 @@ class FleetCommands:
             "fleet",
             given.get("expires", self._now() + USUAL_SECONDS),
         )
+        return command, WriterRights(role)
 
     def _told(self, result: CommandResult) -> None:
         """Publish the audit line of a command that has ended, in a task. The collector calls it for each command."""

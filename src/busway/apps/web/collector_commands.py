@@ -203,7 +203,8 @@ class CommandsApi:
     async def confirm_command(self, key: Annotated[str, InPath(max_length=100)], caller: Operator) -> CommandAnswer:
         """Send a checked command to its device, and return the result. A second time returns the same result."""
         try:
-            return _answer(await self._collector.commands.confirm(key, by=caller.name))
+            rights = WriterRights(caller.role.label)
+            return _answer(await self._collector.commands.confirm(key, by=caller.name, origin="page", rights=rights))
         except NoSuchCommand as error:
             raise HTTPException(404, error.message) from error
 

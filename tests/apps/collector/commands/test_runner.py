@@ -369,6 +369,23 @@ async def test_a_unit_that_all_devices_of_a_line_obey_is_refused(tmp_path: Path)
             assert "which all devices of a line obey" in result.reason
 
 
+@pytest.mark.parametrize("is_elsewhere", [False, True])
+async def test_unit_0_beside_other_units_of_one_gateway_is_refused_on_whatever_link_they_are(
+    tmp_path: Path, is_elsewhere: bool
+) -> None:
+    async with RecordedDevice().server() as server, RecordedDevice().server() as other:
+        url = other.endpoints[0] if is_elsewhere else server.endpoints[0]
+        more = f'[[link]]\nname = "roof"\nurl = "{url}"\n'
+        more += '[[device]]\nname = "fan"\nlink = "roof"\nunit = 1\nprofile = "valve.toml"\n'
+        file = commanded_plant(tmp_path, server.endpoints[0], more=more)
+        file.write_text(file.read_text().replace("unit = 1", "unit = 0", 1))
+        async with busway.collect(file) as collector:
+            await until(lambda: collector.status()[0].state == "polled")
+            result = await collector.write("boiler", "setpoint", 5, by="anna")
+            assert (result.state is DONE) is is_elsewhere
+            assert ("which all devices of a line obey" in result.reason) is not is_elsewhere
+
+
 async def test_a_journal_that_cannot_be_written_sends_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     async with plant(tmp_path) as running:
         journal = running.collector.commands._journal

@@ -88,7 +88,7 @@ class PointCommand:
     expires: float
 
     def __post_init__(self) -> None:
-        if not isinstance(self.key, str) or not _KEY.fullmatch(self.key):
+        if not is_key(self.key):
             raise InvalidRequest(f"a key has 1…100 letters, digits or . _ : @ -, not {shown(self.key)}")
         for name in ("device", "point", "by", "origin"):
             text = getattr(self, name)
@@ -104,6 +104,11 @@ class PointCommand:
     def is_same(self, other: "PointCommand") -> bool:
         """Whether another command writes the same value to the same point; who gave it does not matter."""
         return (self.device, self.point) == (other.device, other.point) and same_value(self.value, other.value)
+
+
+def is_key(key: object) -> bool:
+    """Whether a key can be that of a command."""
+    return isinstance(key, str) and _KEY.fullmatch(key) is not None
 
 
 def _check_value(value: object) -> None:

@@ -283,7 +283,7 @@ class CommandReceiver:
                 return self._refuse(message.where, f"no collector owns the link of {device} now; nothing was sent")
             if "key" not in given:
                 command = replace(command, key=f"write-{secrets.token_hex(12)}")
-            return _encoded(await self._others.pass_on(command))
+            return _encoded(await self._others.pass_on(command, rights.role))
         if since is not None and not self._is_shared and "key" not in given and arrived - since < SETTLED:
             reason = "its owner before may have executed this; send it with a key, or later"
             left = since + SETTLED - arrived
@@ -311,14 +311,23 @@ class CommandReceiver:
         Args:
             where: topic or subject of the message.
             given: the keys of the message.
-            command: the command, for its device, point and sender.
+            command: the command, for its device, point, sender and time.
             rights: what messages from this server may do.
         """
-        runner = self._runner
+        runner, left = self._runner, command.expires - self._now()
         try:
             if "confirm" in given:
-                point = command.device, command.point
-                return _encoded((await runner.confirm(given["confirm"], by=command.by, point=point)).content())
+                result = await runner.confirm(
+                    given["confirm"],
+                    by=command.by,
+                    origin=command.origin,
+                    point=(command.device, command.point),
+                    seconds=left,
+                    rights=rights,
+                )
+                return _encoded(result.content())
+            if left <= 0:
+                raise InvalidRequest("its time was over; nothing is armed")
             armed = runner.arm(
                 command.device, command.point, command.value, by=command.by, origin=command.origin, rights=rights
             )
@@ -348,6 +357,8 @@ class CommandReceiver:
         said = given.get("by", message.by)
         if not isinstance(said, str):
             raise InvalidRequest(f"by is a text, not {shown(said)}")
+        if len(said) > _LONGEST_NAME and given.keys() & {"arm", "confirm"}:  # two that are cut may seem one
+            raise InvalidRequest(f"by has at most {_LONGEST_NAME} characters in a command in two steps")
         name = f"{self._name}: {said[:_LONGEST_NAME]}" if said else self._name
         key = given.get("key", new_key(now))
         return PointCommand(key, device, point, given["value"], name, self._input.kind, expires)

@@ -33,8 +33,12 @@ class OtherOwners(Protocol):
             device: name of the device; None for a message that names none.
         """
 
-    async def pass_on(self, command: PointCommand) -> dict[str, Any]:
+    async def pass_on(self, command: PointCommand, role: str) -> dict[str, Any]:
         """Have the owner of the device's link execute a command, and return its answer, as JSON data.
 
         Nothing is raised: an error is told in the answer.
+
+        Args:
+            command: the command.
+            role: the role of its writer. The owner decides by its own configuration, which may be a newer one.
         """

@@ -8,6 +8,7 @@ Knows the journal, the audit log and the pollers of links; decides by `point_wri
 2. What is against a rule, or too late, is refused before any byte, and recorded as such. What finds too many commands
    open, a link that is begun anew, or a log or journal that cannot be written, is refused without a record: it may be
    asked again. Its key is looked up before: a command that was sent is never said to be refused.
+   Who may write, and what, is judged when a command is taken and again in its turn: another file may hold by then.
 3. One command of a device runs at a time, in the order of their coming. It is sent in a turn of the poller, before
    reads, and never repeated, whatever the options of the link say. Its time is over when the wall clock or the
    monotonic clock says so: a clock that is set makes it shorter, never longer.
@@ -45,6 +46,7 @@ from .command import (
     CommandValue,
     OldValue,
     PointCommand,
+    is_key,
     new_key,
 )
 from .journal import CommandJournal
@@ -127,7 +129,6 @@ class ArmedCommand:
         until: until when it may be confirmed, seconds of the monotonic clock.
         poller: the poller of the device when the command was armed; with another poller, device and point may be
             others.
-        rights: what the writer may do.
     """
 
     command: PointCommand
@@ -135,7 +136,21 @@ class ArmedCommand:
     sentence: str
     until: float
     poller: LinkPoller
+
+
+@dataclass(frozen=True, slots=True)
+class _Permission:
+    """What a command may do; it is looked at when the command is taken, and again when it is its turn.
+
+    Attributes:
+        rights: what its writer may do.
+        poller: polls the link since before the command was armed: another one may poll another point. None for any.
+        until: until when it may be sent, beside its expiry, by the clock of the event loop.
+    """
+
     rights: WriterRights
+    poller: LinkPoller | None = None
+    until: float = math.inf
 
 
 class _LinkEnded(Exception):
@@ -304,8 +319,7 @@ class CommandRunner:
         now, moment = self._now(), self._moment()
         command = PointCommand(new_key(now), device, point, value, by, origin, now + ARMED_SECONDS)
         target = self._targets.target(device, point)
-        rights = replace(rights, has_armed=True)
-        refusal = self._refusal(command, rights)
+        refusal = self._refusal(command, _Permission(replace(rights, has_armed=True)))
         if refusal:
             self.refused(self._result(command), refusal)
             raise InvalidRequest(refusal)
@@ -316,41 +330,57 @@ class CommandRunner:
         old = self._targets.last(device, point)
         is_now = f", now {_text(old.value, target.point)} ({old.quality})" if old is not None else ""
         sentence = f"Write {_text(value, target.point)} to {device}/{point}{is_now}?"
-        armed = ArmedCommand(command, old, sentence, moment + ARMED_SECONDS, target.poller, rights)
+        armed = ArmedCommand(command, old, sentence, moment + ARMED_SECONDS, target.poller)
         self._armed[command.key] = armed
         return armed
 
-    async def confirm(self, key: str, *, by: str, point: tuple[str, str] | None = None) -> CommandResult:
+    async def confirm(
+        self,
+        key: str,
+        *,
+        by: str,
+        origin: str | None = None,
+        point: tuple[str, str] | None = None,
+        seconds: float = math.inf,
+        rights: WriterRights = PROGRAM,
+    ) -> CommandResult:
         """Send an armed command, and return its result; for the same key again, return the first result.
 
         Args:
             key: the key of the armed command.
             by: who confirms; it must be who armed the command.
+            origin: on which way the confirmation comes; it must be that of the command. None for any.
             point: device and point that the command must be for; None for any.
+            seconds: for how long it may be sent, beside the time for which it was armed.
+            rights: what the writer may do now; it may be less than when the command was armed.
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
-            InvalidRequest: another person armed the command, it is for another point, or its link was begun anew since,
-                so that the point may be another. Nothing was sent.
+            InvalidRequest: another person armed the command, or on another way, it is for another point, or its link
+                was begun anew since, so that the point may be another. Nothing was sent.
             OSError: the journal cannot be read; nothing was sent.
         """
-        armed = self._armed.get(key)
+        armed = self._armed.get(key) if is_key(key) else None
         if armed is not None:
-            if armed.command.by != by:
-                raise InvalidRequest(f"{armed.command.by} has armed it, and has to confirm it")
             command = armed.command
-            if point is not None and (command.device, command.point) != point:
-                raise InvalidRequest(f"it was armed for {command.device}/{command.point}; nothing was sent")
+            if command.by != by:
+                raise InvalidRequest(f"{command.by} has armed it, and has to confirm it")
+            if origin not in (None, command.origin):
+                raise InvalidRequest(f"it was armed by way of {command.origin}, and has to be confirmed on that way")
+            _check_place(command, point)
             del self._armed[key]
             if self._targets.target(command.device, command.point).poller is not armed.poller:
-                raise InvalidRequest(f"the link of {command.device} was begun anew since this was armed; arm it anew")
-            return await self._submit(command, armed.rights, armed.until - self._moment())
-        running = self._running.get(key)
+                raise InvalidRequest(_begun_anew(command))
+            left = min(seconds, armed.until - self._moment())
+            return await self._submit(command, replace(rights, has_armed=True), left, armed.poller)
+        running = self._running.get(key) if is_key(key) else None
         if running is not None:
+            _check_place(running.command, point)
             return await asyncio.shield(running.task)
-        found = await self._in_thread(self._journal.find, key) if isinstance(key, str) else None
+        found = await self._in_thread(self._journal.find, key) if is_key(key) else None
         if found is None:
             raise NoSuchCommand("there is no command with this key; arm it anew")
+        _check_place(found.command, point)
         return self._unrecorded.get(key, found)
 
     async def newest(self, limit: int) -> list[CommandResult]:
@@ -360,14 +390,23 @@ class CommandRunner:
 
     # Taking one.
 
-    async def _submit(self, command: PointCommand, rights: WriterRights, seconds: float = math.inf) -> CommandResult:
+    async def _submit(
+        self,
+        command: PointCommand,
+        rights: WriterRights,
+        seconds: float = math.inf,
+        poller: LinkPoller | None = None,
+    ) -> CommandResult:
         """Execute a command and return its result; if the same command is in execution, wait for that one.
 
         Args:
             command: the command.
             rights: what its writer may do.
             seconds: for how long it may be sent, beside its expiry.
+            poller: polls the link since before it was armed; None for any.
         """
+        left = min(seconds, command.expires - self._now())
+        permission = _Permission(rights, poller, asyncio.get_running_loop().time() + left)
         joined = await self._joined(command)
         if joined is not None:
             return joined
@@ -377,7 +416,7 @@ class CommandRunner:
                 return self.refused(self._result(command), "the collector ends; this command was not taken")
             return await self._refused_now(command, f"{waiting} commands of {command.device} are open")
         self._devices[command.device] = lock, waiting + 1
-        task = asyncio.create_task(self._take(command, lock, rights, seconds), name=f"busway command {command.key}")
+        task = asyncio.create_task(self._take(command, lock, permission), name=f"busway command {command.key}")
         self._running[command.key] = _Running(command, task)
         task.add_done_callback(lambda _: self._leave(command))
         return await asyncio.shield(task)
@@ -390,26 +429,22 @@ class CommandRunner:
         else:
             del self._devices[command.device]
 
-    async def _take(
-        self, command: PointCommand, lock: asyncio.Lock, rights: WriterRights, seconds: float
-    ) -> CommandResult:
+    async def _take(self, command: PointCommand, lock: asyncio.Lock, permission: _Permission) -> CommandResult:
         """Check and record a command, send it, and record its result (rules 1 and 2); return the result.
 
         Args:
             command: the command.
             lock: held while a command of the device is sent.
-            rights: what its writer may do.
-            seconds: for how long it may be sent, beside its expiry.
+            permission: what it may do.
         """
-        until = asyncio.get_running_loop().time() + min(seconds, command.expires - self._now())
         result = self._result(command)
         try:
-            refusal = self._refusal(command, rights)
+            refusal = self._refusal(command, permission)
         except NotPolledNow as error:
             return await self._refused_now(command, error.message)
         if refusal:
             result = result.finished(CommandState.REFUSED, refusal)
-        elif self._left(command, until) <= 0:
+        elif self._left(command, permission.until) <= 0:
             result = result.finished(CommandState.EXPIRED, "its time was over; nothing was sent")
         elif not self._audit.takes_writes:
             return await self._refused_now(command, "the audit log cannot be written")
@@ -425,7 +460,7 @@ class CommandRunner:
             return self._tell(result)
         self._step("claimed")
         async with lock:
-            result = await self._send_guarded(result, until)
+            result = await self._send_guarded(result, permission)
         self._step("answered")
         self._append(result)
         try:
@@ -571,33 +606,37 @@ class CommandRunner:
 
     # Deciding.
 
-    def _refusal(self, command: PointCommand, rights: WriterRights) -> str:
-        """Return why a command cannot be sent, as a sentence; empty if it can."""
+    def _refusal(self, command: PointCommand, permission: _Permission) -> str:
+        """Return why a command cannot be sent, as a sentence; empty if it can. Raises `NotPolledNow`."""
         try:
-            refusal = rights.refusal(self._targets.target(command.device, command.point).point.writing)
-            if refusal:
-                return f"{command.device}/{command.point} {refusal}"
-            self._planned(command)
+            self._planned(command, permission)
+        except NotPolledNow:
+            raise
         except InvalidRequest as error:
             return error.message
         if command.expires - self._now() > LONGEST_SECONDS:
             return f"expires is further away than {LONGEST_SECONDS:g} s; nothing was sent"
         return ""
 
-    def _planned(self, command: PointCommand) -> tuple[PointWrite, LinkPoller]:
+    def _planned(self, command: PointCommand, permission: _Permission) -> tuple[PointWrite, LinkPoller]:
         """Check whether a command can be sent now, and return its write and the poller of its link.
 
         Raises:
             InvalidRequest: it is against a rule, or its device is in maintenance or does not answer; nothing was sent.
         """
         target = self._targets.target(command.device, command.point)
+        refusal = permission.rights.refusal(target.point.writing)
+        if refusal:
+            raise InvalidRequest(f"{command.device}/{command.point} {refusal}")
+        if permission.poller not in (None, target.poller):
+            raise InvalidRequest(_begun_anew(command))
         if target.is_broadcast:
             raise InvalidRequest(f"{command.device} has unit 0, which all devices of a line obey; nothing was sent")
         if target.is_absent:
             raise InvalidRequest(f"{command.device} does not have {command.point} now; nothing was sent")
-        scheduled = target.poller.schedule.devices.get(command.device)
-        if scheduled is not None and scheduled.is_paused:
+        if _is_in_maintenance(target.poller, command.device):
             raise InvalidRequest(f"{command.device} is in maintenance; nothing was sent")
+        scheduled = target.poller.schedule.devices.get(command.device)
         device = target.poller.devices[command.device]
         if scheduled is not None and scheduled.lives is False:
             error = f": {device.last_error}" if device.last_error else ""
@@ -609,20 +648,21 @@ class CommandRunner:
 
     # Sending.
 
-    async def _send_guarded(self, result: CommandResult, until: float) -> CommandResult:
+    async def _send_guarded(self, result: CommandResult, permission: _Permission) -> CommandResult:
         try:
-            return await self._send(result, until)
+            return await self._send(result, permission)
         except Exception:  # a defect: it may have been sent, so its end is recorded and told as unknown, not lost
             _log.exception("a command ended by a defect")
             return result.finished(CommandState.UNKNOWN, "a defect of this program, which its log shows")
 
-    async def _send(self, result: CommandResult, until: float) -> CommandResult:
+    async def _send(self, result: CommandResult, permission: _Permission) -> CommandResult:
         command = result.command
         try:
-            write, poller = self._planned(command)  # anew: others went before, and the file may have been read again
+            # Anew: others went before, and the file may have been read again.
+            write, poller = self._planned(command, permission)
         except InvalidRequest as error:
             return result.finished(CommandState.FAILED, error.message)
-        turn = _WriteTurn(write, poller, command.device, lambda: self._left(command, until))
+        turn = _WriteTurn(write, poller, command.device, lambda: self._left(command, permission.until))
         try:
             state, reason = await _in_turn(poller, command.device, turn.make)
         except Overloaded as error:
@@ -690,8 +730,7 @@ class _WriteTurn:
         held = b""
         if self._left() <= 0:
             return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
-        scheduled = self._poller.schedule.devices.get(self._device)
-        if scheduled is not None and scheduled.is_paused:
+        if _is_in_maintenance(self._poller, self._device):
             return CommandState.FAILED, f"{self._device} is in maintenance; nothing was sent"
         if self._write.before is not None:
             try:
@@ -702,6 +741,8 @@ class _WriteTurn:
             await self._poller.wait_for(self._device)  # its pause after each reply may be longer than what is left
             if self._left() <= 0:
                 return CommandState.EXPIRED, "its time was over while the register was read; nothing was sent"
+            if _is_in_maintenance(self._poller, self._device):  # it began meanwhile, and people may work there now
+                return CommandState.FAILED, f"{self._device} is in maintenance; nothing was sent"
         self.has_begun = True
         return judged(await _asked(self._poller, self._device, self._write.request(held), self._left()))
 
@@ -719,15 +760,32 @@ class _ReadTurn:
             Whether the device shows the written value, and the value that it shows.
 
         Raises:
-            ModbusError: the point could not be read.
+            ModbusError: the point could not be read, or its device is in maintenance.
         """
         write = self._write
         assert write.shown is not None
+        if _is_in_maintenance(self._poller, self._device):
+            raise InvalidRequest(f"{self._device} is in maintenance")
         began = asyncio.get_running_loop().time()
         is_shown, found = write.shows(await _read(self._poller, self._device, write.shown, math.inf))
-        if write.shown.point is write.point:
+        if write.shown.point is write.point and not _is_in_maintenance(self._poller, self._device):
             self._poller.note_reading(self._device, write.point, found, began)
         return is_shown, plain(found.value)
+
+
+def _begun_anew(command: PointCommand) -> str:
+    return f"the link of {command.device} was begun anew since this was armed; arm it anew; nothing was sent"
+
+
+def _check_place(command: PointCommand, point: tuple[str, str] | None) -> None:
+    """Raise `InvalidRequest` if a command that is confirmed is not for this device and point; None is any."""
+    if point is not None and (command.device, command.point) != point:
+        raise InvalidRequest(f"it was armed for {command.device}/{command.point}; nothing was sent")
+
+
+def _is_in_maintenance(poller: LinkPoller, device: str) -> bool:
+    scheduled = poller.schedule.devices.get(device)
+    return scheduled is not None and scheduled.is_paused
 
 
 async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float) -> bytes:

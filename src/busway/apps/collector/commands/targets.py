@@ -61,7 +61,7 @@ class CollectedTargets:
         derived = poller.devices[device].derived
         is_absent = bool(named.exists) and derived is not None and named in derived.absent()
         return WriteTarget(
-            named, poller, found.rules, is_broadcast=_obeys_broadcasts(configuration, found), is_absent=is_absent
+            named, poller, found.rules, is_broadcast=_obeys_broadcasts(self._plant(), found), is_absent=is_absent
         )
 
     def last(self, device: str, point: str) -> OldValue | None:
@@ -76,12 +76,13 @@ class CollectedTargets:
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
     """Whether a write to a device is a broadcast: its unit is 0, and several units can hear it.
 
-    With MBAP framing, unit 0 can be the one device behind an address; it is a broadcast if the link has other units
-    too.
+    With MBAP framing, unit 0 can be the one device behind an address; it is a broadcast if there are other units too,
+    on this link or on another one to the same address.
     """
     if device.unit != 0:
         return False
     endpoint = configuration.links[device.link].settings.endpoint
     return endpoint.framing != "mbap" or any(
-        other.link == device.link and other.unit not in (0, 255) for other in configuration.devices.values()
+        other.unit not in (0, 255) and configuration.links[other.link].settings.endpoint.url == endpoint.url
+        for other in configuration.devices.values()
     )
