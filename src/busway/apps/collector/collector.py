@@ -242,7 +242,7 @@ class Collector:
         return self._judge.is_known(time_service.kernel_synchronisation(), time_service.seconds_since_boot())
 
     def _opened_store(self, clock_is_right: bool) -> StoreWriter:
-        """Open the store for writing, read what was learnt before, and tell the store the points of the configuration.
+        """Open and return the store, and tell it the points of the configuration; set `knowledge` from its file.
 
         Args:
             clock_is_right: whether the wall clock is known to be right.
@@ -282,7 +282,8 @@ class Collector:
     def _start_commands(self) -> None:
         """Open the audit log, the journal of commands and the record of maintenance.
 
-        Commands that an earlier process left open are ended.
+        Commands that an earlier process left open end as unknown. Maintenance of devices that are no longer in the
+        configuration ends.
 
         Raises:
             ConfigError: one of them cannot be read or written.
@@ -311,7 +312,7 @@ class Collector:
         return self._commands
 
     async def _close_store(self) -> None:
-        """Store the waiting samples, let the sinks send them for a moment, and close store, sinks and pages.
+        """Close the pages, store the waiting samples, stop the sinks, and close the store, in this order.
 
         All are closed even if one of them fails.
         """
@@ -325,7 +326,7 @@ class Collector:
     # What programs use.
 
     async def samples(self, devices: Iterable[str] | None = None) -> AsyncIterator[SampleBatch]:
-        """Yield the samples of devices from now on, one batch for each read, after the batch is in the store.
+        """Yield the samples of devices from the first iteration on, one batch for each read, once it is in the store.
 
         Ends when the collector stops. A program that is too slow misses the oldest batches (`readers_lost`).
 
@@ -333,7 +334,7 @@ class Collector:
             devices: names of the devices; None for all.
 
         Raises:
-            ConfigError: there is no device of this name.
+            ConfigError: there is no device of this name; raised at the first iteration.
         """
         wanted = None if devices is None else frozenset(devices)
         for name in sorted(wanted or ()):
@@ -466,6 +467,8 @@ class Collector:
     def loads(self) -> Mapping[str, tuple[float, float]]:
         """Return the measured load of each link since the start of the collector, by name of the link.
 
+        The load of a link that a reload began anew counts from then on, but is still a share of the whole time.
+
         Returns:
             Two shares of the whole time, each 0…1: the time of all requests; and the part of it that probes of silent
             devices took.
@@ -550,7 +553,10 @@ class Collector:
         return list(self._reloading.refusal)
 
     def check(self, configuration: CollectorConfiguration) -> None:
-        """Raise `ConfigError` if another configuration cannot be used while the collector runs; changes nothing."""
+        """Raise `ConfigError` if another configuration cannot be used while the collector runs.
+
+        Nothing that is in use changes; the store lists the new sinks.
+        """
         refuse_what_cannot_change(self.configuration, configuration)
         self._systems.check(configuration)
 
@@ -568,8 +574,8 @@ class Collector:
             What changed, each as a sentence.
 
         Raises:
-            ConfigError: the store is another one, the port of a page for Prometheus is in use, or the collector ends;
-                nothing was changed.
+            ConfigError: the store is another one or cannot be written, the port of a page for Prometheus is in use,
+                or the collector ends; nothing was changed.
         """
         return await self._reloading.reload(configuration, by, origin)
 
@@ -637,7 +643,7 @@ class Collector:
         return done
 
     def _keep(self, retention: Retention) -> list[str]:
-        """Use other limits of the store from now on; return the change as a sentence."""
+        """Use other limits of the store from now on; return the change as a list of one sentence, empty for none."""
         assert self._committer is not None
         assert self._journal is not None
         writer = self._committer.writer
@@ -795,7 +801,7 @@ class Collector:
 def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
     """Return a collector for asyncio programs: ``async with busway.collect("plant.toml") as collector: …``.
 
-    Nothing is opened or polled before the ``async with`` block.
+    The file is read at once; nothing is opened or polled before the ``async with`` block.
 
     Args:
         file: path of a collector file, or what `load_collector` returned for one.

@@ -63,7 +63,7 @@ class ConnectedSystems:
         self._keys = configuration.sink_keys
 
     def receive(self, configuration: CollectorConfiguration) -> None:
-        """Begin to receive commands from the servers that are not listened to yet."""
+        """Begin, in tasks, to receive commands from the servers that have no receiver yet; other receivers go on."""
         self._input_keys = configuration.input_keys
         for name, made in configuration.inputs.items():
             if name not in self._receiving:
@@ -73,9 +73,10 @@ class ConnectedSystems:
                 self._receiving[name] = receiver, task
 
     def prepare(self, configuration: CollectorConfiguration) -> None:
-        """Bind the ports of new pages of another configuration, and list its new sinks in the store.
+        """Bind the ports of new or moved pages of another configuration, and list its new sinks in the store.
 
-        Nothing that is in use changes.
+        Nothing that is in use changes. A page that gets the URL of one that ends binds nothing: it takes that one over.
+        Ports that an earlier call has bound, and `apply` has not put into use, are released first.
 
         Raises:
             ConfigError: a port cannot be bound, or the store cannot be written now.
@@ -101,7 +102,7 @@ class ConnectedSystems:
                     raise ConfigError(error.message, file=configuration.name, key=f"sink.{name}.url") from error
 
     def check(self, configuration: CollectorConfiguration) -> None:
-        """Raise `ConfigError` if `prepare` does; leave no port bound."""
+        """Raise `ConfigError` if `prepare` does. No port stays bound; the store keeps the list of new sinks."""
         self.prepare(configuration)
         self._discard()
 
@@ -117,8 +118,10 @@ class ConnectedSystems:
     async def apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Put the sinks, pages and inputs of another configuration into use; `prepare` was called with it.
 
+        Receivers of changed inputs have ended when the new ones begin.
+
         Returns:
-            What changed, each as a sentence.
+            One sentence for each changed table ``[[sink]]``, by name; empty if none has changed.
         """
         assert self._thread is not None
         new, before = configuration.sink_keys, self._keys
@@ -165,7 +168,7 @@ class ConnectedSystems:
         await self._end_inputs(set(self._receiving))
 
     def close_sinks(self) -> None:
-        """Let the sinks send what they can for a moment, and end them. For another thread: it waits."""
+        """Stop the sinks; samples that they have not sent wait for the next start. For another thread: it waits."""
         if self._thread is not None:
             self._thread.close()
 
@@ -181,7 +184,7 @@ class ConnectedSystems:
         return [page.url for page in self._pages.values()]
 
     def sink_statuses(self) -> Sequence[SinkStatus]:
-        """Return the status of each sink."""
+        """Return the status of each sink, pages for Prometheus not included; empty before `begin`."""
         return () if self._thread is None else self._thread.statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:

@@ -21,7 +21,7 @@ LATE: Final = 2.0
 
 
 def held_after(period: float) -> float:
-    """Return the seconds after which a value that is read each ``period`` seconds, and was not, is held."""
+    """Return how many seconds after its last read a value is held that is read every ``period`` seconds."""
     return period + max(period, LATE)
 
 
@@ -34,6 +34,8 @@ def hold_limits(
     points: Iterable[Point], items: Mapping[str, Sequence[Point]], periods: Mapping[str, float]
 ) -> dict[str, float]:
     """Return for each point of a device the seconds after which its value is held; a point without period is left out.
+
+    A computed point has the shortest limit of its inputs.
 
     Args:
         points: all points of the device, computed ones included.

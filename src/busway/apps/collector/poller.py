@@ -134,7 +134,7 @@ class PolledDevice:
         reads: reads made in polling rounds since the start, failed ones included.
         failures: reads of polling rounds that failed since the start.
         last_seconds: how long its last transaction took.
-        last_error: the last error; empty if there was none.
+        last_error: the last error, also after the device answers again; empty if there was none.
         maintained: the maintenance that ended last; None if none has.
         suspended: the interval since when it is not polled, because it is silent or in maintenance; None while it is.
         unread: points that no allowed read can fetch, each with the reason, as last told in the log.
@@ -179,12 +179,18 @@ class PolledDevice:
         return found
 
     def is_factor_held(self, name: str, now: float) -> bool:
-        """Whether a scale factor was not read when it was due, so that what it scales is uncertain."""
+        """Whether a scale factor was not read again when it was due, so that what it scales is uncertain.
+
+        False for one that was never read. ``now`` is in seconds of the monotonic clock.
+        """
         at = self.factors_at.get(name)
         return at is not None and now - at > self.limits.get(name, math.inf)
 
     def compiled(self, read: PlannedRead) -> _CompiledRead:
-        """Return one planned read of the device with its request, decoder and points; made at its first use."""
+        """Return one planned read of the device with its request, decoder and points; made at its first use, and kept.
+
+        Before more than `MOST_DECODERS` are kept, all are forgotten, with the last reply of each.
+        """
         found = self._compiled.get(id(read))
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
@@ -215,7 +221,8 @@ class LinkPoller:
         schedule: decides what is sent next; `add` adds devices to it.
         clock: gives samples their time.
         samples: called with each batch of samples at once; must not block.
-        intervals: called with each interval in which a device is not read, when it begins and again when it ends.
+        intervals: called with each interval in which a device is not read, when it begins and again when it ends; with
+            that of skipped rounds only once, when it is over.
         numbered: whether replies carry a transaction identifier, so that timeouts may adapt.
         now: returns seconds of the monotonic clock, which is also the clock of the schedule.
 
@@ -290,7 +297,7 @@ class LinkPoller:
         self.wake()
 
     def remove(self, name: str) -> None:
-        """Stop polling a device of the link and forget it; the interval in which it was silent ends."""
+        """Stop polling a device and forget it; its silence or maintenance, if any, is reported as ended now."""
         device = self.devices.pop(name, None)
         if device is not None:
             self._end_interval(device)
@@ -298,6 +305,8 @@ class LinkPoller:
 
     def pause(self, name: str, *, paused: bool, since: int | None = None) -> None:
         """Begin or end the maintenance of a device; a device in maintenance is not polled.
+
+        An interval in which the device is silent ends too, and is reported.
 
         Args:
             name: name of the device.
@@ -361,7 +370,8 @@ class LinkPoller:
     def note_reading(self, name: str, point: Point, found: Reading, began: float) -> None:
         """Pass on the value of a point that was read before or after a write, as a sample.
 
-        Nothing is passed on for a counter, whose samples are its totals, or if the device is no longer polled.
+        Nothing is passed on for a counter, whose samples are its totals, for a device in maintenance, or for one that
+        is no longer polled.
 
         Args:
             name: name of the device.
@@ -403,7 +413,11 @@ class LinkPoller:
     # The task.
 
     async def run(self) -> None:
-        """Poll the devices of the link until the task is cancelled, or after `finish`."""
+        """Poll the devices of the link until `finish` is called or the task is cancelled; then drop waiting writes.
+
+        Raises:
+            Exception: a defect of a decoder or a receiver of samples (rule 4).
+        """
         self._wake = asyncio.Event()
         for device in self.devices.values():
             self._tell_unread(device)
@@ -430,7 +444,10 @@ class LinkPoller:
             pass
 
     def mend(self, correction: ClockCorrection) -> None:
-        """Correct each begin of a current silence or maintenance that was noted before the wall clock was right."""
+        """Correct each begin of a current silence or maintenance that was noted before the wall clock was right.
+
+        Reports nothing.
+        """
         for device in self.devices.values():
             begun = device.suspended
             if begun is not None:
@@ -445,7 +462,8 @@ class LinkPoller:
     async def make(self, turn: Turn) -> None:
         """Send the requests of one turn of the schedule (reads, or a write), pass on the samples, report the outcome.
 
-        Waits first for the pause that the device needs between two requests.
+        Waits first for the pause that the device needs between two requests. If the maintenance of the device begins
+        during that wait, its reads are neither sent nor reported to the schedule.
         """
         device = self.devices.get(turn.device)
         if device is not None:
@@ -556,7 +574,7 @@ class LinkPoller:
         middle: int,
         half: int,
     ) -> TurnOutcome:
-        """Pass on bad samples for a failed read, and learn from the failure.
+        """Learn from a failed read; if it was one of a polling round, count it and pass on bad samples.
 
         Returns:
             The outcome of the turn so far: ``before``, which is the outcome of its earlier reads, combined with this
@@ -598,7 +616,7 @@ class LinkPoller:
             self._tell_unread(device)
 
     def _tell_unread(self, device: PolledDevice) -> None:
-        """Log each point that no allowed read can fetch any more, and is therefore no longer read, with the reason."""
+        """Update `PolledDevice.unread`, and log with its reason each point that no allowed read can fetch since now."""
         unread = {each.item.name: each.reason for each in device.book.unreadable}
         for point, reason in unread.items():
             if point not in device.unread:
@@ -608,7 +626,10 @@ class LinkPoller:
         device.unread = unread
 
     def _give_unread(self, device: PolledDevice, middle: int, half: int) -> None:
-        """Pass on a bad sample for each point that is never asked for, unless the point has one already (rule 3)."""
+        """Pass on a bad sample for each point that no read fetches (rule 3).
+
+        Does nothing if that was done before, since the start or the end of the device's last interval.
+        """
         if device.unread_given:
             return
         device.unread_given = True

@@ -7,7 +7,8 @@ Knows two configurations, a file and the audit log; how another configuration is
 2. Other settings that are read at the start alone are named, also in the log: they hold after the next start.
 3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
 4. One change at a time. A change that has begun is completed, even if its caller is cancelled.
-5. Each change, and each refused change, is a line of the audit log.
+5. Each change, and each refused text, is a line of the audit log. A refusal before the text is looked at
+   is none: the file cannot be read, another revision is in use, or the collector ends.
 6. When the file was read again and refused, log and page name its wrong keys until a configuration is accepted. They
    show no values: a wrong line may hold a secret, and many people read log and page.
 """
@@ -45,7 +46,7 @@ class Reloading:
         audit: returns the audit log; None while there is none.
         apply: puts another configuration into use, and returns the changes, each as a sentence.
         prepare: does what can fail of that, and changes nothing that is in use; raises `ConfigError`.
-        check: raises `ConfigError` if ``prepare`` would, and leaves nothing behind.
+        check: raises `ConfigError` if ``prepare`` would, and changes nothing that is in use.
 
     Attributes:
         running: the tasks that change the configuration, or wait for their turn to do so.
@@ -74,6 +75,8 @@ class Reloading:
 
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         """Put another configuration into use, and return what changed, each as a sentence.
+
+        Keys that need a restart have a sentence each. If there is nothing else to tell: ``nothing changed``.
 
         Args:
             configuration: the new configuration.
@@ -111,7 +114,7 @@ class Reloading:
         return await self._to_its_end(self._replace(text, by, origin, revision))
 
     async def end(self) -> None:
-        """Refuse further changes of the configuration, and wait for those in progress."""
+        """Refuse further changes of the configuration, also those that wait, and wait for the one in progress."""
         self.is_ending = True
         if self.running:
             await asyncio.wait(self.running)
@@ -182,7 +185,7 @@ class Reloading:
     def _record(
         self, text: str, done: Sequence[str], is_applied: bool, by: str, origin: str, old: str | None = None
     ) -> None:
-        """Append to the audit log that the configuration was changed, or that a change was refused (rule 5)."""
+        """Append to the audit log, if there is one, that the configuration was changed, or a text refused (rule 5)."""
         audit = self._audit()
         if audit is not None:
             before = self._current().text if old is None else old
@@ -228,7 +231,7 @@ def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfi
 
 
 def replace_file(path: str, text: str) -> None:
-    """Replace the whole contents of an existing file; its rights stay (rule 3).
+    """Replace the whole contents of an existing file, found also by a symbolic link; its rights stay (rule 3).
 
     Raises:
         ConfigError: the file cannot be written; its contents are as before.

@@ -46,7 +46,8 @@ def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[No
     """Context manager that keeps the note of this process's collector; does nothing if it cannot be written.
 
     Args:
-        file, store: paths; the note has them as absolute ones.
+        file, store: paths, absolute in the note. A ``file`` that does not exist is the name of a fleet's
+            configuration, and kept as it is.
         page, is_in_fleet: as of `RunningCollector`.
     """
     pid = os.getpid()
@@ -69,7 +70,7 @@ def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[No
 
 
 def find_collectors(*directories: Path) -> list[RunningCollector]:
-    """Return the running collectors whose notes are in these directories, by process."""
+    """Return the running collectors whose notes are in these directories, in the order of their process ids."""
     found = []
     for directory in directories:
         for path in directory.glob(f"*{NOTE_SUFFIX}"):

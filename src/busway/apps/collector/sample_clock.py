@@ -59,7 +59,10 @@ class SampleClock:
 
     @property
     def is_right(self) -> bool:
-        """Whether the times of samples can be trusted: the wall clock is set, and sample times are not ahead of it."""
+        """Whether sample times can be trusted: the wall clock is right, and at most `TOLERANCE` behind them.
+
+        Both as of the last `adjust`.
+        """
         return self._wall_is_right and self._behind <= TOLERANCE
 
     def adjust(self, monotonic: float, wall: int, *, is_known: bool = True) -> ClockCorrection | None:

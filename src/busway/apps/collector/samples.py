@@ -186,7 +186,10 @@ def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> 
 
 
 def mended_batch(batch: SampleBatch, correction: ClockCorrection) -> SampleBatch:
-    """Return the samples of a read with their corrected time; good where they were uncertain for the clock alone."""
+    """Return the samples of a read with their corrected time; good where they were uncertain for the clock alone.
+
+    A batch whose time the correction does not cover is returned as it is.
+    """
     if not correction.begin <= batch.time < correction.end:
         return batch
     reasons = [0 if each == Reason.CLOCK else each for each in batch.reason_column()]
@@ -217,7 +220,7 @@ class StateInterval:
 
 
 def mended_interval(interval: StateInterval, correction: ClockCorrection) -> StateInterval:
-    """Return an interval with its corrected begin and end."""
+    """Return an interval with its begin and end corrected, each only if the correction covers it."""
     begin, end = correction.corrected(interval.begin), interval.end
     return replace(interval, begin=begin, end=None if end is None else max(begin, correction.corrected(end)))
 

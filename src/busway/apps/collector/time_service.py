@@ -6,7 +6,8 @@ Knows the kernel's call and how long the machine has run; `sample_clock` knows w
    It says so again when none has done that for hours. A container shares it with its host.
 2. *Synchronised* proves that the clock is right. *Unsynchronised* proves nothing: chrony without ``rtcsync`` and the
    tools of virtual machines set the clock and leave that bit, and a plant may have no time service at all. It counts
-   while a time service may still come: for `SETTLES` after the machine has started, and `SETTLES` after one is lost.
+   for the first `SETTLES` after the machine has started, while a time service may still come, and again when one that
+   was there has been lost for `SETTLES`.
 3. Where the kernel cannot be asked, nothing is known against the clock.
 4. A machine whose clock is set by other means says so once, in its environment (`BUSWAY_CLOCK`).
 """
@@ -64,7 +65,7 @@ def kernel_synchronisation() -> Synchronisation:
 
 
 def seconds_since_boot() -> float:
-    """Return for how many seconds the machine has run, with those in which it was suspended."""
+    """Return the seconds since the machine was started, suspended time included; `time.monotonic` if not on Linux."""
     boot = getattr(time, "CLOCK_BOOTTIME", None)  # Linux alone has it
     return time.monotonic() if boot is None else time.clock_gettime(boot)
 
@@ -96,6 +97,9 @@ class ClockJudge:
 
     def is_known(self, says: Synchronisation, now: float) -> bool:
         """Return whether the wall clock is known to be right. To be called every few seconds.
+
+        With ``auto``: True unless the kernel says that the clock is unsynchronised, and either the machine has run for
+        less than `SETTLES`, or a time service that was there has been lost for `SETTLES`. Remembers what it was told.
 
         Args:
             says: what the kernel says now.

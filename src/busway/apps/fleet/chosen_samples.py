@@ -111,7 +111,10 @@ class ChosenSamples:
             yield CommittedSample(gap.commit, each.device, point, time, 0, None, Reason.OWNERSHIP, unit)
 
     def _begin_of(self, gap: OwnershipGap, device: str) -> int:
-        """Return when a gap of a device begins, as far as the samples tell that have passed here; always the same."""
+        """Return when a gap of a device begins, as far as the samples tell that have passed here.
+
+        The first result is remembered and returned again; with `_MOST_PLACED` results all are forgotten.
+        """
         key = device, str(gap.epoch)
         found = self._placed.get(key)
         if found is None:

@@ -75,6 +75,7 @@ class SharedConfiguration:
 async def read_entries(coordinator: Coordinator, prefix: str) -> dict[str, Entry]:
     """Return by key the entries of the shared table whose keys begin with a prefix, as they are now.
 
+    Deleted entries are among them: their value is empty.
     Waits without limit for a coordinator that does not answer.
 
     Raises:
@@ -109,7 +110,7 @@ async def read_configuration(coordinator: Coordinator) -> SharedConfiguration | 
 
 
 async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
-    """Return the lease times of the collectors of a zone; the defaults if no collector has joined yet.
+    """Return the lease times of the collectors of a zone; the defaults if none are recorded or readable.
 
     The table has only ``ttl`` and ``guard``: ``renew`` and ``answer`` are the defaults, in proportion to ``ttl``.
 

@@ -385,7 +385,7 @@ class FleetCollector:
     def _part_ended(self, task: asyncio.Task[None]) -> None:
         """If a task has ended, for whatever reason, end all others: leases lapse, and other collectors take the links.
 
-        Called for each task that ends; does nothing while the collector ends in order.
+        Called for each task that ends; only the first has an effect, and none while the collector ends in order.
         """
         if self._is_ending or self._defect:
             return
@@ -400,7 +400,10 @@ class FleetCollector:
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now."""
+        """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now.
+
+        Else the time is remembered as that of the last transaction (`_end_of`).
+        """
         if link not in self._active or not self.member.may_begin(
             self._shard_of[link], self._now(), self._times_of[link].transaction
         ):
@@ -439,7 +442,10 @@ class FleetCollector:
         self._driver.wake()
 
     def _confirm_revision(self, revision: int) -> None:
-        """Tell the others that this collector works by a revision, once no gateway holds a request of stopped links."""
+        """Tell the others that this collector works by a revision, once no gateway holds a request of stopped links.
+
+        Does nothing if another revision is in force by then.
+        """
         if revision != self.revision:
             return
         held = self._left_until - self._now()
@@ -614,6 +620,8 @@ class FleetCollector:
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
         """Record in the store, for links that are owned from now on, the time before without an owner (rule 4).
+
+        If an owner fell silent, that time is added to `unowned_seconds`.
 
         Args:
             links: names of the links.

@@ -144,7 +144,10 @@ class FleetCommands:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take no more commands; wait until running ones have ended and their answers and audit lines are sent."""
+        """Take no more commands, and wait for the audit lines of those that have ended.
+
+        The collector completes commands in progress; their answers, and audit lines of later ends, are not sent.
+        """
         assert self._task is not None
         self._fleet.pass_on = None
         await end_tasks([self._task])
@@ -249,7 +252,10 @@ class FleetCommands:
         return command, WriterRights(role)
 
     def _told(self, result: CommandResult) -> None:
-        """Publish the audit line of a command that has ended, in a task. The collector calls it for each command."""
+        """Publish the audit line of a command that has ended, in a task. The collector calls it for each command.
+
+        Does nothing after the block has ended.
+        """
         if not self._has_ended:
             task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")
             self._publishing.add(task)

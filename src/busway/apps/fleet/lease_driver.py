@@ -115,7 +115,10 @@ class MemberDriver:
 
     @property
     def error(self) -> str | None:
-        """Why the coordinator has not confirmed the last change of the shared table; None if it was confirmed."""
+        """Why the coordinator has not confirmed the last change of the shared table; None if it has, and at first.
+
+        A change that met another revision alters nothing.
+        """
         return self._error
 
     @property

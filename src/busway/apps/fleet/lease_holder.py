@@ -280,7 +280,7 @@ class FleetMember:
         self._look_at = 0.0
 
     def set_revision(self, revision: int) -> None:
-        """Set the revision of the configuration that this collector works with; the other collectors are told."""
+        """Set the revision of the configuration that this collector works with; its next renewal tells the others."""
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
@@ -575,6 +575,7 @@ class FleetMember:
         """Return the changes to make in the shared table now, each to be made once; ends leases that have run out.
 
         The changes renew leases and this collector's own entry, release shards (groups of links) and take free ones.
+        Shards that are lost, or are to be given away, are told by `events`.
         """
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1

@@ -122,6 +122,8 @@ class OutboxStatus:
 class Outbox:
     """Sends the samples of a collector's store to the message stream of its fleet until all sinks have them.
 
+    When it is made, its cursor is put into the manifest.
+
     Args:
         folder, manifest: folder and manifest of the store.
         stream: the message stream that gets the samples.
@@ -199,6 +201,8 @@ class Outbox:
 
     async def step(self) -> bool:
         """Send the next batch of stored samples to the stream; returns whether more samples are probably waiting.
+
+        Before, the cursor is moved to what all sinks have; if a sink lacks samples, they are sent again from there.
 
         Raises:
             StreamDown: the stream has not taken the whole batch; the next call sends it again.
@@ -302,6 +306,8 @@ class Outbox:
 
     def _cut(self, link: str, group: list[CommittedSample]) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
         """Yield samples of one link for one message each: of one epoch and revision, and not too long (rule 8).
+
+        A sample that alone is too long is set aside.
 
         Args:
             link: name of the link.

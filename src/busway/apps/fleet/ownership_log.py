@@ -74,7 +74,7 @@ class Ownership:
 class OwnershipLog:
     """The record of which links this collector owned when, in the file ``fleet.sqlite`` beside its store.
 
-    May be used from any thread.
+    The file is created if missing. May be used from any thread.
 
     Args:
         folder: folder of the store; this process must hold the store's lock.

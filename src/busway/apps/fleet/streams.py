@@ -75,6 +75,8 @@ class StreamOptions:
 async def make_stream(client: Any, zone: str, options: StreamOptions | None = None, *, start: float = 30.0) -> str:
     """Find or create the message stream for a zone's samples, and return its name.
 
+    With `StreamOptions.source` the stream of the edge site is found or created first.
+
     Args:
         client: connected client of nats-py.
         zone: name of the zone.
@@ -122,7 +124,7 @@ async def make_audit_stream(
         start: seconds for which a server that does not answer is asked again; 0 to ask once.
 
     Raises:
-        ConfigError: the stream cannot be created or used.
+        ConfigError: the stream cannot be created or used, or has too few replicas.
         StreamDown: no server has answered.
     """
     api = import_module("nats.js.api")
@@ -147,7 +149,7 @@ async def found_or_made(client: Any, config: Any, domain: str | None = None) -> 
             that ``client`` is connected to.
 
     Raises:
-        ConfigError: the stream cannot be created or used, or has fewer replicas than ``options`` asks for.
+        ConfigError: the stream cannot be created or used, or has fewer replicas than ``config`` asks for.
         StreamDown: the server does not answer, or cannot use the stream yet.
     """
     found = await _found_or_made(client, config, domain)
@@ -243,7 +245,7 @@ class NatsStream:
         return self._cursors.places(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
-        """Follow the positions of all sinks in the shared table until cancelled; `kept` answers from them.
+        """Follow the positions of all sinks in the shared table until cancelled; `places` answers from them.
 
         Raises:
             ConfigError: the table can never be read.

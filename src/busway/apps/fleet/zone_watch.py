@@ -99,7 +99,7 @@ class ZoneWatch:
         return status_of(self._entries, living)
 
     def holes(self) -> list[OwnershipHole]:
-        """Return the times in which shards had no owner since this watch began, the newest first."""
+        """Return the times without an owner that this watch has seen end, `MOST_HOLES` at most, the latest first."""
         return [*reversed(self._holes)]
 
     def sinks(self) -> dict[str, int]:

@@ -108,7 +108,8 @@ def guarded(inner: FastAPI, names: Sequence[str], rules: PageAccessRules) -> App
     """Return the ASGI application of a page: an API, the files of the page, access rules and common HTTP headers.
 
     Args:
-        inner: application with the routes of the API; routes for the files are added to it.
+        inner: application with all routes of the API; routes for the files are added to it, and its OpenAPI document is
+            completed.
         names: the names of the page's modules.
         rules: who may use the page; its files need no token.
     """

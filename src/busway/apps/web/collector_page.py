@@ -89,7 +89,7 @@ class CollectorPage(HostedPage):
         commands: the routes for commands and the configuration.
 
     Raises:
-        ConfigError: the address is invalid, or the tokens cannot be read or made.
+        ConfigError: the address is invalid, or (from `start`) the tokens cannot be read or made.
     """
 
     title = "busway collector"

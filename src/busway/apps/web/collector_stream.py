@@ -122,7 +122,10 @@ class CollectorStream:
         self.values.update(commit)
 
     def refresh(self) -> LiveValues:
-        """Return the last values of all points; a new object if a reload has changed the list of points."""
+        """Return the last values of all points, after taking over a configuration that was read again.
+
+        If the list of points has changed, `points`, `values` and `revision` are new.
+        """
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
             points = _points_of(self._collector)
@@ -198,7 +201,10 @@ class CollectorStream:
             self._ticker = None
 
     def _take(self, viewer: Viewer, text: str) -> str:
-        """Take over which points a page shows. Returns why its message is refused; empty if it is not."""
+        """Take over which points a page shows. Returns why its message is refused; empty if it is not.
+
+        Positions beyond the list of points are left out.
+        """
         try:
             wanted = Shown.model_validate_json(text)
         except ValidationError:

@@ -101,7 +101,7 @@ class HostedPage(ABC):
         return self.url if self._given is not None else self.page_url
 
     def _rules(self, *, local: bool) -> PageAccessRules:
-        """Return who may use the page. A subclass may override it.
+        """Return who may use the page, and set `token`. A subclass may override it.
 
         By default, these are callers with the page's token; all callers if no token was given and the address is a
         loopback address. Each of them may do everything.

@@ -118,7 +118,11 @@ class LiveValues:
                 self._advance()
 
     def advance(self) -> bool:
-        """Begin a new tick with what was stored since the last tick. Returns False if there is nothing new."""
+        """Begin a new tick with what was stored since the last tick, and return True.
+
+        Returns False, without a new tick, if nothing was stored, no value is held anew, and the state of the store
+        (rule 4) is the same.
+        """
         with self._lock:
             is_quiet = not self._waiting and not self._unapplied and self._is_behind() == self._was_behind
             if is_quiet and not self._newly_held():

@@ -59,7 +59,10 @@ def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHa
 
 
 def secure_document(application: FastAPI) -> None:
-    """Add to the OpenAPI document that a token may be needed. FastAPI does not know it, as `access` checks tokens."""
+    """Add to the OpenAPI document that a token may be needed. FastAPI does not know it, as `access` checks tokens.
+
+    To be called after the last route was added: the document is made by this call, and kept.
+    """
     document = application.openapi()
     document["components"]["securitySchemes"] = {"token": _TOKEN}
     document["security"] = [{"token": []}, {}]

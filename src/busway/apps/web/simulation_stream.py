@@ -128,7 +128,10 @@ class SimulationViewer:
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """Wait until there is something to send to the page, and return that message."""
+        """Wait until there is something to send to the page, and return that message, which counts as sent from then.
+
+        At the latest after `STATUS_INTERVAL` seconds there is the status.
+        """
         while True:
             with contextlib.suppress(TimeoutError):
                 async with asyncio.timeout(max(self._status_due - time.monotonic(), 0.0)):

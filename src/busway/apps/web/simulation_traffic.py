@@ -91,7 +91,7 @@ class Passed:
 
 
 class Traffic:
-    """Records the latest Modbus frames of a server, from `start` to `stop`.
+    """Records the latest Modbus frames of a server, on connections that are opened between `start` and `stop`.
 
     Args:
         ports: called for each new connection; returns the ports that the server listens on. Connections to other local
@@ -122,7 +122,10 @@ class Traffic:
         self._is_on = False
 
     def start(self) -> None:
-        """Record frames of connections opened from now on. Raises `ConfigError` if it is recording already."""
+        """Record frames of connections opened from now on; a capture file gets its frames through this object then.
+
+        Raises `ConfigError` if it is recording already.
+        """
         if self._is_on:
             raise ConfigError("the traffic is recorded already", key="traffic")
         self._is_on = True
@@ -130,7 +133,7 @@ class Traffic:
         TRACE.capture_into(self)
 
     def stop(self) -> None:
-        """Stop recording Modbus frames; those recorded are kept."""
+        """Record no connections that are opened from now on; open ones are recorded until they end. Frames are kept."""
         self._is_on = False
         if TRACE.capture is self:
             below = self._before

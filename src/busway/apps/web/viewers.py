@@ -26,7 +26,9 @@ class Gone(Exception):
 
 
 async def accept(socket: WebSocket, present: int) -> bool:
-    """Accept the WebSocket of one more open page; close it at once if there are `MOST_VIEWERS` already.
+    """Accept the WebSocket of one more open page, and return True.
+
+    If there are `MOST_VIEWERS` already, close it at once, and return False.
 
     Args:
         socket: the WebSocket.

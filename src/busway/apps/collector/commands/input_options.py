@@ -24,7 +24,7 @@ def make_input(section: SinkSection, sink: object = None) -> CommandInput | None
 
     Args:
         section: the table of the sink.
-        sink: the sink itself; commands by Sparkplug come over its connection.
+        sink: the sink itself. Commands by Sparkplug come over its connection: the receiver is set as its ``commands``.
 
     Returns:
         The receiver; None if the table has no key ``commands``.

@@ -103,7 +103,8 @@ class InputStatus:
     Attributes:
         name: the name of the sink that it belongs to.
         taken: number of messages received since the start.
-        refused: number of them that were no permitted command.
+        refused: number of them that were refused before a command was given to the runner, or that could not be armed
+            or confirmed. What the runner refuses with a result is not counted.
         error: why it is not connected; None while it is connected.
     """
 
@@ -170,6 +171,8 @@ class CommandInput(Protocol):
 class CommandReceiver:
     """Turns the messages from one server into commands, has them executed, and returns the answers.
 
+    In a fleet it joins the group of the collectors when it is made (`CommandInput.join`).
+
     Args:
         name: the name of the sink that the server belongs to.
         made: receives the messages.
@@ -230,7 +233,7 @@ class CommandReceiver:
         return overlap(self._input.rights.where, where, self._input.separator)
 
     def drop(self, where: str) -> None:
-        """Count a message that was not read because too many wait, as received and refused.
+        """Count and log a message that was not read because too many wait, as received and refused.
 
         Args:
             where: its topic or subject.
@@ -239,7 +242,7 @@ class CommandReceiver:
         self._refuse(where, "too many messages wait")
 
     async def take(self, message: InputMessage) -> bytes | None:
-        """Execute the command in a message, and return the answer.
+        """Execute the command in a message, or arm, confirm or pass it on, and return the answer.
 
         Args:
             message: the message.
@@ -402,7 +405,8 @@ def parsed(payload: bytes) -> dict[str, Any]:
     """Parse a message with a command: JSON, or a plain text as the value.
 
     Returns:
-        The keys of the command; ``value`` is always among them, ``key``, ``expires`` and ``by`` may be.
+        The keys of the message: ``value``, perhaps with ``key``, ``expires`` and ``by``. For a command in two steps
+        ``value`` and ``arm``, or ``confirm`` without ``value``, perhaps with ``by``.
 
     Raises:
         InvalidRequest: the message is too long or cannot be parsed, or a key is unknown or missing.

@@ -103,6 +103,8 @@ class CommandJournal:
     def take(self, result: CommandResult) -> CommandResult | None:
         """Record a command under its key, durably. If the key was used before, record nothing.
 
+        Results beyond the limits of the journal are deleted with it (rule 3).
+
         Args:
             result: open for a command that will be sent, or finished for one that will not.
 
@@ -146,7 +148,7 @@ class CommandJournal:
             self._set(result)
 
     def find(self, key: str) -> CommandResult | None:
-        """Return the result of the command recorded under a key; None without one. Raises `OSError`."""
+        """Return the result recorded under a key; None if there is none, or only the key is kept. Raises `OSError`."""
         with self._in_use():
             return self._found(key)
 
@@ -206,7 +208,9 @@ class CommandJournal:
         self._drop_old(result.at)
 
     def _drop_old(self, now: float) -> None:
-        """Delete results of commands that are too old, and the oldest tenth of too many; remember callers' keys.
+        """Delete results that are too old, `_AGED_AT_ONCE` at most, or the oldest tenth of too many.
+
+        Keys of callers are remembered. Open commands are not deleted.
 
         Args:
             now: seconds since 1970 UTC.

@@ -36,13 +36,12 @@ class MessageTasks:
     def begin(self, handle: Callable[[], Awaitable[None]]) -> bool:
         """Start a task that handles a message; it waits while too many others run.
 
-        After the block has ended no task is started.
-
         Args:
             handle: handles the message; its errors are logged.
 
         Returns:
-            False if too many tasks wait: then no task is started, and the message is lost.
+            False if too many tasks wait: then no task is started, and the message is lost. Else True, also after the
+            block has ended, when no task is started either.
         """
         if len(self._tasks) >= MOST_AT_ONCE + MOST_WAITING:
             return False

@@ -188,6 +188,9 @@ class CommandRunner:
         now: returns seconds since 1970 UTC.
         moment: returns seconds of the monotonic clock, for commands that wait to be confirmed.
         step: is told the name of each step that a command has taken: ``claimed``, ``answered``, ``recorded``.
+
+    Raises:
+        OSError: the journal cannot be read or written.
     """
 
     def __init__(
@@ -305,6 +308,8 @@ class CommandRunner:
     ) -> ArmedCommand:
         """Check a command, and keep it for `ARMED_SECONDS` until `confirm` sends it. Nothing is sent to the device now.
 
+        A command that is against a rule gets a line in the audit log.
+
         Args:
             device, point: the point to write.
             value: as for `write`.
@@ -344,7 +349,9 @@ class CommandRunner:
         seconds: float = math.inf,
         rights: WriterRights = PROGRAM,
     ) -> CommandResult:
-        """Send an armed command, and return its result; for the same key again, return the first result.
+        """Send an armed command and return its result; for a command that runs or is recorded, return its result only.
+
+        A command whose link was begun anew is no longer armed after this call.
 
         Args:
             key: the key of the armed command.
@@ -515,7 +522,9 @@ class CommandRunner:
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
 
     async def _known(self, command: PointCommand) -> CommandResult | None:
-        """Return the result for a command whose key, given by a caller, was used before; None if the key is new.
+        """Return the result for a command whose key was used before; None for a new key, or one that was made here.
+
+        Waits for a command with this key that runs.
 
         Raises:
             OSError: the journal cannot be read.
@@ -568,7 +577,7 @@ class CommandRunner:
         self._journal.finish(result)
 
     def _record_unrecorded(self) -> None:
-        """Record results of commands that could not be recorded before. Runs in the journal's thread."""
+        """Record results of commands that could not be recorded before, until one fails. For the journal's thread."""
         for key, result in list(self._unrecorded.items()):
             try:
                 self._journal.finish(result)
@@ -726,7 +735,10 @@ class _WriteTurn:
         self.before: CommandValue | None = None
 
     async def make(self) -> tuple[CommandState, str]:
-        """Send the write to the device, if its time is not over, and return the state of the command and the reason."""
+        """Send the write to the device, after a read if its register is written in part; return state and reason.
+
+        Nothing is sent if the command's time is over or the device is in maintenance. Sets `before` and `has_begun`.
+        """
         held = b""
         if self._left() <= 0:
             return CommandState.EXPIRED, "its time was over before it was its turn; nothing was sent"
@@ -754,7 +766,9 @@ class _ReadTurn:
         self._write, self._poller, self._device = write, poller, device
 
     async def make(self) -> tuple[bool, CommandValue | None]:
-        """Read the written point once. The value that is found becomes a sample of the point too.
+        """Read the place of the written value once.
+
+        If that is the point itself, the value becomes a sample of it too, unless its device is in maintenance by then.
 
         Returns:
             Whether the device shows the written value, and the value that it shows.
@@ -801,7 +815,10 @@ async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float
 
 
 async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error
-    """Send one request to a device, once and within some seconds; return the reply, or the error as an object."""
+    """Send one request to a device, once and within some seconds; return the reply, or the error as an object.
+
+    Waits first for the pause that the device needs between two requests, and begins the next pause afterwards.
+    """
     # `idempotent` with no retries: else `write_retries` of the link would repeat a write.
     options: dict[str, Any] = {"timeout": poller.schedule.timeout, "retries": 0, "idempotent": True}
     if seconds < math.inf:

@@ -76,8 +76,8 @@ class CollectedTargets:
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
     """Whether a write to a device is a broadcast: its unit is 0, and several units can hear it.
 
-    With MBAP framing, unit 0 can be the one device behind an address; it is a broadcast if there are other units too,
-    on this link or on another one to the same address.
+    With MBAP framing, unit 0 can be the one device behind an address; it is a broadcast if there are units other than 0
+    and 255, on this link or on another one to the same address.
     """
     if device.unit != 0:
         return False

@@ -96,6 +96,9 @@ class Delivery:
     ) -> None:
         """Continue after the sink's cursor, the last commit it got; a new sink begins with the oldest samples.
 
+        The cursor of a new sink is put into the manifest. A sink that shows current values is told the last samples
+        that it got (`CurrentSink.remember`).
+
         Args:
             name: the name of the sink and of its cursor.
             sink: the sink.
@@ -288,6 +291,8 @@ class Delivery:
 
     def _next(self) -> CommitRange | None:
         """Drop samples that have waited too long, and return the next commits after the sink's cursor.
+
+        A cursor that could not be saved before is saved first.
 
         Returns:
             The commits; None if there are none, or if the store cannot be read now.

@@ -39,7 +39,7 @@ class Document:
 
 
 def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
-    """Yield one document for each commit and device of some samples, in the order of commits.
+    """Yield one document for each commit, device and revision of some samples, in the order of commits.
 
     Its content has ``device``, ``key`` and ``reads``. ``reads`` has one entry for each time: ``time`` (nanoseconds
     since 1970 UTC), ``half_width``, ``values`` by point, and where there are any, ``uncertain`` and ``bad`` with the

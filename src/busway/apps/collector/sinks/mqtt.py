@@ -146,7 +146,10 @@ class MqttSink:
             await client.__aexit__(None, None, None)
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish samples, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`.
+
+        With discovery, the descriptions of points that were not announced yet are published before.
+        """
         fresh: dict[tuple[str, str], _Message] = {} if self._discovery is None else self._discoveries(samples)
         await self._publish([*fresh.values(), *self._messages(samples)])
         self._announced |= fresh.keys()
@@ -161,7 +164,8 @@ class MqttSink:
         """Publish messages, and wait until the broker has taken them all.
 
         Raises:
-            SinkRefused: the broker refuses a message for good. Others of the messages may not have arrived.
+            SinkRefused: the broker refuses a message for good. Others of the messages may not have arrived. If the
+                broker ended the connection for it, the sink is connected again.
             SinkDown: no answer came, or the connection is lost.
         """
         mqtt = import_module("aiomqtt")
@@ -212,7 +216,10 @@ class MqttSink:
         return topic_level(device), topic_level(point) if self._per_point else point
 
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
-        """Return discovery messages for the points of samples that were not announced to Home Assistant yet."""
+        """Return discovery messages for the points of samples that were not announced to Home Assistant yet.
+
+        After `describe` with other points all points count as not announced.
+        """
         points = self._points
         if points is not self._announced_by:
             self._announced.clear()

@@ -49,6 +49,8 @@ async def connect(client: Any) -> None:  # aiomqtt is loaded when it is used
 class MqttPublisher:
     """Publishes messages over one connection of an MQTT client, and waits for the broker's answers.
 
+    Puts callbacks of its own before those of the client for connecting, acknowledgements and disconnecting.
+
     Args:
         client: a client of aiomqtt, not connected yet.
         timeout: seconds for an answer.

@@ -112,7 +112,8 @@ class PostgresqlSink:
             gap_table: name of the table of gaps of ownership, likewise.
             password: the user's password.
             tls: how to encrypt; None to leave that to the server and the URL.
-            timescale: whether the tables become hypertables of TimescaleDB; the extension must be in the database.
+            timescale: whether the tables of samples and alarm events become hypertables of TimescaleDB; the extension
+                must be in the database.
             timeout: seconds for each command.
 
         Raises:
@@ -134,7 +135,7 @@ class PostgresqlSink:
         self._has_revision = self._lacks_revision = False
 
     async def open(self) -> None:
-        """Connect to the database, and create the table if it is missing. Raises `SinkDown`."""
+        """Connect to the database, and create the table of samples if it is missing. Raises `SinkDown`."""
         pg = import_module("asyncpg")
         try:
             self._connection = await pg.connect(self._url, **self._options)
@@ -167,7 +168,10 @@ class PostgresqlSink:
                 connection.terminate()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Write samples to the table in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        """Write samples to the table, and shrink gaps of ownership by them, in one transaction (rules 1 and 6).
+
+        If a sample has a revision, the column for it is added before (rule 5). Raises `SinkDown`, `SinkRefused`.
+        """
         if not self._has_revision and not self._lacks_revision and any(sample.revision for sample in samples):
             await self._add_revision()
         names = (*_COLUMNS, _REVISION) if self._has_revision else _COLUMNS
@@ -206,7 +210,10 @@ class PostgresqlSink:
             _log.warning("the table %s has no column for the revision of samples: %s", self._table, error)
 
     async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
-        """Write gaps of ownership to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        """Write gaps of ownership to their table in one transaction. Raises `SinkDown`, `SinkRefused`.
+
+        The table is created if it is missing.
+        """
         async with self._writing():
             if not self._has_gap_table:
                 await self._connection.execute(_GAP_TABLE.format(table=self._gap_table))
@@ -217,7 +224,10 @@ class PostgresqlSink:
         self._has_gap_table = True
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Write alarm events to their table in one transaction. Raises `SinkDown`, `SinkRefused`."""
+        """Write alarm events to their table in one transaction. Raises `SinkDown`, `SinkRefused`.
+
+        The table is created if it is missing.
+        """
         changed = ", ".join(f"{name} = excluded.{name}" for name in _ALARM_COLUMNS)
         values = ", ".join(f"${place}" for place in range(1, len(_ALARM_COLUMNS) + 1))
         async with self._writing():

@@ -78,7 +78,10 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples and intervals of a commit that the store has just made."""
+        """Take over the samples of a commit that the store has just made, and its intervals, skipped rounds apart.
+
+        If the commit corrects times of before, those of the known samples and intervals are corrected too (rule 7).
+        """
         now = self._moment()
         with self._lock:
             correction = commit.correction
@@ -109,7 +112,10 @@ class LastValues:
             self._taken_at = {group: self._taken_at[group] for group in self._batches}
 
     def reads(self) -> list[tuple[SampleBatch, float]]:
-        """Return the reads that last values come from, each with when it ended, seconds of the monotonic clock."""
+        """Return the last read of each group of points, each with when it ended, seconds of the monotonic clock.
+
+        A point that is in several groups has its last value in the latest of their reads.
+        """
         with self._lock:
             return [(batch, self._taken_at[group]) for group, batch in self._batches.items()]
 
@@ -165,14 +171,18 @@ class LastValues:
         return 0 if interval is None or interval.end is not None else interval.reason
 
     def intervals(self) -> dict[str, StateInterval]:
-        """Return for each device the last interval in which it was not read; its end is None while it lasts."""
+        """Return for each device the last interval in which it was not read; its end is None while it lasts.
+
+        Skipped rounds are not such intervals.
+        """
         with self._lock:
             return dict(self._intervals)
 
     def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
         """Return value, number of the reason (0 for good) and time in nanoseconds of the last sample of one point.
 
-        None if there is no sample of the point.
+        None if there is no sample of the point. The reason is the one to show now, which may be another than that of
+        the sample (rules 3 to 5).
         """
         found: tuple[Value | None, int, int] | None = None
         with self._lock:
@@ -188,7 +198,7 @@ class LastValues:
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
         """Yield device, point, value, number of the reason and time of the last sample of each point, ordered by name.
 
-        Times are nanoseconds since 1970 UTC; a reason of 0 is good.
+        Times are nanoseconds since 1970 UTC; a reason of 0 is good. It is the one to show now (rules 3 to 5).
         """
         with self._lock:
             found = []

@@ -28,7 +28,7 @@ _log = logging.getLogger("busway.sinks")
 class SinkThread:
     """The thread that sends the samples of a store to all its sinks, from its creation until `close`.
 
-    `add`, `remove`, `set_points` and `statuses` are for one thread, that of the collector.
+    `add`, `remove` and `set_points` are for one thread, that of the collector.
     """
 
     def __init__(
@@ -92,9 +92,10 @@ class SinkThread:
         manifest.set_cursor(name, *manifest.cursors().get(name, (0, 0)))
 
     def remove(self, name: str, timeout: float = 10.0) -> None:
-        """Stop sending to a sink within ``timeout`` seconds; one that is added under its name later goes on there.
+        """Stop sending to a sink, and wait for that; one that is added under its name later goes on there.
 
         What is being sent arrives first, if that takes `FINISH` seconds at most: it is not sent again then.
+        A sink that has not ended after ``timeout`` seconds is left as it is, which is logged.
         """
         running = self._running.pop(name)
         ended = asyncio.run_coroutine_threadsafe(_finish(running), self._loop)
@@ -121,7 +122,10 @@ class SinkThread:
         return [each.delivery.status() for each in list(self._running.values())]
 
     def close(self, timeout: float = 10.0) -> None:
-        """Stop sending to all sinks within ``timeout`` seconds; unsent samples are sent after the next start."""
+        """Stop sending to all sinks at once, and wait at most ``timeout`` seconds for their end.
+
+        Samples that are not sent yet are sent after the next start.
+        """
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._ending.set)
         self._thread.join(timeout)

@@ -261,6 +261,8 @@ class SparkplugSink:
     async def open(self) -> None:
         """Connect to the broker, wait for the primary host, and publish the births of the edge node and its devices.
 
+        Devices that are not there have no birth (rule 8). The number of the connection is kept in a file before.
+
         Raises:
             SinkDown: the broker cannot be reached, or the primary host is not online.
         """
@@ -317,7 +319,10 @@ class SparkplugSink:
             device.is_born = False
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish samples, with the births and deaths that they need, and wait until the broker has them.
+
+        Samples of a refused batch that were published are not published again. Raises `SinkDown`, `SinkRefused`.
+        """
         with self._once(samples) as fresh:
             async with self._delivering():
                 for name, those in groupby(sorted(fresh, key=_device_of), _device_of):
@@ -469,7 +474,10 @@ class SparkplugSink:
         device.behind.clear()
 
     async def _show_device(self, name: str, gone: Collection[str]) -> None:
-        """Publish the birth of a device without the metrics ``gone``, or its death if it has no other metrics."""
+        """Forget the metrics ``gone`` of a device, and publish its birth without them.
+
+        A device without other metrics is forgotten, and its death published. If it is not born, nothing is published.
+        """
         device = self._devices[name]
         device.forget(gone)
         if device.last and device.is_born:

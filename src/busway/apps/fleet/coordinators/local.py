@@ -142,7 +142,7 @@ class LocalCoordinator:
 
         Raises:
             CoordinatorDown: the file cannot be used; nothing was changed.
-            OutcomeUnknown: raised by ``work``.
+            OutcomeUnknown, RevisionConflict, ConfigError: raised by ``work``.
         """
 
         def locked() -> _T:

@@ -256,6 +256,8 @@ def refused_subject(client: Any, subject: str) -> str:
 async def asked(client: Any, subject: str, answer: Coroutine[Any, Any, _T]) -> _T:
     """Wait for the answer to a request, and return it; stop waiting at once if the server refuses the subject.
 
+    ``client.cause`` is emptied before.
+
     Args:
         client: client of `connect_nats`.
         subject: subject of the request.
@@ -285,7 +287,7 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
 
 
 async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> Any:  # nats-py's own
-    """Find or create a key-value bucket of NATS, and check its replicas and that it is kept on disk.
+    """Find or create a key-value bucket of NATS, and check its replicas, and that it is on disk and forgets nothing.
 
     Returns the server's status of the bucket.
 
@@ -295,8 +297,8 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
         options: replicas, timeout and domain of the bucket.
 
     Raises:
-        ConfigError: the credentials do not permit it, the server has no JetStream, or the bucket has too few replicas
-            or is in memory only.
+        ConfigError: the credentials do not permit it, the server has no JetStream, or the bucket has too few replicas,
+            is in memory only, or forgets entries with time.
         CoordinatorDown: the servers do not answer, or cannot use the bucket yet.
     """
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
@@ -581,6 +583,8 @@ class NatsCoordinator:
         """Create the NATS consumer that follows the shared table; returns its subscription and how many entries exist.
 
         After servers have disagreed, consumers are created until one is on the server that leads, `MOST_TRIES` at most.
+        If none is, the subscription of the last one is ended: the watch stays silent, and begins anew. Messages of the
+        consumer come to ``watch.messages``.
         """
         leader, stream = None, f"KV_{self._bucket}"
         if self._at_leader:

@@ -248,6 +248,6 @@ class PostgresqlCoordinator:
         ]
 
     async def close(self) -> None:
-        """Close all connections to PostgreSQL at once. The shared table stays as it is."""
+        """Close the connections for changes at once; that of a watch ends with the watch. The table stays as it is."""
         if self._pool is not None:
             self._pool.terminate()
