@@ -348,7 +348,7 @@ class Collector:
         """Begin or end the maintenance of a device; a device in maintenance is not polled, not even after a restart.
 
         Meanwhile the last values of its points are bad, and the store has one interval for the whole time. To end the
-        maintenance of a device that has none does nothing.
+        maintenance of a device that has none does nothing; to begin it again changes only ``by`` and ``why``.
 
         Args:
             device: name of the device.
@@ -517,8 +517,8 @@ class Collector:
                 point.
             by: who gives the command, for the journal and the audit log.
             expires: until when it may be sent, seconds since 1970 UTC; None for 30 seconds from now.
-            key: identifies the command: a second call with the same key writes nothing and returns the first result.
-                None for a new key.
+            key: identifies the command: a second call with the same key writes nothing. It returns the first result, or
+                is refused if its point or value is another. None for a new key.
             origin: where the command comes from, for the journal and the audit log.
 
         Returns:
@@ -527,6 +527,7 @@ class Collector:
 
         Raises:
             InvalidRequest: there is no such point, or an argument is not valid. Nothing was sent.
+            OSError: there is no such point now, and it cannot be read whether the key was used. Nothing was sent.
         """
         return await self.commands.write(device, point, value, by=by, origin=origin, expires=expires, key=key)
 

@@ -362,7 +362,7 @@ class LinkPoller:
             await asyncio.sleep(device.ready_at - self._now())
 
     def note_asked(self, name: str) -> None:
-        """Begin the pause that a device needs between two requests, after the caller has sent it one for a write."""
+        """Begin the pause that a device needs between two requests, after the caller has sent it one for a command."""
         device = self.devices.get(name)
         if device is not None and device.pause:
             device.ready_at = self._now() + device.pause

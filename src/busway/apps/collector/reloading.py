@@ -109,7 +109,8 @@ class Reloading:
 
         Raises:
             ConfigError: the text cannot be used, the revision is another, the file cannot be written, or the collector
-                ends; the old configuration stays in use.
+                ends; the old configuration stays in use. The file is as before, unless something became unusable
+                between its check and its use.
         """
         return await self._to_its_end(self._replace(text, by, origin, revision))
 

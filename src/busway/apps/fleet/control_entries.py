@@ -178,7 +178,17 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
 def _checked(
     path: str, times: LeaseTimes, before: CollectorConfiguration | None, *, is_one_machine: bool
 ) -> SharedConfiguration:
-    """Read and check a collector file. Raises `ConfigError` with all problems, which name the path as it was given."""
+    """Read and check a collector file, and return it with its absolute path and revision 0.
+
+    Args:
+        path: path of the file; errors name it as it was given.
+        times: the lengths of the leases.
+        before: the configuration that collectors may work with now; None for none.
+        is_one_machine: whether all collectors of the zone are on one machine, so that a serial port needs no host.
+
+    Raises:
+        ConfigError: the file is wrong, with all problems, or moves an endpoint to another shard.
+    """
     text = read_text(path)
     configuration = SharedConfiguration(path, text, 0).parsed(times)
     if not is_one_machine:
@@ -261,7 +271,7 @@ async def raise_generation(coordinator: Coordinator, now: float) -> int:
     """Raise the generation of a zone, so that all later epochs are above those before, and return the new generation.
 
     To be called for a coordinator that has lost its entries, or has older ones from a backup. The generation is the
-    time, so that the one before need not be known.
+    time, so that the one before need not be known; or one more than a recorded one that is not below the time.
 
     Args:
         coordinator: the coordinator of the zone.

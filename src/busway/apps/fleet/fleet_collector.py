@@ -245,7 +245,10 @@ class FleetCollector:
         return self._active_since.get(link) if link in self._active else None
 
     def follow_links(self, told: Callable[[], None]) -> None:
-        """Register a function to be called in the event loop after the set of `links` has changed; it must be quick."""
+        """Register a function to be called in the event loop each time that `links` may have changed.
+
+        The function must be quick.
+        """
         self._link_followers.append(told)
 
     @property
@@ -546,7 +549,10 @@ class FleetCollector:
                 self._note_silence(links, event.silent_since)
 
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
-        """Return the times without an owner before shards were gained, for each of their links that has devices."""
+        """Return the times without an owner before shards were gained from owners that fell silent.
+
+        One for each of their links that has devices and of which the begin of that time is known.
+        """
         found = []
         for event in events:
             for link in self._links_of.get(event.shard, ()):
@@ -602,7 +608,7 @@ class FleetCollector:
                     self._note_unowned(link, begin, None)
 
     def _end_of(self, link: str, renewed: float | None, now: int) -> int:
-        """Return when the last transaction of a link ended, in nanoseconds since 1970 UTC.
+        """Return when the last transaction of a link ended at the latest, in nanoseconds since 1970 UTC.
 
         The result is not before the last renewal of the lease, and not after ``now``.
 

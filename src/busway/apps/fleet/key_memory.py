@@ -34,8 +34,8 @@ class KeyMemory:
     """The keys of commands that were used, when each was used, and the results of the newest commands.
 
     Attributes:
-        used: when each key was used, in seconds since 1970 UTC, by digest of the key; in the order of use.
-        results: for each key, the owner that took it, and the result of its command as far as it is known. An owner is
+        used: when each key of a caller was used, in seconds since 1970 UTC, by digest of the key; in the order of use.
+        results: by key, for the newest ones, the owner that took it, and the result of its command so far. An owner is
             ``collector/run``: the name of a collector and a random word for this start of it.
     """
 
@@ -108,7 +108,10 @@ class KeyMemory:
             del self.used[digest]
 
     def encode(self) -> bytes:
-        """Return the memory as bytes for the shared table: all keys, and the newest results up to `MOST_BYTES`."""
+        """Return the memory as bytes for the shared table: all keys, and the newest results up to `MOST_BYTES`.
+
+        One result is there even if it is longer.
+        """
         newest: list[str] = []
         left = MOST_BYTES
         for owner, result in reversed(self.results.values()):

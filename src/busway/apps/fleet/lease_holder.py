@@ -388,7 +388,7 @@ class FleetMember:
             del self._members[name]
 
     def _compare_zone(self, entry: Entry) -> None:
-        """Compare the number of shards and the lease times of this collector with those of the zone (rule 7)."""
+        """Compare shards and lease times of this collector with those of the zone, and keep how they differ (rule 7)."""
         self._zone_revision = entry.revision
         zone = decode_zone(entry.value)
         if zone is None:

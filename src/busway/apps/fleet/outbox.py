@@ -333,14 +333,14 @@ class Outbox:
     def _of_one_epoch(
         self, link: str, group: list[CommittedSample]
     ) -> Iterator[tuple[Epoch | None, list[CommittedSample]]]:
-        """Yield the samples of one link apart by epoch and revision of the configuration; both follow from commits."""
+        """Yield the samples of one link in groups of one epoch and one configuration revision, each with its epoch."""
         for (epoch, _), rows in groupby(
             group, key=lambda row: (self._epoch_of(link, row.commit), self._revision_of(row.commit))
         ):
             yield epoch, list(rows)
 
     def _set_aside(self, sample: CommittedSample, length: int, most: int) -> None:
-        """Note that a sample is too long for a message: no sink gets it. Told once for each point."""
+        """Note that a sample is too long for a message: no sink gets it. Logged once for each point."""
         point = sample.device, sample.point
         self._aside.add((*point, sample.commit, sample.time))
         if point not in self._too_long:

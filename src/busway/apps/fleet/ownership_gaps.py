@@ -39,7 +39,7 @@ class OwnershipGap:
 
 
 def true_begin(begin: int, end: int, times: Iterable[int]) -> int:
-    """Return when a gap of a device really began: at its newest sample within the gap, if there is one (rule 2).
+    """Return when a gap of a device really began: at its newest sample within the gap, else at ``begin`` (rule 2).
 
     Args:
         begin: begin of the gap as it was recorded, nanoseconds since 1970 UTC.

@@ -159,7 +159,10 @@ def require(role: Role) -> RequiredRole:
 
 
 def caller_of(scope: Scope) -> Caller:
-    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` (401) for any other request."""
+    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` (401) for any other request.
+
+    Requests for the files of the page have no caller, so they count as others.
+    """
     found = scope.get(_CALLER)
     if not isinstance(found, Caller):
         raise Refused(401, "the caller is not known")

@@ -103,7 +103,10 @@ class LiveValues:
         self._look_at = 0.0
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples of a commit. Called by the thread of the store for each commit, once it is stored."""
+        """Take over the samples, intervals and corrected times of a commit; the next tick makes them visible.
+
+        Called by the thread of the store for each commit, once it is stored. Begins a tick itself above `MOST_WAITING`.
+        """
         now = self._moment()
         with self._lock:
             if commit.correction is not None:
@@ -161,7 +164,7 @@ class LiveValues:
         return found
 
     def _mend(self, correction: ClockCorrection) -> None:
-        """Correct the times of what was stored before the clock was right; it is good if only the clock was wrong."""
+        """Correct times from before the clock was right; values that were uncertain for the clock alone become good."""
         self._waiting = {group: (mended_batch(each, correction), at) for group, (each, at) in self._waiting.items()}
         self._intervals = {device: mended_interval(each, correction) for device, each in self._intervals.items()}
         for place, at in enumerate(self.times):

@@ -74,7 +74,10 @@ class SimulationViewer:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Apply a message in which the page says what it wants. Returns why it is refused; empty if it is not."""
+        """Apply a message in which the page says what it wants. Returns why it is refused; empty if it is not.
+
+        A refused message changes nothing.
+        """
         count = len(self._api.order)
         if wish.points == "all":
             if count > MOST_POINTS:

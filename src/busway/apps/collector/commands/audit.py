@@ -7,7 +7,8 @@ of a command       meaning
 =================  ======================================================================================
 ``time``           when it ended, UTC
 ``event``          ``command``
-``by``, ``origin`` who gave it, and on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``
+``by``, ``origin`` who gave it, and on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``,
+                   ``sparkplug``, ``fleet``
 ``key``            the name of the command
 ``device``,
 ``point``          whose value
@@ -23,7 +24,7 @@ of a command       meaning
 of a configuration meaning
 =================  ======================================================================================
 ``event``          ``configuration``
-``by``, ``origin`` who changed it, and how: ``api``, ``signal``, ``program``
+``by``, ``origin`` who changed it, and how: ``api``, ``signal``, ``program``, ``fleet``
 ``outcome``        ``applied`` or ``refused``
 ``revision``       of the new text: the first 16 hexadecimal digits of its SHA-256; ``before`` that of the old one
 ``difference``     lines of the difference, ``LONGEST_DIFFERENCE`` at most; ``more`` counts the others
@@ -81,7 +82,7 @@ def configuration_line(
         old, new: the text of the configuration file before and after.
         done: what changed, or all that is wrong, as sentences.
         is_applied: whether the new text was applied; else it was refused.
-        by, origin: who changed it, and how: ``api``, ``signal`` or ``program``.
+        by, origin: who changed it, and how: ``api``, ``signal``, ``program`` or ``fleet``.
         time: when, UTC.
     """
     lines = [

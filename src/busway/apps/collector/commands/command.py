@@ -72,7 +72,7 @@ class PointCommand:
         device, point: the point to write.
         value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
         by: name of the person or program that gives it.
-        origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``.
+        origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``, ``fleet``.
         expires: until when it may be sent, seconds since 1970 UTC.
 
     Raises:

@@ -351,7 +351,8 @@ class CommandRunner:
     ) -> CommandResult:
         """Send an armed command and return its result; for a command that runs or is recorded, return its result only.
 
-        A command whose link was begun anew is no longer armed after this call.
+        A command whose link was begun anew is no longer armed after this call. Of a command that runs or is recorded
+        only ``point`` is compared.
 
         Args:
             key: the key of the armed command.

@@ -109,7 +109,7 @@ class _Device:
         return kind is not known or not self.is_born
 
     def forget(self, points: Collection[str]) -> None:
-        """Remove the metrics of points that no longer exist."""
+        """Remove the metrics of points that no longer exist; each point has a metric here."""
         for point in points:
             del self.last[point], self.kinds[point]
         self.untyped.difference_update(points)
@@ -441,7 +441,7 @@ class SparkplugSink:
     # Births, deaths, data; the lock is held
 
     async def _births(self) -> None:
-        """Publish the birth of the edge node, then the birth of each device that is not suspended or in maintenance.
+        """Publish the birth of the edge node, then that of each device that has metrics and is not gone (rule 8).
 
         A birth tells hosts the names, types and last values of metrics.
         """
