@@ -394,7 +394,7 @@ class Collector:
     def registers_of(self, device: str, points: Container[str]) -> dict[str, bytes]:
         """Return the raw registers of a device's points as last read, by point: two bytes for each register.
 
-        Points that were not read yet, bits and computed points are left out.
+        Points that were not read yet, coils, discrete inputs and computed points are left out.
 
         Raises:
             ConfigError: there is no such device.
@@ -757,7 +757,7 @@ class Collector:
                 await self._write_learnt()
 
     def _mend(self, correction: ClockCorrection | None) -> None:
-        """Correct all times from before the wall clock was right, in the store and in memory."""
+        """Correct all times from before the wall clock was right, in the store and in memory; with None do nothing."""
         if correction is None:
             return
         assert self._committer is not None

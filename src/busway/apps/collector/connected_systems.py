@@ -27,7 +27,7 @@ from .task_errors import log_defect
 class ConnectedSystems:
     """The sinks, pages for Prometheus and inputs of commands of a running collector.
 
-    All methods are for the thread of the event loop.
+    All methods but `close_sinks` are for the thread of the event loop.
 
     Args:
         page: makes a page for Prometheus from its table, which begins to listen.
@@ -164,7 +164,7 @@ class ConnectedSystems:
             await asyncio.wait(tasks)
 
     async def end_inputs(self) -> None:
-        """Receive no more commands."""
+        """Receive no more commands, and wait until the receivers have ended."""
         await self._end_inputs(set(self._receiving))
 
     def close_sinks(self) -> None:

@@ -166,7 +166,7 @@ class PolledDevice:
     def registers_of(self, points: Container[str]) -> dict[str, bytes]:
         """Return the raw registers of points as last read, by point: two bytes for each register.
 
-        Points that were not read yet, bits and computed points are left out.
+        Points that were not read yet, coils, discrete inputs and computed points are left out.
         """
         found: dict[str, bytes] = {}
         for each in sorted(self._compiled.values(), key=lambda one: one.at):

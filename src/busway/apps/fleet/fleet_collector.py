@@ -510,7 +510,7 @@ class FleetCollector:
             await self._poll_active()
 
     def _is_owned(self, event: ShardEvent) -> bool:
-        """Whether an event says that a shard was gained, and the shard is still owned in the same epoch."""
+        """Whether an event says that a shard was gained, and the shard is still owned in that epoch and to be kept."""
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept

@@ -128,6 +128,8 @@ class FleetCommands:
     async def __aenter__(self) -> Self:
         """Begin to listen on the subjects of owned links, and to pass on commands.
 
+        The stream for audit lines is found or created first.
+
         Raises:
             ConfigError: the stream for audit lines cannot be created or used.
             StreamDown: no server has answered for `START_SECONDS`.

@@ -388,7 +388,7 @@ class FleetMember:
             del self._members[name]
 
     def _compare_zone(self, entry: Entry) -> None:
-        """Compare shards and lease times of this collector with those of the zone, and keep how they differ (rule 7)."""
+        """Compare shards and lease times of this collector with those of the zone; keep how they differ (rule 7)."""
         self._zone_revision = entry.revision
         zone = decode_zone(entry.value)
         if zone is None:
@@ -454,7 +454,7 @@ class FleetMember:
             self._members[name] = _SeenMember(record, entry.revision, now, ahead)
 
     def _compare_clocks(self, entry: Entry, record: MemberRecord, now: float) -> None:
-        """Set `clock_error` from an entry of this collector that the coordinator has dated.
+        """Note that the table has shown an entry of this collector; set `clock_error` if it is the newest, and dated.
 
         The coordinator made the change after it was proposed (``record.at``) and before ``now``.
         """

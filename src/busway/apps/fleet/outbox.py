@@ -252,7 +252,10 @@ class Outbox:
             self._sent, self._told = begin, -1
 
     def _lacks(self, name: str, place: SinkPlace) -> bool:
-        """Whether a sink lacks samples that were sent, as far as can be seen (rule 3)."""
+        """Whether a sink lacks samples that were sent, as far as can be seen (rule 3). To be called at each step.
+
+        Each call notes how far the sink is. After True the wait begins anew, and is twice as long.
+        """
         now, waiting = self._now(), self._waiting.get(name)
         if waiting is None or place.commit > waiting.place.commit or place.commit >= self._sent:
             self._waiting[name] = _Waiting(place, now)

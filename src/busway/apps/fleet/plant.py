@@ -123,7 +123,10 @@ def link_times(configuration: CollectorConfiguration) -> dict[str, LinkTimes]:
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may take longer than a lease (right to poll) holds."""
+    """Raise `ConfigError` for a link whose transactions may be too long for a lease (right to poll).
+
+    They may take `LeaseTimes.longest_transaction`, which is shorter than a lease.
+    """
     longest = times.longest_transaction
     for name, each in link_times(configuration).items():
         if each.transaction > longest:

@@ -51,7 +51,8 @@ class HostedPage(ABC):
     Attributes:
         title, description: title and description of the OpenAPI document of the page's API.
         url: URL of the page, without the token; empty while the page is stopped.
-        token: token that requests must carry; empty if no token is needed.
+        token: token that requests must carry, since the last `start`; empty if none is needed, or if a subclass has
+            tokens of its own.
 
     Raises:
         ConfigError: the address is invalid, or the token is too short.

@@ -220,7 +220,7 @@ class LiveValues:
         return found
 
     def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
-        """Return values, reasons and times of all points as three new lists, after a new tick."""
+        """Return values, reasons to show and times of all points as three new lists, as of now (`advance`)."""
         self.advance()
         with self._lock:
             reasons = [self._shown(place) for place in range(len(self.reasons))]

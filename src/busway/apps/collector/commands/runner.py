@@ -407,6 +407,8 @@ class CommandRunner:
     ) -> CommandResult:
         """Execute a command and return its result; if the same command is in execution, wait for that one.
 
+        The command is refused if the collector ends or too many are open.
+
         Args:
             command: the command.
             rights: what its writer may do.
@@ -547,7 +549,7 @@ class CommandRunner:
     async def _joined(self, command: PointCommand) -> CommandResult | None:
         """Wait for a running command with the same key, and return its result; None if none is running.
 
-        If that is another command, return a refusal.
+        If that is another command, return a refusal; but if its key is not recorded yet, wait for its end.
         """
         while (running := self._other_running(command)) is not None:
             if running.command.is_same(command):
@@ -690,7 +692,7 @@ class CommandRunner:
         return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
 
     async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
-        """Read a written point back until the device shows the value (rule 5); return the final result.
+        """Read a written point back until the device shows the value, at `SHOWN_AFTER` at most; return the result.
 
         The command is done if the value is shown, failed if another value is, and unknown if the point cannot be read.
         """

@@ -101,6 +101,8 @@ class LastValues:
     def configure(self, limits: Mapping[tuple[str, str], float], points: Collection[tuple[str, str]]) -> None:
         """Use the limits and points of a configuration that was read again (rule 6).
 
+        Values of devices without points are forgotten.
+
         Args:
             limits: by device and point, seconds after which a value is held.
             points: device and name of each point.

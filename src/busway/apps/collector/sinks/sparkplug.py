@@ -539,7 +539,7 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """Return the number of this connection (bdSeq, 0…255), one more than the last one, and keep it in a file.
+        """Return the number of this connection (bdSeq, 0…255), one more than the last; keep it in the file, if any.
 
         Raises:
             SinkDown: the file cannot be written.
