@@ -104,7 +104,7 @@ def test_a_coordinator_without_commands_refuses_in_a_sentence(run: Callable[...,
     refused = run("fleet", "write", "meter-7", "setpoint", "20", *at)
     assert (refused.code, "commands go over NATS" in refused.err) == (2, True)
     for words, said in (
-        (("write", "meter-7", "setpoint"), "write DEVICE POINT VALUE"),
+        (("write", "meter-7", "setpoint"), "write: wants DEVICE POINT VALUE"),
         (("status", "--key", "k"), "--key: is for write"),
     ):
         wrong = run("fleet", *words, *at)
