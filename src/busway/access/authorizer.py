@@ -132,7 +132,11 @@ class PolicyAuthorizer:
         return self._in_force.policy
 
     def replace_policy(self, policy: Policy) -> None:
-        """Use another policy from the next request on; connections stay open. May be called from any thread."""
+        """Use another policy from the next request on; connections stay open. May be called from any thread.
+
+        Changes `generation`. A rule whose name and rate stay the same goes on counting; the counts of other rules are
+        dropped, also for other authorizers that share them.
+        """
         with self._lock:
             self._in_force = _InForce(policy)
             rates = {rule.name: rule.rate for rule in policy.rules}
@@ -142,7 +146,10 @@ class PolicyAuthorizer:
             self.generation += 1
 
     def rights_of(self, client: ClientIdentity) -> PolicyRights:
-        """Return what the policy permits to a client; the same object for clients to whom the same rules apply."""
+        """Return what the policy permits to a client, from a cache or determined now.
+
+        Clients to whom the same rules apply get the same object, until the policy is replaced or the cache is full.
+        """
         return self._known(client)[1]
 
     def authorize(

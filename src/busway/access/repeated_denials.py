@@ -15,8 +15,7 @@ from typing import Final
 DenialLine = Callable[[int], str]
 """Function that creates the audit line of a denial.
 
-Its argument is the number of denials that the line stands for; 0 for
-this denial alone.
+Its argument is the number of denials that the line stands for; 0 for this denial alone.
 """
 About = tuple[str, str, str]
 """Host, role and rule of a denial; equal denials have all three in common. The role is empty without one."""

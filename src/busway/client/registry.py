@@ -115,7 +115,7 @@ class LocalConnections:
         self._lock = threading.Lock()
 
     def add(self, link: LocalLink) -> None:
-        """Add a new link to the registry of this process's links."""
+        """Add a new link to the registry, which refers to it only weakly."""
         with self._lock:
             self._links.add(link)
 
@@ -171,9 +171,10 @@ counted_by(LOCAL.count)
 
 
 def local_connections() -> tuple[LocalConnectionStatus, ...]:
-    """Return the status of every link of this process that is not closed, asyncio and blocking, sorted by endpoint.
+    """Return the status of every link of this process that is not closed, asyncio and blocking.
 
-    Links that are not connected are in the list as well. Nothing is sent. Links in use on other threads may change
+    They are sorted by endpoint, then by kind. Links that are not connected are in the list as well; links whose event
+    loop is closed are not. Nothing is sent. Links in use on other threads may change
     while the list is made.
     """
     return tuple(sorted((link.status() for link in LOCAL.links()), key=lambda one: (one.endpoint, one.kind)))

@@ -55,7 +55,10 @@ class ClientSession(Protocol):
 
     @property
     def queued(self) -> int:
-        """Number of calls that have requests left to send."""
+        """Number of calls that have requests left to send.
+
+        On Modbus TCP a call of a gateway counts once for each request that is not sent yet.
+        """
 
     def submit(self, call: Call, now: float) -> None:
         """Put the requests of a call into the queue. Raises `ModbusError` if it is refused; nothing was sent then."""

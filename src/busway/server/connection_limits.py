@@ -135,7 +135,11 @@ class Pools(Generic[One]):
         return len(self._priority if pool is Pool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
-        """Give a new connection a slot, if necessary one of another connection (``evicted`` in the result)."""
+        """Give a new connection a slot, if necessary that of another connection, or refuse it (rules 2 to 5).
+
+        Sets ``pool`` of an accepted connection. The connection in ``evicted`` has lost its slot already; the caller
+        closes it.
+        """
         if candidate.is_priority and self._has_priority_place(candidate.host):
             self._prefer(candidate)
             return Admission(True)
@@ -152,7 +156,11 @@ class Pools(Generic[One]):
         return Admission(True, evicted)
 
     def leave(self, member: One) -> None:
-        """Free the slot of a connection that has ended; no effect if it has lost its slot already."""
+        """Free the slot of a connection that has ended; no effect if it has lost its slot already.
+
+        A priority slot that becomes free goes to the oldest connection of a priority host in the other pool whose host
+        is below its limit.
+        """
         if member in self._other:
             self._remove(member)
         elif member in self._priority:

@@ -119,7 +119,8 @@ class Deadlines(Generic[One]):
     def next_due(self, now: float, *, has_connections: bool) -> float | None:
         """Return when to call `due` next; None while no timeout runs.
 
-        ``has_connections``: whether any connection is open.
+        ``has_connections``: whether any connection is open. If so, this call sets when idle ones are looked for, unless
+        that is set already.
         """
         times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
         times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
@@ -133,7 +134,9 @@ class Deadlines(Generic[One]):
     def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
         """Return each connection whose timeout or pause is over at ``now``, together with what is over.
 
-        ``allow_all`` has all open connections; idle ones are searched among them.
+        A timeout of a frame or a write, or a pause, is returned once and then forgotten. Idle connections are searched
+        among ``allow_all``, which has all open connections, only at the times that `next_due` has set (rule 4). They
+        are returned again each time until they are closed. A connection can be in the list more than once.
         """
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):

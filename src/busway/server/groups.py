@@ -88,7 +88,8 @@ class Groups:
     def update(self) -> Iterator[None]:
         """Context manager that opens a group of changes which become visible together.
 
-        A group inside a group joins it.
+        An exception that leaves the group drops its changes. A group inside a group joins it: its changes become
+        visible with those of the outer group, even if an exception left the inner one and was caught in the outer.
         """
         if self._current() is not None:
             yield

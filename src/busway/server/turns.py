@@ -58,11 +58,17 @@ class Turns:
 
     @property
     def has_time(self) -> bool:
-        """Whether time is left for connections in the current turn of the event loop."""
+        """Whether time is left for connections in the current turn of the event loop.
+
+        False also before the first call of `worked` or `wait`, which start to time a turn.
+        """
         return seconds() < self._until
 
     def worked(self) -> None:
-        """Record that a connection has processed many requests or bytes in this turn; updates `is_crowded`."""
+        """Record that a connection has processed many requests or bytes in this turn.
+
+        The first call in a turn starts to time it. A later one sets `is_crowded` if the time is used up.
+        """
         if not self._is_due:
             self._begin()
         elif not self.has_time:
@@ -100,9 +106,7 @@ class Turns:
             self._until = began + TURN_SECONDS
 
     def _work(self, row: deque[Waiting], until: float | None) -> None:
-        """Let each connection in a queue process requests once, in order, until the time ``until``.
-
-        None for no time limit.
+        """Let each connection in a queue process requests once, in order, until the time ``until``; None: no limit.
 
         The first connection is served even if the time is over. Connections with requests left are put into the queue
         again.

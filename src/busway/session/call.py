@@ -37,6 +37,8 @@ HEAD_SIZE = 9
 class CallOptions(TypedDict, total=False):
     """Options that every read and write of a unit accepts. An omitted option has the value of the link.
 
+    ``timeout`` and ``deadline`` count as omitted also if they are None or 0.
+
     timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of reads, 0…100. deadline: seconds
     for the whole call, time in the queue included. idempotent: a write may be executed twice, so it is repeated like a
     read.

@@ -65,7 +65,10 @@ class ConnectionLife:
     # How a connection begins.
 
     def may_dial(self, now: float) -> bool:
-        """Whether an attempt to connect may be made now: no connection, no attempt in progress, no pause."""
+        """Whether an attempt to connect may be made now: no connection, no attempt in progress, no pause.
+
+        If a pause is over at ``now``, this call changes the state from "backing off" to "down".
+        """
         return self.reconnect.may_dial(now)
 
     def dialled(self, now: float) -> None:
@@ -103,7 +106,10 @@ class ConnectionLife:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """End or repeat the requests whose timeout has passed. Returns whether there were any."""
+        """Let the session handle timeouts and deadlines that have passed. Returns whether a request timed out.
+
+        Then the state becomes "suspect". A call that ended by its deadline in the queue does not count.
+        """
         counters = self._conversation.counters
         timeouts = counters.timeouts
         self._conversation.tick(now)
@@ -163,7 +169,7 @@ class ConnectionLife:
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
         """Return the error for a new call if the link is closed or pauses after a failed attempt; None otherwise.
 
-        ``unit`` is the unit that the call asks, for the error.
+        ``unit`` is the unit that the call asks, for the error. A pause that is over ends here, as in `may_dial`.
         """
         if self.closed:
             return LinkClosed("the link is closed", endpoint=self.endpoint, unit=unit)

@@ -140,7 +140,11 @@ class UnitDoubt:
     # Owed replies.
 
     def owe(self, reply: OwedReply) -> None:
-        """Record a request that was not answered in time, or before the connection ended: its reply may still come."""
+        """Record a request that was not answered in time, or before the connection ended: its reply may still come.
+
+        If ``owed`` is full (`OWED_LIMIT`), the oldest reply is counted in ``older`` instead. An attempt at the request
+        of the last entry then only raises ``times`` of that entry.
+        """
         self.pending = [one for one in self.pending if one.until > reply.sent]
         if len(self.pending) >= OWED_LIMIT:
             self.pending.remove(min(self.pending, key=lambda one: one.until))
@@ -184,7 +188,11 @@ class UnitDoubt:
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
-        """Record that a late reply has come; requests sent before its request get no reply any more (rule 2)."""
+        """Record that a late reply has come: remove it, and all owed replies to earlier requests (rule 2).
+
+        An entry that stands for several attempts loses one of its ``times``. The earliest reply with the same function
+        code leaves ``pending``.
+        """
         index = self.owed.index(reply)
         if reply.times > 1:
             self.owed[index] = replace(reply, times=reply.times - 1)
@@ -205,6 +213,7 @@ class UnitDoubt:
         """Forget all late replies of the unit: its reply to ``request`` proves that none is left (rule 2).
 
         A frame sent without a request (``unasked``) is forgotten too, unless it had the function code of ``request``.
+        ``pending`` stays: requests that wait because of it go on waiting.
         """
         self.owed.clear()
         self.older.clear()
@@ -216,7 +225,8 @@ class UnitDoubt:
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
         """Whether a late reply, or a frame sent without a request, could be taken for the reply to this request.
 
-        See rule 3. ``call`` and ``position`` identify the request: late replies to earlier attempts at it do not count.
+        See rule 3. ``call`` and ``position`` identify the request: replies in ``owed`` to earlier attempts at it do not
+        count. Those in ``older`` count always, because their requests are not known.
         """
         function = request.wire[0]
         if self.unasked == function or function in self.older:
@@ -254,7 +264,9 @@ class UnitDoubt:
     # Markers.
 
     def marker(self, number: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request to send (see `Marker`); None if the unit answers no kind of marker.
+        """Return the next marker request to send (see `Marker`); None if no kind of marker can be used.
+
+        A kind cannot be used if the unit did not answer it, or if an owed reply could be taken for its reply.
 
         Args:
             number: data of a marker of the kind 08/00, 0…65535; no marker whose reply is still owed may have the same.
@@ -299,7 +311,11 @@ class UnitDoubt:
         return None
 
     def marked(self, kind: MarkerKind) -> None:
-        """Record that the unit answered this kind of marker request (see `Marker`); it is tried first next time."""
+        """Record that the unit answered this kind of marker request (see `Marker`); it is tried first next time.
+
+        A frame sent without a request (``unasked``) is forgotten, and ``alike`` begins at 0. Owed replies stay here;
+        `answered` removes them.
+        """
         self.works = kind
         self.silent.discard(kind)
         self.unasked = None
@@ -316,7 +332,10 @@ class UnitDoubt:
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Record a request that was answered in time; ``alike`` counts how many in a row were alike (rule 7)."""
+        """Record a request that was answered in time; ``alike`` counts how many in a row were alike (rule 7).
+
+        A read without an exception is stored in ``good``, from which markers are made.
+        """
         last, self.last = self.last, request
         if request is last or (
             last is not None and self._is_alike(request, last, is_exception=is_exception)
@@ -383,7 +402,9 @@ class Doubts:
         return found
 
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
-        """Return the next marker request (see `Marker`) for a unit; None if the unit answers no kind of marker.
+        """Return the next marker request (see `Marker`) for a unit; None if no kind of marker can be used for it.
+
+        Each call uses up one of the numbers by which markers 08/00 differ.
 
         ``is_check``: see `UnitDoubt.marker`.
         """
@@ -398,12 +419,16 @@ class Doubts:
     def is_owed(self) -> bool:
         """Whether late replies may still come, or requests wait for them.
 
-        Then the next link to the endpoint needs this record.
+        Then the next link to the endpoint needs this record. True also after a frame that was sent without a request.
         """
         return any(not doubt.is_empty for doubt in self.units.values())
 
     def add(self, other: "Doubts") -> None:
-        """Add the late replies owed to an earlier link to the same endpoint, in the order of their requests."""
+        """Add what an earlier link to the same endpoint knew of late replies; ``other`` stays as it is.
+
+        These are owed replies, merged in the order of their requests, replies for which requests wait (``pending``),
+        and frames sent without a request.
+        """
         for unit, theirs in other.units.items():
             ours = self.of(unit)
             ours.owed = sorted((*ours.owed, *theirs.owed), key=lambda owed: owed.sent)

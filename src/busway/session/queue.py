@@ -181,7 +181,10 @@ class RequestQueue:
         self._last = None
 
     def add_again(self, call: Call) -> None:
-        """Queue a call with a request to repeat: before its caller's other calls, and even if the queue is full."""
+        """Queue a call with a request to repeat: before its caller's other calls, and even if the queue is full.
+
+        A call that is still queued keeps its position.
+        """
         caller = self._callers.get(call.caller) or self._new_caller(call)
         if call not in caller.calls:  # else its other requests still wait
             call.places = 1  # its other requests gave up their places when they were sent
@@ -215,7 +218,7 @@ class RequestQueue:
         """Return how many requests the caller that is picked next may send, if ``room`` more requests may be in flight.
 
         A sole caller may send ``room``. With several callers it is 1; if ``burst`` is above 1, it is ``burst`` or an
-        equal part of ``room``, whichever is more.
+        equal part of ``room``, whichever is more. So it can be more than ``room``, which the caller must check.
         """
         callers = len(self._callers)
         if callers == 1:
@@ -282,7 +285,11 @@ class RequestQueue:
         return None
 
     def take_turn(self, call: Call) -> None:
-        """Put the caller of this call, and the callers skipped before it, at the end of the round robin."""
+        """Put the caller of this call, and the callers skipped before it, at the end of the round robin.
+
+        `pick_same` then chooses among the calls of this caller. If units are served in turn, the unit of the call goes
+        to the end of their order.
+        """
         caller = self._last = self._callers[call.caller]
         round_ = caller.round
         round_.last = caller

@@ -148,7 +148,8 @@ class CallTracker:
     ) -> None:
         """End all requests of a call that are not in flight, each with an error of its own, created by ``reason``.
 
-        ``in_flight`` holds (``id`` of the call, position) of the requests in flight; those go on.
+        The call leaves the queue. Outcomes that it has already stay. ``in_flight`` holds (``id`` of the call, position)
+        of the requests in flight; those go on.
         """
         self.queue.remove(call)
         for position, outcome in enumerate(call.outcomes):
@@ -175,8 +176,8 @@ class CallTracker:
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
         """End every call in the queue, because no connection could be opened.
 
-        Each open request gets a copy of ``error``. If ``keep_repeated``, a call of which a request is about to be
-        repeated stays in the queue.
+        Each open request gets a copy of ``error``; a write that was sent before ends as `WriteOutcomeUnknown`. If
+        ``keep_repeated``, a call of which a request is about to be repeated stays in the queue.
         """
         kind = error.kind if isinstance(error, LinkDown) else "other"
         for call in list(self.queue):
@@ -255,7 +256,7 @@ class CallTracker:
     def repeat(self, call: Call, position: int) -> None:
         """Repeat a read whose reply was not used, because it may have been a late one.
 
-        This does not count as a retry.
+        It does not use up one of the call's ``retries``, but the counter ``retries`` of the link includes it.
         """
         call.repeated = {**call.repeated, position: call.repeated.get(position, 0) + 1}
         self._again(call, position)

@@ -62,7 +62,10 @@ class Breakers:
         return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
-        """Return the seconds until a suspended unit may be probed; None if a request to the unit may be sent now."""
+        """Return the seconds until a suspended unit may be probed; None if a request to the unit may be sent now.
+
+        While a probe is in flight, these are the seconds until its timeout.
+        """
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED or now >= breaker.probe_at:
             return None
@@ -71,8 +74,9 @@ class Breakers:
     def asked(self, unit: int, now: float, timeout: float, usual: float = 0.0) -> float:
         """Record that a request is sent to a unit, and return the timeout to use, in seconds.
 
-        It is ``timeout``, or less if the request is the probe of a suspended unit: then it follows from ``usual``, the
-        seconds that the unit usually takes to answer (0 if unknown).
+        It is ``timeout`` while the circuit breaker is closed. Otherwise the request is the probe: the state becomes
+        PROBING, and the timeout, at most ``timeout``, follows from ``usual``, the seconds that the unit usually takes
+        to answer (0 if unknown).
         """
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED:

@@ -79,7 +79,8 @@ def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
     """Create the device that answers for the gateway itself: identification, diagnostics, status registers.
 
     Args:
-        numbers: returns the values of the status registers; called at each read.
+        numbers: returns the values of the status registers; called before each read of input registers. Only the first
+            64 upstreams (`MOST_UPSTREAMS`) have registers.
         registers: whether the device has its status in input registers; without them a read gets exception 01.
     """
     device = Device(

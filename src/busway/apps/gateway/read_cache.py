@@ -88,12 +88,13 @@ class ReadCache(Generic[Shared]):
     def write_begins(self, unit: int) -> None:
         """Drop remembered values and stop the sharing of reads, because a write to a unit is about to be forwarded.
 
-        Each call must be followed by one of `write_ended`.
+        Both concern also the other units that may be the same device (rule 1). Each call must be followed by one of
+        `write_ended`.
         """
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Record the end of a write to a unit, successful or not.
+        """Record the end of a write to a unit, successful or not. Remembered values are dropped again (rule 2).
 
         Once no write to the unit is in progress, its reads are shared and remembered again.
         """
@@ -127,7 +128,7 @@ class ReadCache(Generic[Shared]):
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
 
     def changes(self, unit: int) -> int:
-        """Return a number that changes with every write to a unit.
+        """Return a number that changes when a write that concerns a unit begins, and again when it ends.
 
         Read it before a read is forwarded, and pass it to `remember` with the read's data.
         """
@@ -136,7 +137,7 @@ class ReadCache(Generic[Shared]):
     # Values.
 
     def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
-        """Keep the data of a read, unless the unit was written since the read was forwarded.
+        """Keep the data of a read, unless a write to the unit was in progress at any time since the read was forwarded.
 
         Args:
             unit: unit identifier on the upstream.

@@ -25,7 +25,8 @@ def share(
 ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
     """Let the reads of one client wait for equal reads that are in flight for others.
 
-    Returns the reads that must be sent.
+    The reads of a priority host wait only for reads of priority hosts, or for those that were sent upstream already. A
+    deadline of a batch that is joined moves so that the batch lasts for its latest client.
 
     Args:
         asker: the client.

@@ -85,7 +85,8 @@ class LinkStatus:
     Attributes:
         state: state of the connection: a value of `ConnectionState`.
         in_flight: number of requests in flight.
-        queued: number of requests in the queue.
+        queued: number of requests in the queue; on serial links number of calls, each of which may be a batch of
+            requests.
         counters: counters of the link.
         suspended: units that get no requests for now, because of their breaker.
         reason: why the server or port cannot be reached; empty while it can be, and before the first attempt.
@@ -113,7 +114,8 @@ class UpstreamStatus:
         endpoint: URL of the upstream.
         links: the status of each connection; empty while the upstream is closed.
         counters: counters of the requests.
-        indicators: communication is on while replies are awaited, error flashes while the upstream cannot be reached.
+        indicators: communication is on while replies are awaited. Error flashes while the upstream is closed or one of
+            its connections cannot be made; device status is on while error is off.
     """
 
     name: str
@@ -211,7 +213,7 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection to the upstream was opened, failed or was lost; reopen a lost serial port.
+        """Log that a connection was opened or could not be, or that a serial port was lost; have that port reopened.
 
         Args:
             event: what happened to the connection.
@@ -265,7 +267,11 @@ class Upstream:
         return UpstreamStatus(self.name, self.settings.endpoint.url, links, self.counters, _indicators(links))
 
     def link_for(self, client: str) -> AsyncLinkDriver | None:
-        """Return the link that sends the requests of a client (``host:port``); None while the upstream is closed."""
+        """Return the link that sends the requests of a client (``host:port``); None while the upstream is closed.
+
+        A new client is assigned to the link with the fewest clients, and stays with it. Of more than 4096 clients the
+        one that asked longest ago is forgotten.
+        """
         links = self.links
         if len(links) < 2:
             return links[0] if links else None
@@ -284,7 +290,8 @@ class Upstream:
     def refused(self, error: ModbusError) -> int:
         """Return the exception code that a client gets for the error of a forwarded request.
 
-        The request is counted as refused; an answer 0A is logged, and 0B for a unit that did not answer.
+        Counts the request in ``no_path`` (code 0A), ``no_answer`` (0B) or ``exceptions`` (any other). Logs 0A, and 0B
+        if the unit did not answer.
         """
         code = code_for(error)
         counters = self.counters

@@ -26,7 +26,7 @@ class WaiterDeadlines(Generic[Waiter]):
     Args:
         now: returns the time in seconds, by the clock of the deadlines.
         call_at: creates a timer of that clock.
-        over: called with each waiter whose deadline has passed; the waiter is then forgotten.
+        over: called with each waiter whose deadline has passed, after the waiter was forgotten here.
     """
 
     __slots__ = ("_call_at", "_deadlines", "_now", "_over", "_timer")

@@ -69,7 +69,7 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
         sections: the sections.
 
     Raises:
-        ConfigError: a fault is invalid; `fault_problems` reports these errors beforehand.
+        ConfigError: a fault is invalid; those before it stay added. `fault_problems` reports these errors beforehand.
     """
     ordered = list(sections)
     named = [one.name for one in ordered if one.name]
@@ -128,7 +128,9 @@ MET_ON: Final = {
 
 
 def why_it_never_strikes(status: FaultStatus, endpoints: Iterable[str], units: Collection[int]) -> str:
-    """Return why a fault strikes no request that a simulation can get, as a sentence; empty if it can strike.
+    """Return why no listener or unit of a simulation fits a fault, as a sentence; empty if both fit.
+
+    Function codes, addresses, probability and schedule are not looked at: they may still keep it from striking.
 
     Args:
         status: the fault.

@@ -17,7 +17,8 @@ from ...faults.switchboard import FaultSwitchboard
 async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault, bool], object]) -> None:
     """Call ``tell`` whenever a scheduled fault begins (with True) or ends (with False), until cancelled.
 
-    A fault that is active already is reported at once.
+    A fault that is active already is reported at once. An active fault that is switched off or removed is not reported
+    as ended.
 
     Args:
         board: the faults, also those that are added or switched later.

@@ -22,7 +22,8 @@ _TRIES: Final = 10
 def check_store_files(folder: Path) -> list[str]:
     """Check all files of a store, and return the problems found, one sentence each; an empty list if there are none.
 
-    The check changes nothing, and works while the store is being written.
+    The check changes nothing, and works while the store is being written. A sealed file that cannot be checked, because
+    pyarrow is not installed, is a problem too.
 
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.

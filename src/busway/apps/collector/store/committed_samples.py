@@ -120,7 +120,10 @@ class CommitReader:
         return self._tried(lambda: self._read(after, most))
 
     def count(self, after: int, last: int) -> int:
-        """Return the number of samples in the commits after number ``after``, up to ``last`` and with it."""
+        """Return the number of samples in the commits after number ``after``, up to ``last`` and with it.
+
+        The samples without a value that `read` returns for intervals of devices are not counted.
+        """
         return self._tried(lambda: self._count(after, last))
 
     def last_before(self, moment: int, after: int) -> int:

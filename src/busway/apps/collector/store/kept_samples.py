@@ -116,7 +116,10 @@ class KeptSamples:
         return choice
 
     def committed(self, choice: Choice) -> None:
-        """Record that the samples of ``choice`` are stored; the report rules compare later samples with them."""
+        """Record that the samples of ``choice`` are stored; the report rules compare later samples with them.
+
+        Forgets earlier samples of the devices in ``unread``, or of all devices if there was a gap.
+        """
         if choice.has_gap:
             self._last.clear()
         for device in choice.unread:
