@@ -8,6 +8,10 @@ not here.
 2. A row is on disk before the first transaction of its epoch.
 3. An ownership whose end is missing ended with the process; the next start records that end.
 4. A gap before an ownership (`ownership_gaps`) is on disk together with it.
+5. What is recorded never belongs to commits that `gaps` was asked for before: commits of other links may be sent while
+   the disk is waited for, and the outbox asks for each range once.
+6. Of two ownerships that begin after the same commit, the one that was recorded later is later. Their times say
+   nothing: the wall clock can be set back.
 """
 
 import json
@@ -103,6 +107,7 @@ class OwnershipLog:
             (self.store,) = self._database.execute("SELECT store FROM identity").fetchone()
         except (sqlite3.Error, OSError) as error:
             raise ConfigError(f"the log of ownership cannot be used: {error}", file=str(path)) from error
+        self._asked = 0
         self._epochs: dict[str, list[tuple[int, Epoch]]] = {}
         self._revisions: list[tuple[int, int]] = list(
             self._database.execute("SELECT after_commit, revision FROM configuration ORDER BY rowid")
@@ -122,27 +127,28 @@ class OwnershipLog:
 
         Args:
             owned: names of the links, each with the epoch of its ownership.
-            after_commit: the last commit before the ownership.
+            after_commit: the last commit before the ownership; a later one counts if `gaps` was asked for it (rule 5).
             now: nanoseconds since 1970 UTC.
-            gaps: the times before in which some of them had no owner.
+            gaps: the times before in which some of them had no owner. Their commit is that after ``after_commit``.
 
         Raises:
             sqlite3.Error: nothing was recorded; the links must not be polled.
         """
-        rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link, epoch in owned]
-        before = [
-            (
-                gap.link,
-                gap.epoch.generation,
-                gap.epoch.revision,
-                after_commit,
-                json.dumps(gap.devices),
-                gap.begin,
-                gap.end,
-            )
-            for gap in gaps
-        ]
         with self._lock:
+            after_commit = max(after_commit, self._asked)  # rule 5
+            rows = [(link, epoch.generation, epoch.revision, after_commit, now) for link, epoch in owned]
+            before = [
+                (
+                    gap.link,
+                    gap.epoch.generation,
+                    gap.epoch.revision,
+                    after_commit,
+                    json.dumps(gap.devices),
+                    gap.begin,
+                    gap.end,
+                )
+                for gap in gaps
+            ]
             self._write([(_BEGIN, rows), (_GAP, before)])
             for link, generation, revision, *_ in rows:
                 self._epochs.setdefault(link, []).append((after_commit, Epoch(generation, revision)))
@@ -175,6 +181,7 @@ class OwnershipLog:
         with self._lock:
             if self._revisions and self._revisions[-1][1] == revision:
                 return
+            after_commit = max(after_commit, self._asked)  # rule 5
             self._database.execute("INSERT INTO configuration VALUES (?, ?)", (after_commit, revision))
             self._revisions.append((after_commit, revision))
 
@@ -184,8 +191,12 @@ class OwnershipLog:
         return self._revisions[place - 1][1] if place else 0
 
     def gaps(self, after: int, last: int) -> list[OwnershipGap]:
-        """Return the gaps that belong to the commits after number ``after``, up to ``last`` and with it, in order."""
+        """Return the gaps that belong to the commits after number ``after``, up to ``last`` and with it, in order.
+
+        Nothing that is recorded later belongs to these commits.
+        """
         with self._lock, closing(self._database.cursor()) as cursor:
+            self._asked = max(self._asked, last)
             rows = cursor.execute(
                 "SELECT * FROM gap WHERE after_commit >= ? AND after_commit < ? ORDER BY after_commit, link",
                 (after, last),
@@ -203,7 +214,7 @@ class OwnershipLog:
     def all(self) -> list[Ownership]:
         """Return all recorded periods in which this collector owned a link, the oldest first."""
         with self._lock, closing(self._database.cursor()) as cursor:
-            rows = cursor.execute("SELECT * FROM ownership ORDER BY after_commit, begin, link").fetchall()
+            rows = cursor.execute("SELECT * FROM ownership ORDER BY after_commit, rowid").fetchall()
         return [
             Ownership(link, Epoch(generation, revision), after_commit, begin, last_commit, end)
             for link, generation, revision, after_commit, begin, last_commit, end in rows
