@@ -9,7 +9,7 @@ from fleet_world import Network, World, random_walk
 
 from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
-from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, _SeenLease
+from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, Step, _SeenLease
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 from busway.apps.fleet.records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
 
@@ -513,3 +513,45 @@ def test_every_renewal_says_how_long_the_lease_holds() -> None:
     world.run(10)
     records = [decode_lease(entry.value) for key, entry in world.entries.items() if key.startswith(LEASES)]
     assert {each.silence for each in records if each is not None} == {LeaseTimes().silence}
+
+
+def test_a_shard_whose_taking_had_no_answer_is_taken_again_with_the_gap_since_the_owner_before() -> None:
+    """The lease is in the table, and this collector has polled nothing by it."""
+    member = alone()
+    member.wall_ahead = 1000.0
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    member.outcome(first["zone"], 2, 0.0)
+    member.entry(Entry("lease.0001", LeaseRecord("east", "r", True, 3, 0.1, Epoch(1, 5), at=1001.0).encode(), 8), 1.0)
+    now = 17.5
+    taken = proposed(member, now)["lease.0001"]
+    for revision in (9, 10):
+        member.outcome(taken, NotConfirmed.UNKNOWN, now)
+        member.entry(Entry("lease.0001", taken.value, revision), now)
+        assert not member.owned
+        now += 3.0
+        taken = proposed(member, now)["lease.0001"]
+        assert taken.revision == revision
+    member.outcome(taken, 11, now)
+    (event,) = member.events()
+    assert event.silent_since == 1001.0
+    assert member.owned["0001"].hole == LeaseHole("east", True, 1001.0, 1000.0 + now)
+
+
+def test_a_shard_that_was_owned_and_lapsed_has_a_gap_since_its_own_last_renewal() -> None:
+    member = alone()
+    member.wall_ahead = 1000.0
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    member.outcome(first["zone"], 2, 0.0)
+    member.entry(Entry("lease.0001", LeaseRecord("east", "r", True, 3, 0.1, Epoch(1, 5), at=1001.0).encode(), 8), 1.0)
+    taken = proposed(member, 17.5)["lease.0001"]
+    member.outcome(taken, 9, 17.5)
+    assert [event.silent_since for event in member.events()] == [1001.0]
+    again = proposed(member, 40.0)["lease.0001"]
+    member.outcome(again, 10, 40.0)
+    lost, gained = member.events()
+    assert (lost.step, gained.step) == (Step.LOST, Step.GAINED)
+    assert lost.silent_since == gained.silent_since == 1017.5

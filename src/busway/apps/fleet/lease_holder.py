@@ -256,6 +256,8 @@ class FleetMember:
         self._look_at = 0.0
         self._free_since: dict[str, float] = {}
         self._silent_since: dict[str, float] = {}
+        self._unconfirmed: set[str] = set()
+        """Shards that this collector wants to take, until it owns them."""
         self._off_since: float | None = None
         self._ends = False
 
@@ -551,6 +553,7 @@ class FleetMember:
         renew_at = asked + self._spread(self.times.renew)
         self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole)
         self.counts.taken += 1
+        self._unconfirmed.discard(shard)
         self._events.append(ShardEvent(shard, Step.GAINED, epoch, silent_since=self._silent_since.pop(shard, None)))
         self._compare(shard)
 
@@ -663,6 +666,7 @@ class FleetMember:
             is_late = now >= self._free_since[shard] + patience
             is_mine = taker == self.name or is_for_me or (is_late and self._may_own(shard))
             if is_mine and f"{LEASES}{shard}" not in self._open:
+                hole = self._hole_before(shard, seen, now + self.wall_ahead)
                 self._note_silence(shard, seen)
                 record = LeaseRecord(
                     self.name,
@@ -673,22 +677,31 @@ class FleetMember:
                     None,
                     at=now + self.wall_ahead,
                     before=self._last_epochs.get(shard),
-                    hole=self._hole_before(seen, now + self.wall_ahead),
+                    hole=hole,
                     silence=self.times.silence,
                 )
                 self._propose(f"{LEASES}{shard}", record.encode(), 0 if seen is None else seen.revision, now, found)
 
-    @staticmethod
-    def _hole_before(seen: _SeenLease | None, end: float) -> LeaseHole | None:
+    def _hole_before(self, shard: str, seen: _SeenLease | None, end: float) -> LeaseHole | None:
         record = None if seen is None else seen.record
         if record is None or not 0 < record.at < end:
             return None
+        if shard in self._unconfirmed and record.run == self._me.run:
+            return None if record.hole is None else replace(record.hole, end=end)
         return LeaseHole(record.owner, record.held, record.at, end)
 
     def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
+        """Note since when the owner of a shard is silent that is about to be taken; nothing if it was released.
+
+        A lease that this collector has taken without an answer was never owned: what was noted before holds.
+        """
+        record = None if seen is None else seen.record
+        if shard in self._unconfirmed and record is not None and record.run == self._me.run:
+            return
+        self._unconfirmed.add(shard)
         self._silent_since.pop(shard, None)
-        if seen is not None and seen.record is not None and seen.record.held:
-            self._silent_since[shard] = seen.record.at
+        if record is not None and record.held:
+            self._silent_since[shard] = record.at
 
     def _free(self, now: float) -> dict[str, float]:
         """Return the shards (groups of links) that have no owner now, with the cost of each.
