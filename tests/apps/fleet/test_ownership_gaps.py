@@ -237,3 +237,36 @@ async def test_a_table_of_another_user_gets_samples_without_their_revision(
     assert await kept.rows("SELECT value FROM samples_101 ORDER BY time") == [(1,), (2,), (3,)]
     assert len([each for each in caplog.records if "no column for the revision" in each.message]) == 1
     await kept.chosen.close()
+
+
+@pytest.mark.parametrize("newest", [8.9999999, 9.0, 9.0000005, 9.5])
+async def test_the_mark_of_a_gap_never_has_the_time_of_a_sample(newest: float) -> None:
+    """A receiver that finds a sample by device, point and time would have the mark in its place."""
+    kept = Kept()
+    chosen = ChosenSamples(kept, DeliveryOptions(points=("meter/*",)), {}, POINTS)
+    last = sample(9.0)._replace(time=NOON + int(newest * 1e9))
+    await give(chosen, [last])
+    for _ in range(2):
+        await give(chosen, gap(9.0, 20.0))
+    marks = [each for each in kept.samples if each.reason]
+    assert {each.time // 1000 for each in marks} == {max(at(9.0), last.time) // 1000 + 1}
+    assert marks[:2] == marks[2:]
+
+
+async def test_a_sample_long_before_or_after_a_gap_moves_no_mark() -> None:
+    kept = Kept()
+    chosen = ChosenSamples(kept, DeliveryOptions(points=("meter/power",)), {}, POINTS)
+    await give(chosen, [sample(8.0)])
+    await give(chosen, gap(9.0, 20.0, 7))
+    await give(chosen, [sample(20.5)])
+    await give(chosen, gap(9.0, 20.0, 8))
+    assert [each.time for each in kept.samples if each.reason] == [at(9.0), at(9.0)]
+
+
+async def test_a_gap_of_no_length_has_no_sample_in_it() -> None:
+    kept = Kept()
+    chosen = ChosenSamples(kept, DeliveryOptions(points=("meter/power",)), {}, POINTS)
+    assert true_begin(at(9.0), at(9.0), [at(8.0), at(9.0), at(10.0)]) == at(9.0)
+    await give(chosen, [sample(9.0)])
+    await give(chosen, gap(9.0, 9.0))
+    assert [(each.time, bool(each.reason)) for each in kept.samples] == [(at(9.0), False), (at(9.0) + 1000, True)]

@@ -9,7 +9,8 @@ store is refused by name.
    away: it comes between others, and no rule can tell whether the sink needs it.
 3. A gap of ownership becomes what a sink gets of any time without reads: one sample without a value for each point, at
    its begin, with the reason `Reason.OWNERSHIP`; rules do not hold it back. It begins after the newest sample of the
-   device that has passed here. A sink that keeps gaps itself (`GapSink`) gets the gap instead.
+   device that has passed here, and never has the time of that sample, which it would replace. A sink that keeps gaps
+   itself (`GapSink`) gets the gap instead.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -61,7 +62,7 @@ class ChosenSamples:
         self._named: dict[_Point, bool] = {}
         self._reported: dict[_Point, CommittedSample] = {}
         self._newest: dict[str, int] = {}
-        self._placed: dict[tuple[str, str], int] = {}
+        self._placed: dict[tuple[str, str], tuple[int, int]] = {}
         self._units: dict[str, dict[str, str]] = {}
         for (device, point), each in (points or {}).items():
             self._units.setdefault(device, {})[point] = each.unit_of_measure
@@ -94,7 +95,7 @@ class ChosenSamples:
             SinkRefused: the receiver would refuse it again.
         """
         gaps = [
-            DeviceGap(device, points, str(gap.epoch), self._begin_of(gap, device), gap.end)
+            DeviceGap(device, points, str(gap.epoch), self._place_of(gap, device)[0], gap.end)
             for device in gap.devices
             if (points := [point for point in self._units.get(device, ()) if self._is_named((device, point))])
         ]
@@ -105,13 +106,13 @@ class ChosenSamples:
         return []
 
     def _marks(self, each: DeviceGap, gap: OwnershipGap) -> Iterator[CommittedSample]:
-        time = each.begin if each.begin == gap.begin else each.begin + _AFTER
+        _, time = self._place_of(gap, each.device)
         for point in each.points:
             unit = self._units[each.device][point]
             yield CommittedSample(gap.commit, each.device, point, time, 0, None, Reason.OWNERSHIP, unit)
 
-    def _begin_of(self, gap: OwnershipGap, device: str) -> int:
-        """Return when a gap of a device begins, as far as the samples tell that have passed here.
+    def _place_of(self, gap: OwnershipGap, device: str) -> tuple[int, int]:
+        """Return when a gap of a device begins, as far as the samples tell that have passed here, and when its mark is.
 
         The first result is remembered and returned again; with `_MOST_PLACED` results all are forgotten.
         """
@@ -120,7 +121,10 @@ class ChosenSamples:
         if found is None:
             if len(self._placed) >= _MOST_PLACED:
                 self._placed.clear()
-            found = self._placed[key] = true_begin(gap.begin, gap.end, [self._newest.get(device, 0)])
+            newest = self._newest.get(device, 0)
+            begin = true_begin(gap.begin, gap.end, [newest])
+            mark = begin + _AFTER if begin - _AFTER < newest <= begin else begin
+            found = self._placed[key] = begin, mark
         return found
 
     async def close(self) -> None:
