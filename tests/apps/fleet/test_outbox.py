@@ -366,6 +366,33 @@ async def test_messages_are_as_long_as_a_server_with_a_low_limit_takes(tmp_path:
         assert max(len(each.encode()) for each in sending.stream.messages) > 300
 
 
+async def test_what_a_commit_has_of_a_device_is_cut_at_the_same_places_wherever_it_is_sent_again_from(
+    tmp_path: Path,
+) -> None:
+    """So documents of sinks have the same keys: each is made of what a commit has of a device."""
+    sending = Sending(tmp_path)
+    sending.stream.longest = 1000
+    parts: list[list[list[object]]] = []
+    with sending.writer:
+        numbers = [commit_texts(sending, *("x" * 20 for _ in range(count))) for count in (1, 3, 2, 4, 30, 2, 1, 5, 3)]
+        for kept in (0, *numbers[:-1]):
+            sending.stream.sinks = {"broker": SinkPlace(kept, 0)}
+            sending.outbox = sending.opened()
+            for _ in range(2):  # the second one moves the cursor, by what messages of this start have proved
+                await sending.outbox.step()
+            sending.stream.messages.clear()
+            sending.outbox = sending.opened()
+            await sending.outbox.step()
+            found: dict[int, list[list[object]]] = {}
+            for message in sending.stream.messages:
+                for commit in dict.fromkeys(each.commit for each in message.samples):
+                    rows: list[object] = [each.time for each in message.samples if each.commit == commit]
+                    found.setdefault(commit, []).append(rows)
+            parts = parts or [found[number] for number in numbers]
+            assert found == {number: rows for number, rows in zip(numbers, parts, strict=True) if number > kept}
+    assert [len(each) > 1 for each in parts] == [count == 30 for count in (1, 3, 2, 4, 30, 2, 1, 5, 3)]
+
+
 async def test_a_sample_that_is_too_long_for_a_message_is_told_and_set_aside_and_others_are_sent(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

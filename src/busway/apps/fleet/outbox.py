@@ -18,6 +18,8 @@ Knows commits and cursors; `streams` knows the engine.
    them. So a sink that has all samples up to a commit has all gaps up to there.
 8. A message is no longer than `SampleStream.most_bytes`. A sample that alone is longer is set aside: it stays in the
    store, no sink gets it, and the status counts it.
+9. What a commit has of a link is in one message. If it is too long for one, it begins a message, and is cut at the same
+   places whenever it is sent again: sinks make a document with a key of what a commit has of a device.
 """
 
 import asyncio
@@ -318,20 +320,42 @@ class Outbox:
         """
         head, most = longest_head(self._collector, self._store, link), self._stream.most_bytes()
         for epoch, rows in self._of_one_epoch(link, group):
-            begin, length, known = 0, head, set[tuple[str, str, str]]()
-            for place, row in enumerate(rows):
-                added = longest_row(row, known)
-                if length + added > most and place > begin:
-                    yield epoch, rows[begin:place]
-                    begin, length, known = place, head, set()
-                    added = longest_row(row, known)
+            waiting, length, known = list[CommittedSample](), head, set[tuple[str, str, str]]()
+            for _, found in groupby(rows, key=lambda row: row.commit):
+                commit = list(found)
+                added = sum(longest_row(row, known) for row in commit)
                 if length + added > most:
-                    self._set_aside(row, head + added, most)
-                    begin, known = place + 1, set()
+                    if waiting:
+                        yield epoch, waiting
+                    waiting, length, known = [], head, set()
+                    added = sum(longest_row(row, known) for row in commit)
+                if length + added > most:
+                    known = set()
+                    for piece in self._pieces(commit, head, most):
+                        yield epoch, piece
                     continue
+                waiting += commit
                 length += added
-            if begin < len(rows):
-                yield epoch, rows[begin:]
+            if waiting:
+                yield epoch, waiting
+
+    def _pieces(self, commit: list[CommittedSample], head: int, most: int) -> Iterator[list[CommittedSample]]:
+        """Yield what a commit has of a link in pieces, each for a message; the commit is too long for one (rule 9)."""
+        piece, length, known = list[CommittedSample](), head, set[tuple[str, str, str]]()
+        for row in commit:
+            alone = head + longest_row(row, set())
+            if alone > most:
+                self._set_aside(row, alone, most)
+                continue
+            added = longest_row(row, known)
+            if length + added > most:
+                yield piece
+                piece, length, known = [], head, set()
+                added = longest_row(row, known)
+            piece.append(row)
+            length += added
+        if piece:
+            yield piece
 
     def _of_one_epoch(
         self, link: str, group: list[CommittedSample]
