@@ -5,7 +5,7 @@ import contextlib
 import sqlite3
 import threading
 import time
-from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -23,7 +23,7 @@ from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_holder import OwnedShard
+from busway.apps.fleet.lease_holder import OwnedShard, ShardEvent, Step
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
@@ -260,6 +260,34 @@ async def test_who_takes_links_from_a_silent_owner_records_the_gap_since_its_las
             )
 
 
+async def test_a_shard_that_is_gained_while_a_configuration_comes_is_polled_after_its_gap_is_recorded(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=time.time() - 100.0)
+    for shard in range(LINKS):
+        await coordinator.create(f"lease.{shard:04d}", lease.encode())
+    await coordinator.close()
+    honest = FleetCollector._apply
+
+    async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
+        if one.revision == 0 and any(event.step is Step.GAINED for event in events):  # it comes in this moment
+            one._newer = one._configuration, 7
+            one._waiting[:0] = events
+            one._wake.set()
+            events = ()
+        await honest(one, events)
+
+    monkeypatch.setattr(FleetCollector, "_apply", apply)
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3, 60)
+        assert one.revision == 7
+        await one.collector.flush()
+        found = await asyncio.to_thread(busway.Store(tmp_path / "one").read, "*/count")
+        (gap,) = one.ownership.gaps(0, one.collector.newest_commit)
+        assert gap.end < min(at for at, value in zip(found.time, found.value, strict=True) if value is not None)
+
+
 async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -429,3 +457,41 @@ async def test_a_configuration_is_confirmed_once_no_gateway_holds_a_request_of_w
         assert one._held_for(["line"]) == 0.0
     finally:
         await coordinator.close()
+
+
+async def test_a_lease_is_released_once_no_gateway_holds_a_request_of_a_link_that_a_newer_configuration_lacks(
+    tmp_path: Path,
+) -> None:
+    """Another collector may still have the configuration before, with that link."""
+    clock = [100.0]
+    text = plant(tmp_path / "one", [FleetDevice("line", 502)])
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    try:
+        one = FleetCollector(
+            parse_collector(text, "x.toml"), coordinator, "one", host="b", shards=1, times=TIMES, now=lambda: clock[0]
+        )
+        owned = one.member.owned["0000"] = OwnedShard(Epoch(1, 1), 1, asked=100.0, renew_at=101.0, leaving="two")
+        one._left_until = clock[0] + 0.05
+        one._release("0000", Epoch(1, 1))
+        assert not owned.has_left
+        clock[0] += 0.05
+        await until(lambda: owned.has_left)
+    finally:
+        await coordinator.close()
+
+
+async def test_a_configuration_is_confirmed_once_no_gateway_holds_a_request_of_a_link_that_is_being_handed_on(
+    tmp_path: Path,
+) -> None:
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        one._active.pop("link-0")
+        await one._poll_active()
+        until_then = one._held_until["link-0"] = one._now() + 1.0
+        one._newer = parsed(tmp_path, "one", devices[1:]), 7
+        await one._take_newer()
+        assert one.revision == 7
+        while one.member.members(0.0)[0].revision != 7:
+            assert one._now() < until_then + 60.0
+            await asyncio.sleep(0.01)
+        assert one._now() >= until_then

@@ -167,6 +167,8 @@ class FleetCollector:
         self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
         self._active: dict[str, Epoch] = {}
         self._active_since: dict[str, float] = {}
+        self._begun: dict[str, Epoch] = {}
+        """By shard, the last epoch that is recorded with the gaps before it."""
         self._link_followers: list[Callable[[], None]] = []
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
@@ -231,7 +233,7 @@ class FleetCollector:
             steps.push_async_exit(self._keys)
             steps.push_async_exit(self.collector)
             steps.push_async_callback(self._end_tasks)
-            limit = END_LIMIT + min(self._held_for(self._times_of), self.member.times.ttl)
+            limit = END_LIMIT + min(self._held_for(self._held_until), self.member.times.ttl)
             if not any(task.done() for task in self._tasks) and not await self._driver.end(limit):
                 _log.warning("not all shards were handed back in %.3g s: others take them later", limit)
 
@@ -351,7 +353,8 @@ class FleetCollector:
     async def _take_newer(self) -> None:
         """Apply the newer configuration that was checked: links that it lacks stop, new ones of owned shards begin.
 
-        Does nothing if there is none. Raises `sqlite3.Error` if ownership cannot be recorded; to be called again then.
+        A shard that was gained meanwhile begins with its event, which has the gap before it. Does nothing if there is
+        no newer configuration. Raises `sqlite3.Error` if ownership cannot be recorded; to be called again then.
         """
         if self._newer is None:
             return
@@ -362,7 +365,8 @@ class FleetCollector:
         if changed:  # they stop before the flush: what they take later is of the newer configuration
             staying = self._active.keys() - changed
             await self.collector.reload(restricted(self._configuration, staying), by=self.member.name, origin="fleet")
-        self._left_until = max(self._left_until, self._now() + self._held_for(changed))
+        stopped = [link for link in self._held_until if link in changed or link not in self._active]
+        self._left_until = max(self._left_until, self._now() + self._held_for(stopped))
         await self.collector.flush()
         commit = self.collector.newest_commit
         await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, time.time_ns())
@@ -372,7 +376,7 @@ class FleetCollector:
         self.revision = revision
         for shard, owned in list(self.member.owned.items()):
             fresh = [link for link in self._links_of.get(shard, ()) if link not in self._active]
-            if fresh and owned.leaving is None:
+            if fresh and owned.leaving is None and self._begun.get(shard) == owned.epoch:
                 rows = [(link, owned.epoch) for link in fresh]
                 await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
@@ -433,11 +437,15 @@ class FleetCollector:
         return max((self._held_until.get(link, now) - now for link in links), default=0.0)
 
     def _release(self, shard: str, epoch: Epoch) -> None:
-        """Have the lease of a shard released whose links have stopped, once no gateway holds a request (rule 1)."""
+        """Have the lease of a shard released whose links have stopped, once no gateway holds a request (rule 1).
+
+        That includes requests of links that the configuration lacks now: another collector may still have the one
+        before.
+        """
         owned = self.member.owned.get(shard)
         if owned is None or owned.epoch != epoch or owned.leaving is None:
             return
-        held = self._held_for(self._links_of.get(shard, ()))
+        held = max(self._held_for(self._links_of.get(shard, ())), self._left_until - self._now())
         if held > 0:
             asyncio.get_running_loop().call_later(held, self._release, shard, epoch)
             return
@@ -543,6 +551,7 @@ class FleetCollector:
             asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             return
         for event in events:
+            self._begun[event.shard] = event.epoch
             links = self._links_of.get(event.shard, [])
             if self._is_owned(event):  # it may have been lost meanwhile
                 self._activate(links, event.epoch)
