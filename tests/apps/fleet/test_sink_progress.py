@@ -2,13 +2,14 @@
 
 import asyncio
 import random
-from collections.abc import AsyncGenerator, Callable
+from collections.abc import AsyncGenerator, Callable, Sequence
 from types import SimpleNamespace
 from typing import Any
 
 import pytest
 from waiting import until
 
+from busway.apps.collector.sinks.documents import documents
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.coordinator import SNAPSHOT_ENDS, Entry
 from busway.apps.fleet.messages import Chain, SampleMessage
@@ -188,3 +189,48 @@ async def test_cursors_are_followed_anew_after_a_defect_of_the_coordinator(caplo
     task.cancel()
     await asyncio.wait([task])
     assert task.cancelled()
+
+
+class Documents:
+    """Keeps the keys of the documents that a sink makes of samples, in order."""
+
+    def __init__(self) -> None:
+        self.keys: list[str] = []
+        self.batches = 0
+
+    async def open(self) -> None:
+        pass
+
+    async def send(self, samples: Sequence[CommittedSample]) -> None:
+        self.batches += 1
+        self.keys += [each.key for each in documents(samples)]
+
+    async def close(self) -> None:
+        pass
+
+
+def samples_of(number: int, sender: str, commits: Sequence[int], times: Sequence[int]) -> SampleMessage:
+    samples = [CommittedSample(commit, "meter", "p", time, 0, time, 0) for commit in commits for time in times]
+    return SampleMessage(sender, "s", "hall", None, 0, 0, 0, samples, Chain(1, number, number - 1))
+
+
+@pytest.mark.parametrize(
+    ("messages", "batches"),
+    [
+        ([samples_of(1, "one", [4, 5], [1, 2]), samples_of(2, "one", [6, 7], [3, 4])], 1),
+        ([samples_of(1, "one", [5], [1, 2]), samples_of(2, "one", [5], [3, 4])], 2),  # a commit too long for one
+        ([samples_of(1, "one", [4, 5], [1]), samples_of(2, "two", [5, 6], [2])], 2),  # the numbers of two collectors
+        ([samples_of(1, "one", [5], [1]), samples_of(2, "two", [5], [1])], 2),
+        ([samples_of(number, "one", [5], [1, 2]) for number in (1, 2)], 2),  # sent again
+    ],
+)
+async def test_documents_have_the_same_keys_whether_messages_come_together_or_one_by_one(
+    messages: list[SampleMessage], batches: int
+) -> None:
+    one_by_one, together = Documents(), Documents()
+    sink = StreamSink(None, None, "hall", "history", one_by_one)  # type: ignore[arg-type]
+    for each in messages:
+        await sink._send_all([each])
+    await StreamSink(None, None, "hall", "history", together)._send_all(messages)  # type: ignore[arg-type]
+    assert together.keys == one_by_one.keys
+    assert together.batches == batches

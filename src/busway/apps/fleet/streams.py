@@ -681,12 +681,23 @@ class StreamSink:
             return None
 
     async def _send_all(self, messages: list[SampleMessage]) -> None:
+        """Send what messages carry to the sink, in order; many messages at once.
+
+        What two messages have of one device and one commit number is sent apart, also if they come together: sinks make
+        a document with a key of it, which must be the same at a repetition.
+        """
         waiting: list[CommittedSample] = []
+        places = set[tuple[str, int]]()
         for each in messages:
             if each.gap is not None and isinstance(self._sink, OwnershipGapSink):
                 await self._send(waiting)  # a gap begins after what was there before it
-                waiting = []
+                waiting, places = [], set()
                 await self._send_gap(self._sink, each.gap, each.revision)
+            added = {(sample.device, sample.commit) for sample in each.samples}
+            if not places.isdisjoint(added):
+                await self._send(waiting)
+                waiting, places = [], set()
+            places |= added
             waiting.extend(sample._replace(revision=each.revision) for sample in each.samples)
         await self._send(waiting)
 
