@@ -4,7 +4,7 @@ import asyncio
 import contextlib
 import shutil
 import time
-from collections.abc import AsyncGenerator, AsyncIterator, Sequence
+from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from functools import partial
 from pathlib import Path
 
@@ -277,7 +277,13 @@ def has_sent(outbox: Outbox, commit: int) -> bool:
     return outbox.status().sent >= commit
 
 
-def opened(folder: Path, writer: StoreWriter, stream: NatsStream, gaps: Sequence[OwnershipGap] = ()) -> Outbox:
+def opened(
+    folder: Path,
+    writer: StoreWriter,
+    stream: NatsStream,
+    gaps: Sequence[OwnershipGap] = (),
+    now: Callable[[], float] = lambda: 0.0,
+) -> Outbox:
     return Outbox(
         folder,
         writer.manifest,
@@ -288,7 +294,7 @@ def opened(folder: Path, writer: StoreWriter, stream: NatsStream, gaps: Sequence
         epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
         revision_of=lambda commit: 33 if commit < 4 else 44,
         gaps_of=lambda after, last: [each for each in gaps if after < each.commit <= last],
-        now=lambda: 0.0,
+        now=now,
     )
 
 
@@ -310,3 +316,45 @@ async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_
                 if start == 1:
                     shutil.rmtree(folder)
                     copy.rename(folder)
+
+
+async def test_a_sink_gets_what_was_in_a_stream_that_was_deleted_although_the_new_one_counts_from_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As an operator does who wants other limits; the collector goes on to send, so it is never idle."""
+    monkeypatch.setattr(outbox_module, "PAUSE_LIMIT", 0.5)
+    sink = KeepingSink()
+    with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
+        async with connected(server) as coordinator, handing_on(server, sink) as handed:
+            await make_stream(coordinator.client, "hall")
+            jetstream = coordinator.client.jetstream()
+            for _ in range(1000):
+                await jetstream.publish("busway.hall.samples.none", b"no message of samples")
+            await until(lambda: handed.unreadable == 1000, 60)
+            stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+            outbox = opened(tmp_path / "store", writer, stream, now=lambda: 20 * time.monotonic())
+            tasks = [asyncio.create_task(each) for each in (outbox.run(), stream.watch_cursors(coordinator))]
+
+            def commit() -> int:
+                now = writer.newest_commit + 1
+                return writer.commit([SampleBatch(PointGroup("meter", ("name",)), now, 5, (now,))], [], now).number
+
+            try:
+                await until(partial(has_kept, outbox, commit()), 60)
+                sink.is_up = False
+                lost = commit()
+                await until(lambda: handed.error is not None, 60)
+                await until(partial(has_sent, outbox, lost), 60)
+                await jetstream.delete_stream("busway-samples-hall")
+                sink.is_up = True
+                async with asyncio.timeout(60):
+                    while not has_kept(outbox, lost):
+                        commit()
+                        await asyncio.sleep(0.1)
+                assert ("meter", "name", lost) in sink.kept
+            finally:
+                await end_tasks(tasks)
+
+
+def has_kept(outbox: Outbox, commit: int) -> bool:
+    return outbox.status().kept >= commit

@@ -262,7 +262,7 @@ class Outbox:
         if waiting is None or place.commit > waiting.place.commit or place.commit >= self._sent:
             self._waiting[name] = _Waiting(place, now)
             return False
-        if waiting.takes_since is None and place.sequence > waiting.place.sequence:
+        if waiting.takes_since is None and place.sequence != waiting.place.sequence:  # a new stream counts from 1
             waiting.takes_since = now
         has_taken = waiting.takes_since is not None and now >= waiting.takes_since + waiting.wait
         is_idle = now >= max(waiting.since, self._published_at) + AGAIN_LIMIT

@@ -457,6 +457,13 @@ class SinkProgress:
         """The present position of the sink, to be saved in the shared table."""
         return SinkCursors(self._sequence, dict(self._commits), dict(self._proved))
 
+    def set_newest(self, sequence: int) -> None:
+        """Set the number of the stream's newest message; after it the stream goes on to count.
+
+        It is lower than what the sink has taken if the stream was made anew, or has lost its last messages.
+        """
+        self._sequence = min(sequence, self._sequence)
+
     def take(self, sequence: int, message: SampleMessage | None) -> None:
         """Count a message of the stream as taken by the sink; a message that came before is ignored.
 
@@ -573,6 +580,7 @@ class StreamSink:
         api, errors = import_module("nats.js.api"), import_module("nats.errors")
         stream = await make_stream(self._client, self._zone, self._options, start=0.0)
         jetstream = self._client.jetstream(timeout=10.0)
+        self._progress.set_newest(int((await jetstream.stream_info(stream)).state.last_seq))
         subscription = await jetstream.pull_subscribe(
             f"busway.{self._zone}.samples.>",
             durable=f"sink-{self._name}",
