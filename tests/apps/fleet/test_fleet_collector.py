@@ -288,6 +288,44 @@ async def test_a_shard_that_is_gained_while_a_configuration_comes_is_polled_afte
         assert gap.end < min(at for at, value in zip(found.time, found.value, strict=True) if value is not None)
 
 
+@pytest.mark.parametrize("step", [Step.LEAVE, Step.LOST])
+async def test_a_shard_that_is_gone_again_before_it_was_polled_leaves_the_gap_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: Step
+) -> None:
+    """The next owner takes it from one that was not silent, so only this one can tell of the gap."""
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    renewed = time.time() - 100.0
+    for shard in range(LINKS):
+        lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=renewed)
+        await coordinator.create(f"lease.{shard:04d}", lease.encode())
+    await coordinator.close()
+    honest = FleetCollector._apply
+    brief: list[ShardEvent] = []
+
+    async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
+        if not brief:
+            brief.extend(event for event in events if event.step is Step.GAINED)
+            for event in brief:
+                if step is Step.LEAVE:
+                    one.member.owned[event.shard].leaving = ""
+                else:
+                    del one.member.owned[event.shard]
+            events = [*events, *(ShardEvent(event.shard, step, event.epoch) for event in brief)]
+        await honest(one, events)
+
+    monkeypatch.setattr(FleetCollector, "_apply", apply)
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3, 60)
+        await one.collector.flush()
+        found = one.ownership.gaps(0, one.collector.newest_commit)
+        assert found[0].epoch == brief[0].epoch
+        assert found[0].begin == pytest.approx(renewed * 1e9, abs=2e6)
+        first, second = one.ownership.all()
+        assert (first.epoch, second.epoch) == (brief[0].epoch, one._active["link-0"])
+        assert first.end is not None
+        assert second.end is None
+
+
 async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

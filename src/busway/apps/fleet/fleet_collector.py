@@ -499,6 +499,11 @@ class FleetCollector:
         committed.
         """
         ended = [event for event in events if event.step is not Step.GAINED]
+        over = {(event.shard, event.epoch) for event in ended}
+        brief = [event for event in events if event.step is Step.GAINED and (event.shard, event.epoch) in over]
+        if brief:  # they are not polled here, but who takes them next does not know of the gap before
+            await self.collector.flush()
+            await self._begin(brief)
         for event in ended:
             for link in self._links_of.get(event.shard, ()):
                 self._active.pop(link, None)
@@ -555,7 +560,7 @@ class FleetCollector:
             links = self._links_of.get(event.shard, [])
             if self._is_owned(event):  # it may have been lost meanwhile
                 self._activate(links, event.epoch)
-                self._note_silence(links, event.silent_since)
+            self._note_silence(links, event.silent_since)
 
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
         """Return the times without an owner before shards were gained from owners that fell silent.
