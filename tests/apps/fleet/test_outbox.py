@@ -1,6 +1,7 @@
 """The outbox against a stream in memory: at least once, in order, and again after whatever the stream loses."""
 
 import asyncio
+import itertools
 from dataclasses import replace
 from pathlib import Path
 
@@ -8,11 +9,12 @@ import pytest
 from waiting import until
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
+from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import MOST_BYTES, SampleMessage
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, longest_head, longest_row
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import SinkProgress
@@ -494,3 +496,53 @@ async def test_a_stream_that_refuses_over_the_same_connection_is_tried_after_pau
         sending.stream.is_up = True
         await until(lambda: sending.stream.commits() == [2])
         await end_tasks([task])
+
+
+def test_messages_of_any_limit_have_each_sample_once_in_order_and_each_commit_whole_if_it_fits(tmp_path: Path) -> None:
+    """Whatever is first, last or alone too long; with each limit, so that some are met exactly, or with a byte left."""
+    sending = Sending(tmp_path)
+    lengths = [(5,), (900,), (30, 40, 50), (700, 1, 900), (1, 700), (900, 900), (10,) * 12, (2,), (1, 900)]
+    samples = [
+        CommittedSample(commit, "meter", f"p{place}", 1000 * commit + place, 0, "x" * length, 0)
+        for commit, texts in enumerate(lengths, 1)
+        for place, length in enumerate(texts)
+    ]
+    gaps = [OwnershipGap("hall", Epoch(1, 20), 5, ("meter", "pump", "m" * 200, "fan"), 1, 2)]
+    counts: set[tuple[int, int]] = set()
+    with sending.writer:
+        for limit in (6000, *range(1700, 500, -1)):  # what was set aside once stays so
+            sending.stream.longest = limit
+            messages = sending.outbox._messages_of(samples, gaps)
+            lengths_sent = [len(each.encode()) for each in messages]
+            assert max(lengths_sent) <= limit
+            sent = [each for message in messages for each in message.samples]
+            aside = [each for each in samples if each not in sent]
+            assert sent == [each for each in samples if each not in aside]
+            assert len(aside) == sending.outbox.status().set_aside
+            assert all(len(str(each.value)) > limit - 400 for each in aside)
+            assert [device for each in messages if each.gap for device in each.gap.devices] == list(gaps[0].devices)
+            first = next(place for place, each in enumerate(messages) if each.gap)
+            assert all(each.commit < 5 for message in messages[:first] for each in message.samples)
+            assert all(each.commit >= 5 for message in messages[first:] for each in message.samples)
+            for before, after in itertools.pairwise(each for each in messages if each.samples):
+                if before.samples[-1].commit == after.samples[0].commit:
+                    assert len({each.commit for each in (*before.samples, *after.samples)}) == 1
+            counts.add((len(messages), len(aside)))
+    assert (3, 0) in counts, "those before the gap, the gap, and those after it"
+    assert len(counts) > 8
+
+
+def test_a_message_that_has_exactly_the_most_bytes_is_not_cut(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    samples = [CommittedSample(commit, "meter", "p", commit, 0, "x" * 50, 0) for commit in (1, 1, 2, 2)]
+    known = set[tuple[str, str, str]]()
+    head = longest_head("one", "s", "hall")
+    whole = head + sum(longest_row(each, known) for each in samples)
+    alone = head + longest_row(samples[0], set())
+    with sending.writer:
+        for limit, lengths in ((whole, [4]), (whole - 1, [2, 2]), (alone, [1, 1, 1, 1]), (alone - 1, [])):
+            sending.stream.longest = limit
+            sending.outbox = sending.opened()
+            messages = sending.outbox._messages_of(samples, [])
+            assert [len(each.samples) for each in messages] == lengths
+            assert (sending.outbox.status().set_aside > 0) == (not lengths)
