@@ -80,6 +80,17 @@ def test_a_gap_comes_back_as_it_was_and_is_not_longer_than_computed_before(
     assert len(sent.encode()) <= longest_head("one", "a1", "hall", *devices)
 
 
+@pytest.mark.parametrize("points", [1, 1300])
+@pytest.mark.parametrize("value", [0.1, 2**64 - 1, 2**70, "", "x" * 300, None, True])
+def test_a_message_of_as_many_of_the_longest_rows_as_it_takes_is_not_longer_than_computed_before(
+    points: int, value: float | str | None
+) -> None:
+    rows = [CommittedSample(2**62, "meter", str(n % points), 2**62, 2**62, value, 2**15, "V") for n in range(1300)]
+    known = set[tuple[str, str, str]]()
+    bound = longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in rows)
+    assert len(message(rows).encode()) <= bound
+
+
 def test_numbers_take_most_of_the_room_that_is_computed_for_them() -> None:
     known = set[tuple[str, str, str]]()
     rows = [CommittedSample(2**33, "meter", "power", 2**60 + n, 2**20, 230.5, 0) for n in range(1000)]
