@@ -256,8 +256,10 @@ class FleetMember:
         self._look_at = 0.0
         self._free_since: dict[str, float] = {}
         self._silent_since: dict[str, float] = {}
-        self._unconfirmed: set[str] = set()
-        """Shards that this collector wants to take, until it owns them."""
+        self._gained: dict[str, Epoch] = {}
+        """By shard, the last epoch in which this collector has owned it."""
+        self._lapsed: dict[str, float] = {}
+        """By shard, when the lease that lapsed here was last renewed with an answer, seconds since 1970 UTC."""
         self._off_since: float | None = None
         self._ends = False
 
@@ -553,7 +555,7 @@ class FleetMember:
         renew_at = asked + self._spread(self.times.renew)
         self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole)
         self.counts.taken += 1
-        self._unconfirmed.discard(shard)
+        self._gained[shard] = epoch
         self._events.append(ShardEvent(shard, Step.GAINED, epoch, silent_since=self._silent_since.pop(shard, None)))
         self._compare(shard)
 
@@ -582,7 +584,8 @@ class FleetMember:
         """
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
-            self._lose(shard, "it could not be renewed in time", self.owned[shard].asked + self.wall_ahead)
+            self._lapsed[shard] = self.owned[shard].asked + self.wall_ahead
+            self._lose(shard, "it could not be renewed in time", self._lapsed[shard])
         self._look_for_problems(now)
         found: list[Proposal] = []
         self._propose_member(now, found)
@@ -684,24 +687,35 @@ class FleetMember:
 
     def _hole_before(self, shard: str, seen: _SeenLease | None, end: float) -> LeaseHole | None:
         record = None if seen is None else seen.record
-        if record is None or not 0 < record.at < end:
+        if seen is None or record is None or not 0 < record.at < end:
             return None
-        if shard in self._unconfirmed and record.run == self._me.run:
+        if self._had_no_answer(shard, record, seen.revision):
             return None if record.hole is None else replace(record.hole, end=end)
         return LeaseHole(record.owner, record.held, record.at, end)
 
     def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
         """Note since when the owner of a shard is silent that is about to be taken; nothing if it was released.
 
-        A lease that this collector has taken without an answer was never owned: what was noted before holds.
+        A lease that this collector has taken without an answer was never owned: what was noted before holds. One that
+        another has taken and never renewed may have had no answer either: the time before it counts too.
         """
         record = None if seen is None else seen.record
-        if shard in self._unconfirmed and record is not None and record.run == self._me.run:
+        if seen is not None and record is not None and self._had_no_answer(shard, record, seen.revision):
             return
-        self._unconfirmed.add(shard)
         self._silent_since.pop(shard, None)
-        if record is not None and record.held:
+        if record is None or not record.held:
+            return
+        if record.run == self._me.run:
+            self._silent_since[shard] = self._lapsed.get(shard, record.at)
+        elif record.count == 0 and record.hole is not None:
+            self._silent_since[shard] = record.hole.begin
+        else:
             self._silent_since[shard] = record.at
+
+    def _had_no_answer(self, shard: str, record: LeaseRecord, revision: int) -> bool:
+        """Whether this start of the collector took a lease, and had no answer: it has not owned the shard by it."""
+        is_taken = record.run == self._me.run and record.held and record.epoch is None
+        return is_taken and record.epoch_at(revision, self.generation) != self._gained.get(shard)
 
     def _free(self, now: float) -> dict[str, float]:
         """Return the shards (groups of links) that have no owner now, with the cost of each.
