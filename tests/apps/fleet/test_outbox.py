@@ -180,6 +180,46 @@ async def test_what_one_sink_lacks_is_sent_again_from_there_although_another_is_
         assert await again(sending, AGAIN_AFTER) == [5, 6]
 
 
+async def test_of_two_sinks_that_lack_samples_the_one_that_has_less_says_from_where_they_are_sent_again(
+    tmp_path: Path,
+) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        for _ in range(5):
+            sending.commit("meter")
+        sending.stream.sinks = {"archive": SinkPlace(0, 0), "broker": SinkPlace(0, 0)}
+        await sending.outbox.step()
+        sending.stream.sinks = {"archive": SinkPlace(2, 3), "broker": SinkPlace(4, 3)}
+        assert await again(sending, 0.0) == []
+        sending.stream.sinks = {"archive": SinkPlace(2, 7), "broker": SinkPlace(4, 7)}
+        assert await again(sending, 0.0) == []
+        assert await again(sending, AGAIN_AFTER) == [3, 4, 5, 6]
+        await sending.outbox.step()
+        assert sending.stream.messages[-1].complete == 6, "it is told once more that this is all"
+
+
+async def test_a_gap_has_the_revision_of_the_commit_after_it(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    sending.gaps = [OwnershipGap("hall", Epoch(1, 20), 5, ("meter",), 1, 2)]
+    with sending.writer:
+        for _ in range(4):
+            sending.commit("meter")
+        outbox = Outbox(
+            sending.writer.folder,
+            sending.writer.manifest,
+            sending.stream,
+            collector="one",
+            store="s",
+            link_of=lambda: {"meter": "hall"},
+            epoch_of=lambda link, commit: Epoch(1, 10 if commit <= 4 else 20),
+            revision_of=lambda commit: 100 + commit,
+            gaps_of=lambda after, last: [each for each in sending.gaps if after < each.commit <= last],
+            now=lambda: 0.0,
+        )
+        await outbox.step()
+        assert [each.revision for each in sending.stream.messages if each.gap] == [105]
+
+
 async def test_what_a_sink_has_counts_only_if_messages_of_this_start_have_proved_it(tmp_path: Path) -> None:
     sending = Sending(tmp_path)
     with sending.writer:
