@@ -267,6 +267,7 @@ async def test_a_gap_of_no_length_has_no_sample_in_it() -> None:
     kept = Kept()
     chosen = ChosenSamples(kept, DeliveryOptions(points=("meter/power",)), {}, POINTS)
     assert true_begin(at(9.0), at(9.0), [at(8.0), at(9.0), at(10.0)]) == at(9.0)
+    assert true_begin(at(9.0), at(10.0), [at(10.0)]) == at(9.0), "a sample at the end of a gap is not in it"
     await give(chosen, [sample(9.0)])
     await give(chosen, gap(9.0, 9.0))
     assert [(each.time, bool(each.reason)) for each in kept.samples] == [(at(9.0), False), (at(9.0) + 1000, True)]
