@@ -271,3 +271,11 @@ async def test_a_gap_of_no_length_has_no_sample_in_it() -> None:
     await give(chosen, [sample(9.0)])
     await give(chosen, gap(9.0, 9.0))
     assert [(each.time, bool(each.reason)) for each in kept.samples] == [(at(9.0), False), (at(9.0) + 1000, True)]
+
+
+async def test_an_interval_that_an_owner_has_recorded_is_no_sample_that_moves_a_gap() -> None:
+    kept = Kept()
+    chosen = ChosenSamples(kept, DeliveryOptions(points=("meter/power",)), {}, POINTS)
+    await give(chosen, [sample(9.5), sample(12.0, reason=Reason.OWNERSHIP)])
+    await give(chosen, gap(9.0, 20.0))
+    assert [each.time for each in kept.samples] == [at(9.5), at(12.0), at(9.5) + 1000]
