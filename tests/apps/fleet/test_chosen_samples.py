@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 import pytest
 
-from busway.apps.collector.samples import NANOSECONDS
+from busway.apps.collector.samples import NANOSECONDS, Reason
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.chosen_samples import ChosenSamples
@@ -98,3 +98,13 @@ def test_a_sink_that_describes_points_to_its_receiver_is_told_those_of_the_confi
     sink, points = Described(), {("tank", "level"): Point("level", Table.HOLDING_REGISTERS, 0)}
     ChosenSamples(sink, DeliveryOptions(), {}, points)
     assert sink.points is points
+
+
+async def test_the_end_of_an_ownership_that_comes_late_is_passed_on_and_changes_no_comparison() -> None:
+    taken = Taken()
+    chosen = ChosenSamples(taken, DeliveryOptions(), {("tank", "level"): CHANGE})
+    (late,) = samples(0.0, begin=99)
+    await chosen.send(samples(1.0))
+    await chosen.send([late._replace(value=None, reason=int(Reason.OWNERSHIP))])
+    await chosen.send(samples(1.5, begin=101))
+    assert taken.values == [1.0, None]
