@@ -326,6 +326,8 @@ class World:
                 Sender(self, self.folder / name, name) for name in ("one", "two")[: chance.choice((1, 1, 2))]
             )
             self.sinks.extend(ModelSink(self, name) for name in ("broker", "archive")[: chance.choice((0, 1, 1, 2))])
+            if chance.randrange(2):
+                await self.go_well()
             kinds = ("refused", "late", "lost", "unreadable", "not acknowledged")
             self.stream.faults = tuple(chance.sample(kinds, chance.randrange(len(kinds) + 1)))
             faults = self.faults()
@@ -422,6 +424,13 @@ class World:
                 "restore": lambda: chance.choice(self.senders).restore(),
             }
         return found
+
+    async def go_well(self) -> None:
+        """Have all sinks keep some commits, as in the life of a zone before the first fault."""
+        for _ in range(3):
+            for sender in self.senders:
+                sender.commit(self.chance)
+            await self.round()
 
     async def settle(self) -> None:
         """Lose nothing more: every sink must keep the last commit after some time, and nothing is sent after that."""
