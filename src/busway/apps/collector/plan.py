@@ -383,7 +383,14 @@ def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, p
 
 
 def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
-    """Return the cheapest division of sorted ranges into reads, none wider than ``limit`` (rule 5)."""
+    """Return the cheapest reads that cover ranges in one table, none wider than ``limit`` (rule 5).
+
+    Args:
+        places: pairs of start and end, sorted by both; none is wider than ``limit``.
+        limit: most registers or bits of a read.
+        base: cost of a read without its registers or bits.
+        per_item: cost of each register or bit that is read, those in holes included.
+    """
     if len(places) == 1:
         return places
     origin = places[0][0]  # small numbers keep all digits
