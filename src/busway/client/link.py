@@ -700,8 +700,8 @@ class AsyncLinkDriver:
         """Handle the timer of a link on a line, and return the time afterwards.
 
         With ``precise_timing``, a frame that is due within 2 × ``_spin`` is prepared now, and sent when it is due,
-        after a busy loop; otherwise the caller sends it. While a request is in flight, the session is also told if the port still holds
-        characters of the frame.
+        after a busy loop; otherwise the caller sends it. While a request is in flight, the session is also told if
+        the port still holds characters of the frame.
         """
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond
