@@ -73,6 +73,14 @@ def test_the_plan_is_shown_without_traffic(run, tmp_path: Path) -> None:
     assert not (tmp_path / "data").exists()
 
 
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_a_plan_opens_no_connection_to_a_device_that_is_there(run, tmp_path: Path, more: list[str]) -> None:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device()}) as server:
+        assert run("collect", "plan", written(tmp_path, server.endpoints[0]), *more).code == 0
+        assert server.status().counters.accepted == 0
+    assert not (tmp_path / "data").exists()
+
+
 def test_the_plan_as_json_has_a_line_for_each_read_and_link(run, tmp_path: Path) -> None:
     lines = [json.loads(line) for line in run("collect", "plan", written(tmp_path), "--json").out.splitlines()]
     assert lines[0]["first"] == "3x1"

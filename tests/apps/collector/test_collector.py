@@ -422,5 +422,22 @@ async def test_samples_are_handed_on_to_sinks_and_shown_to_prometheus(tmp_path: 
         assert '"speed"' in _text_of(tmp_path, "lines*")
 
 
+async def test_a_scrape_sends_no_request(tmp_path: Path) -> None:
+    """A point that has no value yet is not asked for either: the device is read once in an hour."""
+    device = busway.Device(holding_registers=100)
+    asked: list[int] = []
+    device.on_read("holding_registers", lambda access: asked.append(access.address))
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}) as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=3600.0)
+        with file.open("a") as text:
+            text.write('[[sink]]\nname = "page"\nurl = "prometheus://127.0.0.1:0"\npoints = ["pump/*"]\n')
+        async with busway.collect(file) as collector:
+            await until(lambda: collector.status()[0].state == "polled")
+            before = len(asked)
+            for _ in range(50):
+                await asyncio.to_thread(lambda: urlopen(collector.pages[0]).read())
+            assert len(asked) - before < 5, "its first round, and what is asked once to learn"
+
+
 def _text_of(folder: Path, pattern: str) -> str:
     return next(folder.glob(pattern)).read_text()
