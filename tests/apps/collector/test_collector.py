@@ -444,8 +444,8 @@ async def test_a_sink_that_hangs_stops_neither_polling_nor_commits(
         async with busway.collect(file) as collector:
             await until(hangs.is_set)
             (device,), kept = collector.status(), collector.store_status().samples
-            await until(lambda: collector.status()[0].rounds >= device.rounds + 200)
-            await until(lambda: collector.store_status().samples >= kept + 200)
+            await until(lambda: collector.status()[0].rounds >= device.rounds + 100)
+            await until(lambda: collector.store_status().samples >= kept + 100)
             assert collector.sink_statuses()[0].sent == 0
             released.set()
 
