@@ -274,6 +274,7 @@ class _Borders:
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
         """Return the range to read for a block of items, or None with the reason why no read may fetch the block."""
         start, end, items = block
+        found: ItemRange | None = None
         if self._exact is not None:
             found = self._exact.touched(start, end)
             if found is not None:
@@ -290,7 +291,7 @@ class _Borders:
             around = self._readable.touched(start, end)
             if around is None or not (around.start <= start and end <= around.end):
                 return None, "it does not lie in one of the readable ranges"
-        elif len(items) > 1 and not self._bridge and not _is_gapless(block):
+        elif found is None and len(items) > 1 and not self._bridge and not _is_gapless(block):
             return None, "its group has an undeclared hole: give the readable range, or bridge = true"
         return (start, end), ""
 
