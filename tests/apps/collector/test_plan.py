@@ -3,6 +3,7 @@
 import heapq
 import random
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from itertools import pairwise
 
 import pytest
@@ -142,6 +143,20 @@ def test_a_point_that_is_not_due_comes_with_a_read_that_covers_it_and_never_caus
     assert {item.key for item in plan.reads[0].items} == {at(0).key, at(4).key, at(2).key, at(1, 3).key}
 
 
+def test_a_hole_between_points_that_are_due_is_read_where_points_that_are_not_due_fill_it() -> None:
+    due = [at(0), at(4)]
+    assert places(plan_reads(due, ReadRules(), SLOW, others=[at(1), at(2, 2)])) == [(0, 5)]
+    assert places(plan_reads(due, ReadRules(), SLOW, others=[at(0, 5)])) == [(0, 5)]
+    assert places(plan_reads(due, ReadRules(), SLOW, others=[at(1, 2)])) == [(0, 1), (4, 1)], "nothing says what 3 is"
+    assert places(plan_reads(due, ReadRules(), SLOW, others=[at(1, 3, table=C)])) == [(0, 1), (4, 1)]
+
+
+def test_an_atomic_group_whose_hole_another_point_fills_is_read() -> None:
+    group = [at(0, group="g"), at(2, group="g")]
+    assert places(plan_reads([*group, at(1)], ReadRules(), SLOW)) == [(0, 3)]
+    assert places(plan_reads(group, ReadRules(), SLOW, others=[at(1)])) == [(0, 3)]
+
+
 def test_an_atomic_group_is_in_one_read() -> None:
     group = [at(0, 2, group="energy"), at(60, 2, group="energy"), at(30)]
     assert places(plan_reads(group, BRIDGED, SLOW)) == [(0, 62)]
@@ -235,10 +250,13 @@ def device_rules(draw: st.DrawFn, size: int, exact: bool = True) -> ReadRules:
     )
 
 
-def units_of(items: Sequence[PlainItem], rules: ReadRules) -> tuple[list[PlainItem], list[PlainItem]]:
+def units_of(
+    items: Sequence[PlainItem], rules: ReadRules, others: Sequence[PlainItem] = ()
+) -> tuple[list[PlainItem], list[PlainItem]]:
     """What a read brings as a whole, as one item each, and the items of it: items, groups, exact blocks; in that order.
 
-    What no read may bring is left out. A group may have a hole where holes may be read, or in an exact block.
+    What no read may bring is left out. A group may have a hole where holes may be read, in an exact block, and where
+    other items fill it.
     """
     groups: dict[object, list[PlainItem]] = {}
     for one in items:
@@ -250,7 +268,7 @@ def units_of(items: Sequence[PlainItem], rules: ReadRules) -> tuple[list[PlainIt
         for block in rules.exact.get(H, ()):
             if block.start <= start and end <= block.end:
                 start, end = block.start, block.end
-        if allowed(H, start, end, members, rules):
+        if allowed(H, start, end, [*items, *others], rules):
             units.append(PlainItem(H, start, end - start, key))
             kept += members
     return units, kept
@@ -268,15 +286,15 @@ def partitions(items: Sequence[PlainItem]) -> Iterator[list[list[PlainItem]]]:
             yield [*other[:index], [first, *part], *other[index + 1 :]]
 
 
-def by_trying_everything(units: Sequence[PlainItem], rules: ReadRules, cost: ReadCost) -> float:
+def by_trying_everything(
+    units: Sequence[PlainItem], known: Sequence[PlainItem], rules: ReadRules, cost: ReadCost
+) -> float:
     least = float("inf")
     for parts in partitions(units):
         total = 0.0
         for part in parts:
             start, end = min(one.start for one in part), max(one.start + one.width for one in part)
-            # What other items stand in between is declared as well.
-            inside = [one for one in units if start <= one.start and one.start + one.width <= end]
-            if not allowed(H, start, end, inside, rules):
+            if not allowed(H, start, end, known, rules):  # what other items fill is declared as well
                 break
             total += cost.of(H, end - start)
         else:
@@ -284,19 +302,21 @@ def by_trying_everything(units: Sequence[PlainItem], rules: ReadRules, cost: Rea
     return least
 
 
-@given(maps(7, 80), device_rules(80), COSTS)
+@given(maps(7, 80), maps(7, 80), device_rules(80), COSTS)
 @settings(max_examples=examples(300))
 def test_no_way_to_put_few_items_into_reads_is_cheaper(
-    items: list[PlainItem], rules: ReadRules, cost: ReadCost
+    items: list[PlainItem], others: list[PlainItem], rules: ReadRules, cost: ReadCost
 ) -> None:
-    plan = plan_reads(items, rules, cost)
-    units, possible = units_of(items, rules)
+    plan = plan_reads(items, rules, cost, others=not_due(others))
+    units, possible = units_of(items, rules, others)
     assert {one.item.key for one in plan.unreadable} == {one.key for one in items} - {one.key for one in possible}
-    assert plan.seconds == pytest.approx(by_trying_everything(units, rules, cost))
-    check_reads(plan, possible, units, rules)
+    assert plan.seconds == pytest.approx(by_trying_everything(units, [*items, *others], rules, cost))
+    check_reads(plan, possible, [*units, *items, *others], rules)
 
 
-def by_walking_registers(items: Sequence[PlainItem], rules: ReadRules, cost: ReadCost) -> float:
+def by_walking_registers(
+    items: Sequence[PlainItem], known: Sequence[PlainItem], rules: ReadRules, cost: ReadCost
+) -> float:
     """The least cost by Dijkstra over registers: a state is "all items that begin before here are read".
 
     From a register that begins an item, a read may have any width the rules allow; it leads to the first item that it
@@ -318,21 +338,21 @@ def by_walking_registers(items: Sequence[PlainItem], rules: ReadRules, cost: Rea
             if end - place > rules.limit(H):
                 break
             inside = [one for one in items if place <= one.start and one.start + one.width <= end]
-            if inside and allowed(H, place, end, inside, rules):
+            if inside and allowed(H, place, end, known, rules):
                 left = [one.start for one in items if one.start >= place and one not in inside]
                 heapq.heappush(heap, (spent + cost.of(H, end - place), min(left, default=starts[-1] + 1)))
     raise AssertionError("no way to read all items")
 
 
-@given(maps(30, 300), device_rules(300), COSTS)
+@given(maps(30, 300), maps(30, 300), device_rules(300), COSTS)
 @settings(max_examples=examples(150))
 def test_an_independent_search_over_registers_finds_nothing_cheaper(
-    items: list[PlainItem], rules: ReadRules, cost: ReadCost
+    items: list[PlainItem], others: list[PlainItem], rules: ReadRules, cost: ReadCost
 ) -> None:
-    units, possible = units_of(items, rules)
-    plan = plan_reads(items, rules, cost)
-    assert plan.seconds == pytest.approx(by_walking_registers(units, rules, cost))
-    check_reads(plan, possible, units, rules)
+    units, possible = units_of(items, rules, others)
+    plan = plan_reads(items, rules, cost, others=not_due(others))
+    assert plan.seconds == pytest.approx(by_walking_registers(units, [*items, *others], rules, cost))
+    check_reads(plan, possible, [*units, *items, *others], rules)
 
 
 @given(maps(60, 2000, (None,)), device_rules(2000, exact=False), COSTS)
@@ -350,13 +370,21 @@ def test_none_of_the_usual_rules_is_cheaper_on_any_map(
 
 def check_reads(plan: DevicePlan, items: Sequence[PlainItem], units: Sequence[PlainItem], rules: ReadRules) -> None:
     """Each item comes once and whole, a group by one read, and no read touches what it must not."""
-    brought = [item.key for read in plan.reads for item in read.items]
+    brought = [item.key for read in plan.reads for item in read.items if not str(item.key).startswith("not due")]
     assert sorted(brought) == sorted(one.key for one in items)
     for read in plan.reads:
         assert all(read.start <= one.start and one.start + one.width <= read.end for one in read.items)
         assert allowed(read.table, read.start, read.end, [one for one in units if one.start < read.end], rules)
     for name in {one.group for one in items} - {None}:
         assert sum(name in {one.group for one in read.items} for read in plan.reads) == 1
+
+
+def not_due(others: Sequence[PlainItem]) -> list[PlainItem]:
+    """Items that need not be read, with keys and groups of their own."""
+    return [
+        replace(one, key=f"not due {one.key}", group=None if one.group is None else f"not due {one.group}")
+        for one in others
+    ]
 
 
 # How the usual rules compare.
