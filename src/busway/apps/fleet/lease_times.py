@@ -19,8 +19,8 @@ class LeaseTimes:
     Attributes:
         ttl: seconds for which a lease holds, counted from when its last successful renewal was sent, 3…300.
         renew: seconds between two renewals, above 0 and at most a third of ``ttl``.
-        guard: seconds by which the owner stops earlier and another collector begins later, so that clocks may drift;
-            from a hundredth to a quarter of ``ttl``.
+        guard: seconds that the owner stops earlier, and another collector begins later, so that clocks may drift; from
+            a hundredth to a quarter of ``ttl``.
         answer: seconds after which the outcome of a change without an answer is unknown; at most a third of ``ttl``.
 
     Raises:

@@ -1,4 +1,4 @@
-"""The number of the newest message of a zone's stream, by which the page tells how far sinks are behind.
+"""The number of the newest message of a zone's stream; with it the page shows how far sinks are behind.
 
 Knows the stream's name at NATS; reads no message, so the credentials of a collector permit it.
 """

@@ -282,7 +282,7 @@ class Traffic:
 
 
 class _Requests:
-    """The unanswered requests of one connection or line, by which its replies are explained and timed."""
+    """The unanswered requests of one connection or line, to explain and time its replies."""
 
     __slots__ = ("_asked",)
 
