@@ -152,11 +152,12 @@ def is_whole(steps: Fraction, value: float, step: Fraction) -> bool:
     """
     error = Fraction(0)
     if not isinstance(value, int):
-        error = abs(exact(value) / step) * (_ROUNDING_OF_FLOAT32 if _is_float32(value) else _ROUNDING)
+        error = abs(exact(value) / step) * (_ROUNDING_OF_FLOAT32 if is_float32(value) else _ROUNDING)
     return abs(steps - round(steps)) <= max(_MOST_STEPS_OFF, min(error, _MOST_STEPS_OFF_OF_ALL))
 
 
-def _is_float32(value: float) -> bool:
+def is_float32(value: float) -> bool:
+    """Whether a number of 32 bits has exactly this value; False for NaN."""
     try:
         return bool(struct.unpack("<f", struct.pack("<f", value))[0] == value)
     except OverflowError:
