@@ -1,4 +1,4 @@
-"""Gaps of ownership at sinks: whatever the order of gap and samples, the same gap remains, and no sample is in it."""
+"""Gaps of ownership at sinks: in any order of gap and samples the same gap remains, and no sample is in it."""
 
 import itertools
 from collections.abc import Iterator, Sequence

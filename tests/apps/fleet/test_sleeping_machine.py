@@ -3,7 +3,6 @@
 import asyncio
 import contextlib
 import os
-import shutil
 import sqlite3
 import subprocess
 import sys
@@ -13,6 +12,7 @@ from pathlib import Path
 
 import pytest
 from fleet_devices import FleetDevice, devices_of, plant
+from foreign_servers import needed
 from shifted_clock import set_shift
 from waiting import until
 
@@ -50,11 +50,17 @@ def test_all_parts_have_that_clock_if_none_is_given(part: type) -> None:
     assert part.__init__.__kwdefaults__["now"] is boot_time
 
 
+@pytest.fixture
+def library(tmp_path: Path) -> Path:
+    """`SOURCE`, compiled."""
+    made = tmp_path / "slept_clock.so"
+    subprocess.run([needed("gcc"), "-shared", "-fPIC", "-O1", "-o", made, SOURCE, "-ldl"], check=True, timeout=60)
+    return made
+
+
 @contextlib.contextmanager
-def collecting(tmp_path: Path, slept: Path) -> Iterator[subprocess.Popen[bytes]]:
+def collecting(tmp_path: Path, library: Path, slept: Path) -> Iterator[subprocess.Popen[bytes]]:
     """``busway fleet run`` on a machine that has slept for as long as a file says."""
-    library = tmp_path / "slept_clock.so"
-    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, SOURCE, "-ldl"], check=True, timeout=60)
     words = ["run", "--coordinator", f"local:{tmp_path}/zone", "--name", "west", "--store", str(tmp_path / "west")]
     environment = {**os.environ, "LD_PRELOAD": str(library), "BUSWAY_SLEPT": str(slept)}
     with (tmp_path / "log").open("wb") as log:
@@ -90,14 +96,13 @@ async def apply(tmp_path: Path, devices: list[FleetDevice]) -> None:
     )
 
 
-@pytest.mark.skipif(shutil.which("gcc") is None, reason="gcc is not installed")
-async def test_an_owner_that_wakes_after_its_lease_begins_no_transaction(tmp_path: Path) -> None:
+async def test_an_owner_that_wakes_after_its_lease_begins_no_transaction(tmp_path: Path, library: Path) -> None:
     slept = tmp_path / "slept"
     set_shift(slept, 0)
     async with devices_of(1) as devices:
         (device,) = devices
         await apply(tmp_path, devices)
-        with collecting(tmp_path, slept) as west:
+        with collecting(tmp_path, library, slept) as west:
             await until(lambda: device.reads > 5 or west.poll() is not None, 60)
             with locked(tmp_path / "zone" / "plant.fleet"):
                 before = device.reads
