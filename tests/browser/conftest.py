@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 import pytest
+from browser_pages import SIZES
 from page_plant import watched
 
 ARTEFACTS = Path(__file__).parents[2] / "build" / "artefacts" / "page"
 LIMIT = 15_000
 """Milliseconds for whatever is waited for, far above what any needs."""
-WIDE = {"width": 1200, "height": 800}
 
 
 def missing(reason: str) -> NoReturn:
@@ -67,7 +67,7 @@ def new_page(browser: Any, complaints: list[str]) -> Iterator[Callable[..., Any]
     contexts = []
 
     def make(url: str, **options: Any) -> Any:
-        context = browser.new_context(**{"viewport": WIDE, "reduced_motion": "reduce", **options})
+        context = browser.new_context(**{"viewport": SIZES["desktop"], "reduced_motion": "reduce", **options})
         contexts.append(context)
         context.set_default_timeout(LIMIT)
         page = context.new_page()
