@@ -17,7 +17,7 @@ from page_plant import watched
 
 ARTEFACTS = Path(__file__).parents[2] / "build" / "artefacts" / "page"
 LIMIT = 15_000
-"""Milliseconds for whatever is waited for, far above what any needs."""
+"""Milliseconds for one wait, far above what any needs."""
 
 
 def missing(reason: str) -> NoReturn:

@@ -551,7 +551,7 @@ class FleetCollector:
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
         """Return the times without an owner before shards were gained from owners that fell silent.
 
-        One for each of their links that has devices and of which the begin of that time is known.
+        There is one for each of their links that has devices, if it is known when that time began.
         """
         found = []
         for event in events:
