@@ -114,7 +114,7 @@ def database() -> Iterator[PostgresqlServer]:
 
 
 class Gaps:
-    """A sink to PostgreSQL with tables of its own; it can be created again, as in another process, on the same tables."""
+    """A sink to PostgreSQL with tables of its own; it can be created again on these, as in another process."""
 
     def __init__(self, server: PostgresqlServer, number: int) -> None:
         self.server, self.number = server, number

@@ -37,8 +37,12 @@ class LeaseTimes:
         """Return the times of leases that hold for ``ttl`` seconds, all others in the proportion of the defaults.
 
         Args:
-            ttl: seconds for which a lease holds.
-            guard: seconds of the guard; None for that of the proportion.
+            ttl: seconds for which a lease holds, 3…300.
+            guard: seconds of the guard, from a hundredth to a quarter of ``ttl``; None for the proportion of the
+                defaults.
+
+        Raises:
+            ConfigError: a value is out of its range.
         """
         usual = cls()
         part = ttl / usual.ttl

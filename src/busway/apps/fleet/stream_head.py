@@ -14,7 +14,7 @@ SECONDS: Final = 3.0
 
 
 async def newest_message(coordinator: Coordinator, zone: str) -> int | None:
-    """Return the number of the newest message of a zone's stream; None if there is no stream or no answer.
+    """Return the number of the newest message of a zone's stream; None without a stream, or an answer in `SECONDS`.
 
     Args:
         coordinator: the coordinator of the zone; only one by NATS has a stream.

@@ -48,7 +48,7 @@ async def converse(socket: WebSocket, sending: Coroutine[Any, Any, None], take: 
 
     Args:
         socket: the accepted WebSocket.
-        sending: sends the messages to the viewer; ends by `Gone`, and is cancelled at the end.
+        sending: sends the messages to the viewer until that is `Gone`; it is cancelled at the end.
         take: called with each text from the viewer; returns why it is refused, or an empty text.
     """
     sender = asyncio.create_task(sending)
