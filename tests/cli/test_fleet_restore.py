@@ -13,30 +13,16 @@ from urllib.request import urlopen
 
 import pytest
 from fleet_devices import devices_of, plant
+from fleet_samples import stored, taken
 from foreign_servers import nats_cluster
 from program import Busway
 from waiting import until
-
-import busway
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
 
 pytestmark = pytest.mark.real_time
 SECONDS = 100.0
-
-
-def stored(folder: Path) -> set[tuple[str, str, int]]:
-    """The samples that were read; the times in which links were not owned are no samples."""
-    rows = busway.Store(folder).read("*/*")
-    return {(each.device, each.point, each.time) for each in rows if each.value is not None}
-
-
-def taken(file: Path) -> set[tuple[str, str, int]]:
-    if not file.exists():
-        return set()
-    lines = [json.loads(line) for line in file.read_text().splitlines() if line.endswith("}")]
-    return {(each["device"], each["point"], each["time"]) for each in lines}
 
 
 def order(epoch: str) -> tuple[int, ...]:
