@@ -16,10 +16,14 @@ def missing(reason: str) -> NoReturn:
     pytest.skip(reason)
 
 
+def installed(name: str, *places: str) -> str | None:
+    """The path of a program, also looked for where servers are and in these folders; None if it is not installed."""
+    return shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", *places]))
+
+
 def needed(name: str, *places: str) -> str:
-    """The path of a program, also looked for in these folders; `missing` where it is not installed."""
-    path = shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", *places]))
-    return path or missing(f"{name} is not installed")
+    """The path of a program as of `installed`; `missing` if it is not installed."""
+    return installed(name, *places) or missing(f"{name} is not installed")
 
 
 def preloadable(source: Path, folder: Path) -> Path:
