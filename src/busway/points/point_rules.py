@@ -176,8 +176,8 @@ class ReportRule:
         Args:
             before: the value passed on before.
             now: the value of this sample.
-            silence: seconds between the two; below 0 where the clock was set back between them, which is passed on as
-                a silence is: how long it was is not known.
+            silence: seconds between the two; below 0 if the clock was set back between them. Its true length is not
+                known then, so it counts as longer than any limit.
         """
         if self.when == "every" or self.is_change(before, now):
             return True

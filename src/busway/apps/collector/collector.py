@@ -622,7 +622,7 @@ class Collector:
         self.values.configure(configuration.hold_limits(), points_of(configuration).keys())
         done: list[str] = []
         changed = sorted(self.changed_links(configuration))
-        for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
+        for name in changed:  # before anything is awaited: no command for a new point goes to an old device
             self._links[name].poller.finish()
         await asyncio.gather(*(self._finish_link(name) for name in changed))
         for name in changed:

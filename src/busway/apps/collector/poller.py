@@ -75,8 +75,8 @@ class _CompiledRead:
         group: the device and the points, in the order of the values.
         data: the data of the last reply, for requests of raw registers; empty before the first.
         at: when that reply was read, nanoseconds since 1970 UTC.
-        exponents: names of points in the read by which other points may be scaled.
-        scaled: the place of each point that is scaled by one of another read, and the name of that one.
+        exponents: names of the points in the read that are scale factors of other points.
+        scaled: the place of each point whose scale factor is in another read, and the name of that factor.
     """
 
     read: PlannedRead

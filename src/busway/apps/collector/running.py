@@ -1,4 +1,4 @@
-"""Notes by which `busway status` finds the running collectors of this user, which have no control socket.
+"""Notes that let `busway status` find the running collectors of this user, which have no control socket.
 
 Knows paths, JSON and the lock of a store; asks no collector.
 

@@ -266,7 +266,7 @@ class GroupSection(WholeSection):
         Args:
             path: path of the group in the unit's section.
             prefix: text before the group's name: the names of the groups around it.
-            by: number of items by which the addresses in the file are shifted, because a group around it is repeated.
+            by: number of items to add to the addresses in the file, because a group around it is repeated.
             outer: full names of points around the group, those of the nearest group first.
             around: what the groups around it add to a point.
         """
