@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 NANOSECONDS: Final = 1_000_000_000
+"""Nanoseconds in a second."""
 EARLIEST: Final = 1_767_225_600 * NANOSECONDS
 """2026-01-01, nanoseconds since 1970: a wall clock that shows less is wrong, because this program is younger."""
 TOLERANCE: Final = NANOSECONDS // 2
