@@ -49,7 +49,7 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
-from .reloading import Reloading, refuse_what_cannot_change
+from .reloading import Reloading
 from .report_rules import points_of, store_rules
 from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
@@ -558,8 +558,7 @@ class Collector:
 
         Nothing that is in use changes; the store lists the new sinks.
         """
-        refuse_what_cannot_change(self.configuration, configuration)
-        self._systems.check(configuration)
+        self._reloading.check(configuration)
 
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
