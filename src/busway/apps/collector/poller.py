@@ -552,7 +552,8 @@ class LinkPoller:
             raise BadReply(f"{counted(len(data), 'byte')} came where {decoder.size} were asked for", kind="content")
         compiled.data, compiled.at = data, middle
         found = decoder.decode(data, device.scale_factors)
-        device.factors_at.update(dict.fromkeys(compiled.exponents, ended))
+        for name in compiled.exponents:
+            device.factors_at[name] = ended
         held = [place for place, factor in compiled.scaled if device.is_factor_held(factor, ended)]
         if not found.flaws and self._clock.is_right and not held:
             return SampleBatch(compiled.group, middle, half, found.values)
