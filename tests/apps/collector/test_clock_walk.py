@@ -28,7 +28,7 @@ from busway.apps.collector.store.writer import Commit
 SEEDS = [int(each) for each in os.environ.get("BUSWAY_CLOCK_SEEDS", "2 5 6").split()]
 YEAR_2026 = 1_767_225_600 * NANOSECONDS
 TOLERANCE = 2_000
-"""Nanoseconds by which a time may be wrong: what floats of a monotonic clock round."""
+"""Most nanoseconds that a time may be wrong because a monotonic clock is a float."""
 PROFILE = """\
 [[unit]]
 unit = 1

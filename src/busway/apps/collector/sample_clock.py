@@ -102,5 +102,5 @@ class SampleClock:
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """Return the nanoseconds, 0 or less, by which sample times have slowed down since `adjust` (rule 2)."""
+        """Return how much sample times have slowed down since `adjust` (rule 2): nanoseconds, 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)
