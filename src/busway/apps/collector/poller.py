@@ -195,14 +195,13 @@ class PolledDevice:
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
                 self._compiled.clear()
-            factors = {point.conversion.scale_from for point in self.book.points()} - {""}
             names = tuple(point.name for point in read.items)
             found = self._compiled[id(read)] = _CompiledRead(
                 read,
                 _REQUESTS[read.table](read.start, read.width),
                 _decoder_of(read),
                 PointGroup(self.name, names),
-                exponents=tuple(name for name in names if name in factors),
+                exponents=tuple(point.name for point in read.items if point.is_exponent),
                 scaled=tuple(
                     (place, factor)
                     for place, point in enumerate(read.items)
