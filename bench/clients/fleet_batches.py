@@ -16,9 +16,9 @@ import sys
 import time
 from collections.abc import Awaitable, Callable
 
-import nats
-
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.coordinators.nats import open_nats
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage
 from busway.apps.fleet.streams import NatsStream, make_stream
@@ -57,7 +57,8 @@ async def repeated(work: Callable[[int], Awaitable[object]], seconds: float) -> 
 
 
 async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str, float]]:
-    client = await nats.connect(f"nats://127.0.0.1:{port}")
+    coordinator = await open_nats(f"nats://127.0.0.1:{port}", "bench", CoordinatorOptions())
+    client = coordinator.client
     await make_stream(client, "bench")
     stream, bare = NatsStream(client, "bench", lambda link: "0001"), client.jetstream(timeout=5.0)
     found: dict[str, dict[str, float]] = {}
@@ -85,7 +86,7 @@ async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str
         both = list(zip(rows["ours"], rows["bare"], strict=True))
         found[name]["ratio, s"] = statistics.median(ours[0] / other[0] for ours, other in both)
         found[name]["ratio, CPU"] = statistics.median(ours[1] / other[1] for ours, other in both)
-    await client.close()
+    await coordinator.close()
     return found
 
 

@@ -197,7 +197,7 @@ class NatsStream:
     """Sends the samples of one collector into the zone's message stream, and follows which of them all sinks have.
 
     Args:
-        client: connected client of nats-py.
+        client: the NATS client of the coordinator, which tells when it has a new connection.
         zone: name of the collector's zone.
         shard_of: returns the name of a link's shard (group of links).
         timeout: seconds to wait for the acknowledgement of a message.
