@@ -8,11 +8,11 @@ import re
 import time
 
 import pytest
+from browser_pages import PHONE, expect
 from page_collector import watched_collector
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
 
-PHONE = {"width": 390, "height": 844}
 VIEWS = ("values", "alarms", "devices", "links", "sinks", "commands", "log", "configuration")
 WRITABLE = """\
 [[unit]]
@@ -23,12 +23,6 @@ point = [
     { name = "gone", address = "4x5000", access = "read" },
 ]
 """
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 @pytest.fixture(scope="module")

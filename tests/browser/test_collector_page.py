@@ -3,15 +3,8 @@
 import re
 
 import pytest
+from browser_pages import PHONE, expect
 from page_collector import MUTE, PUMP, watched_collector
-
-PHONE = {"width": 390, "height": 844}
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 @pytest.fixture(scope="module")

@@ -1,20 +1,14 @@
 """What the pages of all programs have in common, in a browser: one shell, its views, colours, and who the user is."""
 
 import pytest
+from browser_pages import SIZES, expect
 from page_collector import watched_collector
 from page_plant import watched
 
-SIZES = {"desktop": {"width": 1200, "height": 800}, "phone": {"width": 390, "height": 844}}
 VIEWS = {
     "simulation": ("points", "trends", "traffic", "faults", "server"),
     "collector": ("values", "alarms", "devices", "links", "sinks", "commands", "log"),
 }
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 @pytest.fixture(scope="module", params=["simulation", "collector"])

@@ -12,11 +12,10 @@ from typing import Any
 
 import pytest
 from fleet_devices import FleetDevice, devices_of, plant
+from fleet_samples import stored, taken
 from foreign_servers import nats_server
 from program import Busway
 from waiting import until
-
-import busway
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
@@ -30,19 +29,6 @@ def written(tmp_path: Path, devices: list[FleetDevice], sink: str, name: str = "
     text = plant(tmp_path / "none", devices).replace("[poll_class]", 'page = "off"\n[poll_class]')
     file.write_text(f'{text}\n[[sink]]\nname = "{name}"\n{sink}\n')
     return str(file)
-
-
-def stored(folder: Path) -> set[tuple[str, str, int]]:
-    """The samples that were read; the times in which links were not owned are no samples."""
-    rows = busway.Store(folder).read("*/*")
-    return {(each.device, each.point, each.time) for each in rows if each.value is not None}
-
-
-def taken(file: Path) -> set[tuple[str, str, int]]:
-    if not file.exists():
-        return set()
-    lines = [json.loads(line) for line in file.read_text().splitlines() if line.endswith("}")]
-    return {(each["device"], each["point"], each["time"]) for each in lines}
 
 
 @contextlib.asynccontextmanager

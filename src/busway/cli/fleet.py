@@ -333,7 +333,7 @@ async def _apply(
 ) -> None:
     """Make a file the configuration of a zone; with ``times``, also change for how long leases hold.
 
-    Raises as `apply_configuration`, and `ConfigError` if a collector runs that has other times.
+    Raises as `apply_configuration` and `record_times`, and `ConfigError` if the time changes while a collector runs.
     """
     from ..apps.fleet.control_entries import apply_configuration, record_times, recorded_times
 

@@ -43,8 +43,7 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
-"""
+"""Factor for a unit's usual response time, which is that of its slowest recent reply, at each faster reply."""
 _LAUNCHES_APART = 32
 """Number of sends without batches after a batch had to be split, because replies came in another order or one was an
 exception: splitting a batch costs a fifth of what its requests cost.

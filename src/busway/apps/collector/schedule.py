@@ -33,7 +33,7 @@ from .plan_cache import Classes, PlanBook
 DEAD_SHARE: Final = 0.05
 """Part of a link's time that probes of silent devices may use together in the long run (rule 4)."""
 SLACK: Final = 0.05
-"""Part of its period by which a class may be read early, together with other classes."""
+"""How early a class may be read, together with other classes: a part of its period."""
 LONGEST_BACKOFF: Final = 60.0
 """Seconds between two probes of a silent device, at most, where `DEAD_SHARE` allows."""
 MOST_WRITES: Final = 256
@@ -590,7 +590,7 @@ class LinkSchedule:
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Return the seconds by which a polling round may be late, at most, if the admission test has passed.
+    """Return how many seconds a polling round may be late, at most, if the admission test has passed.
 
     Args:
         period: poll period of the class, in seconds.

@@ -54,7 +54,7 @@ class LiveValues:
         is_behind: whether commits have failed or hung for some seconds (rule 4).
         limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
         moment: returns seconds of the monotonic clock.
-        reads: what was read before, each with when it ended, seconds of the monotonic clock.
+        reads: the batches that were read before, each with the end of its read in seconds of the monotonic clock.
 
     Attributes:
         tick: number of the last tick; 0 before the first.

@@ -58,7 +58,7 @@ class LinkSection(LinkKeys):
 
     checked_later: ClassVar[tuple[type[Any], ...]] = LINKS  # together with its scheme, where the link is put together
 
-    name: Annotated[str, Name("the name of a link"), "by which programs open it, and routes and devices name it."]
+    name: Annotated[str, Name("the name of a link"), "the name that programs, routes and devices use for it."]
     url: Annotated[Url, "the endpoint."]
 
 

@@ -237,14 +237,13 @@ class StoreWriter:
         self._step("after-commit")
         return Commit(number, now, batches, intervals, alarms)
 
-    def begin_mending(self, clock: ClockCorrection | int, last: int = EVERY) -> None:
+    def begin_mending(self, clock: ClockCorrection, last: int = EVERY) -> None:
         """Record that times stored since this start before the clock was right are to be corrected by `mend_next`.
 
         Args:
-            clock: the correction; a number of nanoseconds for the times before `EARLIEST`.
+            clock: the correction.
             last: the number of the last commit that has such times.
         """
-        clock = ClockCorrection(clock) if isinstance(clock, int) else clock
         self.manifest.begin_mending(CommitCorrection(self._first, last, clock))
 
     def mend_next(self) -> bool:
