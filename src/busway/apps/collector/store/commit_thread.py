@@ -86,13 +86,14 @@ class _Correction:
     Attributes:
         clock: the correction.
         before: how many batches, of all ever queued, were queued before it.
-        others: the identities of the intervals and alarm events that were queued before it and are not stored.
+        others: the intervals and alarm events that were queued before it and are not stored, by identity. They are kept
+            although the queue may drop them: a later one could get the identity of one that is gone.
         last: the number of the last commit with times to be corrected; None while such times are queued.
     """
 
     clock: ClockCorrection
     before: int
-    others: set[int]
+    others: dict[int, StateInterval | Gap | AlarmEvent]
     last: int | None = None
 
 
@@ -290,7 +291,7 @@ class Committer:
         stored, in commits without later samples. What is added from now on has the right time.
         """
         with self._changed:
-            others = {id(each) for each in self._intervals} | {id(each) for _, each in self._alarms}
+            others = {id(each): each for each in (*self._intervals, *(each for _, each in self._alarms))}
             self._correction = _Correction(correction, self._taken + len(self._batches), others)
             self._note_corrected(self.writer.newest_commit)
             self._changed.notify_all()
@@ -305,7 +306,7 @@ class Committer:
         if correction is None or correction.last is not None or self._committing or correction.before > self._taken:
             return
         queued = (*map(id, self._intervals), *(id(each) for _, each in self._alarms))
-        if correction.others.isdisjoint(queued):
+        if correction.others.keys().isdisjoint(queued):
             correction.last = newest
             self._untold = correction.clock
 
@@ -458,7 +459,8 @@ class Committer:
             self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False
             if self._correction is not None:
-                self._correction.others -= {*map(id, intervals), *(id(each) for _, each in alarms)}
+                for stored in (*intervals, *(each for _, each in alarms)):
+                    self._correction.others.pop(id(stored), None)
             self._note_corrected(commit.number)
             self._changed.notify_all()
         return True
@@ -528,7 +530,7 @@ class Committer:
             if gap is not None:
                 self._note_loss(gap)
             if self._correction is not None and self._correction.last is None:
-                self._correction.others |= {*map(id, intervals), *(id(each) for _, each in alarms)}
+                self._correction.others.update((id(each), each) for each in (*intervals, *(each for _, each in alarms)))
             if self._error is None:
                 _log.error("the store %s cannot be written: %s; samples wait in memory", self.writer.folder, error)
             self._error = error
