@@ -60,7 +60,7 @@ async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str
     coordinator = await open_nats(f"nats://127.0.0.1:{port}", "bench", CoordinatorOptions())
     client = coordinator.client
     await make_stream(client, "bench")
-    stream, bare = NatsStream(client, "bench", lambda link: "0001"), client.jetstream(timeout=5.0)
+    stream, bare = NatsStream(client, "bench"), client.jetstream(timeout=5.0)
     found: dict[str, dict[str, float]] = {}
     for name, samples in SIZES.items():
         messages = [message(samples, number) for number in range(1, 41)]
@@ -71,7 +71,7 @@ async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str
             await bare.publish("busway.bench.samples.0001", encoded[number % len(encoded)])
 
         async def publish(number: int, messages: list[SampleMessage] = messages) -> None:
-            await stream.publish(messages[number % len(messages)])
+            await stream.publish(messages[number % len(messages)], "0001")
 
         async def encode(number: int, messages: list[SampleMessage] = messages) -> None:
             messages[number % len(messages)].encode()
