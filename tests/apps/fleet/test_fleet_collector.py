@@ -66,6 +66,30 @@ async def test_two_collectors_share_the_links_and_each_link_is_asked_by_one_at_a
         assert any(len(device.owners()) == 3 for device in devices)
 
 
+async def test_collectors_have_equal_seconds_of_line_time_and_not_equal_numbers_of_links(tmp_path: Path) -> None:
+    """One link is read seven times as often as each of the seven others: it is half of the work."""
+    async with devices_of(8) as devices, contextlib.AsyncExitStack() as stack:
+        both = []
+        for name in ("one", "two"):
+            text = plant(tmp_path / name, devices).replace("fast.period = 0.1", "fast.period = 0.1\nslow.period = 0.7")
+            first, *others = text.split("[[link]]")[1:]
+            slow = [each.replace('"fast"', '"slow"') for each in others]
+            text = "[[link]]".join([text.split("[[link]]")[0], first, *slow])
+            coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+            stack.push_async_callback(coordinator.close)
+            fleet = FleetCollector(
+                parse_collector(text, f"{name}.toml"), coordinator, name, host=name, shards=64, times=TIMES
+            )
+            both.append(await stack.enter_async_context(fleet))
+        one, two = both
+        costs = {link: one.member.cost(one.shard_of(link)) for link in one._configuration.links}
+        assert [costs[f"link-{number}"] / costs["link-0"] for number in range(1, 8)] == pytest.approx([1 / 7] * 7)
+        assert costs["link-7"] > 0.001, "it is not the least that a link costs"
+        await until(lambda: sorted((len(one.links), len(two.links))) == [1, 7], 60)
+        (alone,) = min(one.links, two.links, key=len)
+        assert alone == "link-0"
+
+
 async def test_every_sample_has_the_epoch_in_which_it_was_taken(tmp_path: Path) -> None:
     async with devices_of(2) as devices:
         async with fleet(tmp_path, "one", devices) as one:
