@@ -25,11 +25,12 @@ class Asked:
 
 @dataclass
 class FleetDevice:
-    """A device whose registers 0 and 1 count its reads."""
+    """A device whose registers 0 and 1 count its reads; it notes when connections end, and of which peer."""
 
     name: str
     port: int = 0
     asked: list[Asked] = field(default_factory=list)
+    ended: list[tuple[float, int]] = field(default_factory=list)
     written: list[tuple[int, int]] = field(default_factory=list)
     reads: int = 0
 
@@ -52,6 +53,7 @@ class FleetDevice:
         except (asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
+            self.ended.append((asyncio.get_running_loop().time(), peer))
             writer.close()
 
     def _reply(self, function: int, address: int, pdu: bytes) -> bytes:

@@ -107,6 +107,33 @@ async def test_every_sample_has_the_epoch_in_which_it_was_taken(tmp_path: Path) 
     assert len(found) >= 10
 
 
+async def test_a_shard_is_released_once_all_samples_of_its_links_are_committed_in_its_epoch(tmp_path: Path) -> None:
+    released: list[tuple[int, int, list[int]]] = []
+    async with devices_of(2) as devices:
+        async with fleet(tmp_path, "one", devices) as one:
+            honest = one.member.left
+
+            def left(shard: str) -> None:
+                counts = [device.reads for device in devices if one.shard_of(device.name) == shard]
+                released.append((one.collector.newest_commit, *counts))
+                honest(shard)
+
+            one.member.left = left  # type: ignore[method-assign]
+            await until(lambda: all(device.reads > 5 for device in devices))
+            epochs = dict(one._active)
+        assert len(released) == 2
+        with (
+            contextlib.closing(OwnershipLog(tmp_path / "one")) as log,
+            StoreWriter(tmp_path / "one", now=time.time_ns()) as writer,
+        ):
+            found = CommitReader(tmp_path / "one", writer.manifest).read(0, 10_000)
+            assert found is not None
+            samples = [each for each in found.samples if each.value is not None]
+            assert all(log.epoch_of(each.device, each.commit) == epochs[each.device] for each in samples)
+            for newest, reads in released:
+                assert reads in [each.value for each in samples if each.commit <= newest], "the last one too"
+
+
 async def test_a_collector_of_which_a_part_has_ended_says_so_and_another_takes_its_links(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:
@@ -172,6 +199,29 @@ async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(
         reads = [device.reads for device in devices]
         await asyncio.sleep(0.5)
         assert [device.reads for device in devices] == reads, "absence is the claim: nothing is sent in half a second"
+
+
+async def test_the_connection_of_a_link_that_is_lost_ends_before_anything_else_is_sent_to_its_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        honest = one._driver._coordinator.replace
+
+        async def away(*_: object) -> int:
+            raise CoordinatorDown("it is away")
+
+        monkeypatch.setattr(one._driver._coordinator, "replace", away)
+        await until(lambda: not one.member.owned, 30)
+        await until(lambda: all(device.ended for device in devices), 30)
+        ends = max(at for device in devices for at, _ in device.ended)
+        monkeypatch.setattr(one._driver._coordinator, "replace", honest)
+        await until(lambda: all(len(device.owners()) > 1 for device in devices), 30)
+        for device in devices:
+            first, second = device.owners()
+            assert device.ended == [(device.ended[0][0], first)]
+            assert max(each.at for each in device.asked if each.peer == first) <= device.ended[0][0]
+            assert min(each.at for each in device.asked if each.peer == second) > ends
 
 
 async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has_lapsed(
