@@ -168,6 +168,8 @@ async def test_each_subject_is_for_the_role_whose_it_is_and_for_no_other(site: S
                     assert "permissions violation" in said.lower(), (role, call, stream)
                 said = await refusal(client, f"$JS.API.STREAM.CREATE.{stream}", b"{}")
                 assert ("permissions violation" in said.lower()) == (role != "operator"), (role, stream)
+                for call in (f"DIRECT.GET.{stream}", f"DIRECT.GET.{stream}.$KV.busway-hall.lease.0001"):
+                    assert "permissions violation" in (await refusal(client, f"$JS.API.{call}")).lower(), (role, call)
                 said = await refusal(client, f"$JS.API.CONSUMER.DELETE.{stream}.sink-broker")
                 assert "permissions violation" in said.lower(), (role, stream)
             for subject in ("$KV.busway-yard.control.configuration", "_INBOX.of.others", "$JS.API.STREAM.NAMES", "x"):
