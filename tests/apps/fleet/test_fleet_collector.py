@@ -412,6 +412,47 @@ async def test_a_process_that_stood_still_for_longer_than_its_leases_records_the
         assert gap.end > stopped + TIMES.ttl * 1e9
 
 
+class CountingTable(LocalCoordinator):
+    """Counts its changes."""
+
+    changes: int = 0
+
+    async def create(self, key: str, value: bytes) -> int:
+        self.changes += 1
+        return await super().create(key, value)
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        self.changes += 1
+        return await super().replace(key, value, revision)
+
+
+async def changes_per_renewal(folder: Path, links: int, shards: int) -> float:
+    """The changes of the table for each renewal of the entry of its only collector, the mean of ten."""
+    absent = [FleetDevice(f"link-{number}", 1 + number) for number in range(links)]
+    text = plant(folder / f"{links}-{shards}", absent).replace("fast.period = 0.1", "fast.period = 600")
+    table = await asyncio.to_thread(CountingTable, folder / f"{links}-{shards}.zone", "hall")
+    try:
+        configuration, times = parse_collector(text, "x.toml"), replace(TIMES, ttl=30.0)  # none lapses meanwhile
+        async with FleetCollector(configuration, table, "one", host="one", shards=shards, times=times) as one:
+            await until(lambda: len(one.member.owned) == shards)
+            count, changes = one.member._me.count, table.changes
+            await until(lambda: one.member._me.count >= count + 10)
+            return (table.changes - changes) / (one.member._me.count - count)
+    finally:
+        await table.close()
+
+
+async def test_what_leases_cost_the_table_grows_with_shards_and_not_with_links(tmp_path: Path) -> None:
+    few, many, more_shards = await asyncio.gather(
+        changes_per_renewal(tmp_path, 20, 4),
+        changes_per_renewal(tmp_path, 400, 4),
+        changes_per_renewal(tmp_path, 400, 16),
+    )
+    assert many == pytest.approx(few, rel=0.2)
+    assert few == pytest.approx(1 + 4, rel=0.2)
+    assert more_shards == pytest.approx(1 + 16, rel=0.2)
+
+
 async def test_links_whose_transactions_outlast_a_lease_are_refused_by_name(tmp_path: Path) -> None:
     text = plant(tmp_path / "store", [FleetDevice("hall", 502)], "timeout = 9")
     coordinator = await open_coordinator(f"local:{tmp_path}", "hall")
