@@ -6,6 +6,7 @@ import sqlite3
 import threading
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -445,8 +446,8 @@ async def changes_per_renewal(folder: Path, links: int, shards: int) -> float:
 async def test_what_leases_cost_the_table_grows_with_shards_and_not_with_links(tmp_path: Path) -> None:
     few, many, more_shards = await asyncio.gather(
         changes_per_renewal(tmp_path, 20, 4),
-        changes_per_renewal(tmp_path, 400, 4),
-        changes_per_renewal(tmp_path, 400, 16),
+        changes_per_renewal(tmp_path, 200, 4),
+        changes_per_renewal(tmp_path, 200, 16),
     )
     assert many == pytest.approx(few, rel=0.2)
     assert few == pytest.approx(1 + 4, rel=0.2)
