@@ -6,7 +6,6 @@ import sqlite3
 import threading
 import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_holder import OwnedShard
-from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
 from busway.errors import ConfigError, LinkDown, NoReply
@@ -433,7 +432,7 @@ async def changes_per_renewal(folder: Path, links: int, shards: int) -> float:
     text = plant(folder / f"{links}-{shards}", absent).replace("fast.period = 0.1", "fast.period = 600")
     table = await asyncio.to_thread(CountingTable, folder / f"{links}-{shards}.zone", "hall")
     try:
-        configuration, times = parse_collector(text, "x.toml"), replace(TIMES, ttl=30.0)  # none lapses meanwhile
+        configuration, times = parse_collector(text, "x.toml"), LeaseTimes(30.0, 0.4, 0.3, 0.8)  # none lapses meanwhile
         async with FleetCollector(configuration, table, "one", host="one", shards=shards, times=times) as one:
             await until(lambda: len(one.member.owned) == shards)
             count, changes = one.member._me.count, table.changes
