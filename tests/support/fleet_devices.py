@@ -11,6 +11,8 @@ from busway.apps.collector.configuration import CollectorConfiguration, parse_co
 from busway.apps.fleet.lease_times import LeaseTimes
 
 TIMES = LeaseTimes(ttl=3.0, renew=0.4, guard=0.3, answer=0.8)
+LONG_TIMES = LeaseTimes(ttl=30.0, renew=0.4, guard=0.3, answer=0.8)
+"""Of leases that do not lapse while a machine pauses."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fleet_devices import TIMES, FleetDevice, devices_of, parsed, plant
+from fleet_devices import LONG_TIMES, TIMES, FleetDevice, devices_of, parsed, plant
 from waiting import until
 
 import busway
@@ -24,7 +24,7 @@ from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_holder import OwnedShard
-from busway.apps.fleet.lease_times import Epoch, LeaseTimes
+from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
 from busway.apps.fleet.records import LeaseRecord
 from busway.errors import ConfigError, LinkDown, NoReply
@@ -432,8 +432,8 @@ async def changes_per_renewal(folder: Path, links: int, shards: int) -> float:
     text = plant(folder / f"{links}-{shards}", absent).replace("fast.period = 0.1", "fast.period = 600")
     table = await asyncio.to_thread(CountingTable, folder / f"{links}-{shards}.zone", "hall")
     try:
-        configuration, times = parse_collector(text, "x.toml"), LeaseTimes(30.0, 0.4, 0.3, 0.8)  # none lapses meanwhile
-        async with FleetCollector(configuration, table, "one", host="one", shards=shards, times=times) as one:
+        configuration = parse_collector(text, "x.toml")
+        async with FleetCollector(configuration, table, "one", host="one", shards=shards, times=LONG_TIMES) as one:
             await until(lambda: len(one.member.owned) == shards)
             count, changes = one.member._me.count, table.changes
             await until(lambda: one.member._me.count >= count + 10)
