@@ -27,6 +27,16 @@ def missing(reason: str) -> NoReturn:
     pytest.skip(reason)
 
 
+@pytest.fixture(scope="session")
+def axe() -> Any:
+    """The checker of barriers: its ``run`` takes a page."""
+    try:
+        from axe_playwright_python.sync_playwright import Axe
+    except ImportError:
+        missing("axe is not installed (pip install axe-playwright-python)")
+    return Axe()
+
+
 @pytest.fixture(scope="module")
 def browser() -> Iterator[Any]:
     """The browser."""

@@ -58,6 +58,7 @@ def test_a_view_is_opened_by_its_address_and_goes_back_with_the_arrows(new_page,
     page.locator(f"#tab-{last}").focus()
     page.keyboard.press("ArrowLeft")
     expect(page.locator(f"#tab-{before}")).to_be_focused()
+    page.wait_for_url(f"{url}#{before}")  # else the browser may still believe that it is where it is to go
     page.goto(f"{url}#{last}")
     expect(page.locator(f"#{last}")).to_be_visible()
     page.close()

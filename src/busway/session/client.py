@@ -633,7 +633,7 @@ class TcpClientSession:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """Update the usual response time of a unit: the longest of its recent response times."""
+        """Update the usual response time of a unit: ``seconds``, or the earlier one less a tenth if that is longer."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:

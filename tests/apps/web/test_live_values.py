@@ -1,6 +1,7 @@
 """What changed since a tick, as one text for all viewers."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -101,7 +102,7 @@ def test_a_good_value_that_is_not_read_again_when_due_is_held_until_it_is() -> N
     assert since(values, 1)["changed"][0][0] == 0
     assert since(values, 1)["reasons"][str(int(Reason.HELD))] == ["uncertain", "held"]
     assert not values.advance()
-    values.update(commit(SampleBatch(PUMP, 2 * SECOND, 0, (1.5, 7, 2), 0)))
+    values.update(replace(commit(SampleBatch(PUMP, 2 * SECOND, 0, (1.5, 7, 2), 0)), moment=5.0))
     assert values.columns()[1] == [0, 0, 0, 0]
     values.set_limits({})
     moment[0] = 99.0

@@ -274,6 +274,7 @@ class _Borders:
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
         """Return the range to read for a block of items, or None with the reason why no read may fetch the block."""
         start, end, items = block
+        found: ItemRange | None = None
         if self._exact is not None:
             found = self._exact.touched(start, end)
             if found is not None:
@@ -290,7 +291,7 @@ class _Borders:
             around = self._readable.touched(start, end)
             if around is None or not (around.start <= start and end <= around.end):
                 return None, "it does not lie in one of the readable ranges"
-        elif len(items) > 1 and not self._bridge and not _is_gapless(block):
+        elif found is None and len(items) > 1 and not self._bridge and not _is_gapless(block):
             return None, "its group has an undeclared hole: give the readable range, or bridge = true"
         return (start, end), ""
 
@@ -383,7 +384,14 @@ def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, p
 
 
 def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
-    """Return the cheapest division of sorted ranges into reads, none wider than ``limit`` (rule 5)."""
+    """Return the cheapest reads that cover ranges in one table, none wider than ``limit`` (rule 5).
+
+    Args:
+        places: pairs of start and end, sorted by both; none is wider than ``limit``.
+        limit: most registers or bits of a read.
+        base: cost of a read without its registers or bits.
+        per_item: cost of each register or bit that is read, those in holes included.
+    """
     if len(places) == 1:
         return places
     origin = places[0][0]  # small numbers keep all digits

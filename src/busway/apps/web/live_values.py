@@ -107,12 +107,11 @@ class LiveValues:
 
         Called by the thread of the store for each commit, once it is stored. Begins a tick itself above `MOST_WAITING`.
         """
-        now = self._moment()
         with self._lock:
             if commit.correction is not None:
                 self._mend(commit.correction)
             for batch in commit.last_values:
-                self._waiting[batch.group] = batch, now - age_of(batch, commit.at)
+                self._waiting[batch.group] = batch, commit.moment - age_of(batch, commit.at)
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each

@@ -38,7 +38,10 @@ def _unchanged(value: object) -> object:
 
 @with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """Base of file sections with options of a link; options that the file leaves out have no value."""
+    """Base of file sections with options of a link; an option that the file leaves out is None.
+
+    So is one that the file sets to ``none``; only `options` tells them apart: it returns those that are set.
+    """
 
     preset: Annotated[
         LinkPresetWord | None,

@@ -82,7 +82,6 @@ class LastValues:
 
         If the commit corrects times of before, those of the known samples and intervals are corrected too (rule 7).
         """
-        now = self._moment()
         with self._lock:
             correction = commit.correction
             if correction is not None:
@@ -90,7 +89,7 @@ class LastValues:
                 self._intervals = {name: mended_interval(each, correction) for name, each in self._intervals.items()}
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
-                self._taken_at[batch.group] = now - age_of(batch, commit.at)
+                self._taken_at[batch.group] = commit.moment - age_of(batch, commit.at)
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each

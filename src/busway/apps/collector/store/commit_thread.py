@@ -123,7 +123,8 @@ class Committer:
             most_waiting: values that wait at most while the store cannot be written; beyond it the oldest are dropped.
             retry: seconds between two attempts while the store cannot be written.
             rules: report rules of points of which not every sample is kept; None if every sample is.
-            clock: returns seconds of the monotonic clock, for `is_behind` and for when the log is synced.
+            clock: returns seconds of the monotonic clock, for `is_behind`, for when the log is synced, and for
+                `Commit.moment`.
         """
         self.writer = writer
         self._kept = KeptSamples(rules)
@@ -472,12 +473,14 @@ class Committer:
         """
         choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
         is_empty = not (choice.batches or choice.counters or told or alarms)
+        at, moment = self._now(), self._clock()  # together, and before the disk makes this thread wait
         if is_empty and batches and self._error is None and now - self._committed_at < ALIVE:
-            return Commit(self._number, self._now(), [], [], [], choice.shown), choice.passed_over
-        commit = self.writer.commit(choice.batches, told, self._now(), alarms, choice.counters)
+            return Commit(self._number, at, [], [], [], choice.shown, moment=moment), choice.passed_over
+        commit = self.writer.commit(choice.batches, told, at, alarms, choice.counters)
         self._kept.committed(choice)
         self._number, self._committed_at = commit.number, now
-        return replace(commit, shown=choice.shown) if choice.passed_over else commit, choice.passed_over
+        shown = choice.shown if choice.passed_over else None
+        return replace(commit, shown=shown, moment=moment), choice.passed_over
 
     def _seconds_to_sync(self) -> float:
         """Return the seconds until the log has to be synced (rule 5); infinite if nothing was committed since."""

@@ -76,6 +76,8 @@ class Commit:
         shown: all reads of the commit, to show last values; None if ``batches`` has them all. In place of a sample that
             the report rules do not keep, a read has the last kept sample of the point.
         correction: the correction of all times in commits before this one, since the start; None for no correction.
+        moment: seconds of the monotonic clock at ``at``, before the store was written, so that the age of a read counts
+            from its end however long the disk took and however the clock was set meanwhile.
     """
 
     number: int
@@ -85,6 +87,7 @@ class Commit:
     alarms: Sequence[AlarmEvent] = ()
     shown: Sequence[SampleBatch] | None = None
     correction: ClockCorrection | None = None
+    moment: float = 0.0
 
     @property
     def last_values(self) -> Sequence[SampleBatch]:
