@@ -149,6 +149,14 @@ atexit.register(lambda: print("loaded:", sorted(name for name in sys.modules if 
 """
 
 
+def is_stored(folder: Path) -> bool:
+    """Whether there is a store with samples; one that is being made cannot be read yet."""
+    try:
+        return len(busway.Store(folder).read("*/*")) > 0
+    except ConfigError:
+        return False
+
+
 def test_a_collector_of_no_fleet_polls_and_opens_its_pages_without_the_packages_of_fleets(tmp_path: Path) -> None:
     (tmp_path / "meter.toml").write_text(METER)
     with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=10)}) as server:
@@ -156,7 +164,7 @@ def test_a_collector_of_no_fleet_polls_and_opens_its_pages_without_the_packages_
         command = [sys.executable, "-c", BARE + COLLECT + COMMAND, ",".join(OF_FLEETS), "collect"]
         with subprocess.Popen([*command, str(tmp_path / "plant.toml")], stdout=subprocess.PIPE, text=True) as running:
             try:
-                wait_until(lambda: (tmp_path / "data").exists() and busway.Store(tmp_path / "data").read("meter/count"))
+                wait_until(lambda: is_stored(tmp_path / "data"))
                 running.send_signal(signal.SIGINT)
                 out, _ = running.communicate(timeout=60)
             finally:
