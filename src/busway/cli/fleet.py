@@ -472,7 +472,7 @@ async def _run(
             stream = None
             if stream_zone is not None:
                 refuse_what_needs_a_store(configuration)
-                stream = await open_stream(stack, table, stream_zone, shards, replicas)
+                stream = await open_stream(stack, table, stream_zone, replicas)
                 configuration = replace(configuration, sinks={})
             member = await stack.enter_async_context(
                 FleetCollector(

@@ -280,6 +280,7 @@ class FleetCollector:
             collector=self.member.name,
             store=self.ownership.store,
             link_of=lambda: self._link_of,
+            shard_of=self.shard_of,
             epoch_of=self.ownership.epoch_of,
             revision_of=self.ownership.revision_of,
             gaps_of=self.ownership.gaps,
