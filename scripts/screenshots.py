@@ -17,6 +17,7 @@ import sys
 import tempfile
 import time
 from contextlib import ExitStack
+from io import StringIO
 from pathlib import Path
 from typing import Any, Final
 
@@ -168,7 +169,7 @@ def browser() -> Any:
 
 def take_terminal(file: Path, place: Path, endpoint: str) -> None:
     """Draw a terminal with two commands and what they print."""
-    console = Console(width=88, record=True, force_terminal=True, file=(place / "nowhere").open("w"))
+    console = Console(width=88, record=True, force_terminal=True, file=StringIO())
     for words in (
         ("read", endpoint, "--points", "waterworks.toml"),
         ("read", endpoint, "3x1", "--type", "float32", "-v"),

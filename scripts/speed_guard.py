@@ -23,7 +23,7 @@ FILE = ROOT / "tests" / "speed_guard" / "figures.toml"
 VERSIONS = ("3.11", "3.12", "3.13")
 QUANTITIES = ("calls", "instructions", "bytes")
 ALLOWED = 0.10
-"""Part of a figure by which it may be off."""
+"""How far a figure may be off, as a part of it."""
 HEAD = """\
 # What one transaction takes: calls and bytecode instructions of busway's own code, and bytes held at the most.
 # Written by scripts/speed_guard.py; bench/offline/ says what is counted. By version of Python, and script.

@@ -3,13 +3,16 @@
 Each program runs in a process of its own, in which the optional packages cannot be found.
 """
 
+import signal
 import subprocess
 import sys
 import tomllib
 from pathlib import Path
 
 import pytest
+from waiting import wait_until
 
+import busway
 from busway.errors import ConfigError, MissingExtra
 from busway.extras import EXTRA_OF, missing_extra
 
@@ -22,10 +25,13 @@ class Hide:
         if name.partition(".")[0] in HIDDEN:
             raise ModuleNotFoundError(f"No module named {name!r}", name=name)
 
-HIDDEN = {"pydantic_core", "click", "uvloop", *sys.argv.pop(1).split(",")}
+HIDDEN = set(sys.argv.pop(1).split(","))
 sys.meta_path.insert(0, Hide())
 import busway
 """
+
+BROUGHT = "pydantic_core,click,uvloop"
+"""What optional packages bring, or what is used where it is there."""
 
 ROUND_TRIP = """
 with busway.serve_in_thread(sys.argv[1], units={1: busway.Device(holding_registers=10)}) as server:
@@ -46,7 +52,7 @@ with busway.serve_in_thread(sys.argv[1], units={1: busway.Device(holding_registe
 def bare(program: str, *arguments: str, hidden: str = ",".join(EXTRA_OF)) -> subprocess.CompletedProcess[str]:
     """What a program ends with where the ``hidden`` packages are not installed."""
     return subprocess.run(
-        [sys.executable, "-c", BARE + program, hidden, *arguments],
+        [sys.executable, "-c", BARE + program, f"{BROUGHT},{hidden}", *arguments],
         capture_output=True,
         text=True,
         timeout=60,
@@ -108,6 +114,63 @@ def test_a_command_names_what_only_it_needs(hidden: str, arguments: list[str], e
     assert sentence.startswith("busway: ")
     assert (f"pip install 'busway[{extra}]'" in sentence) == bool(extra)
     assert ended.returncode == (2 if extra else 5)
+
+
+OF_FLEETS = ("nats", "nkeys", "msgpack", "asyncpg")
+PLANT = """
+[collector]
+store = "data"
+page = "127.0.0.1:0"
+[poll_class]
+all.period = 0.1
+[[sink]]
+name = "scrape"
+url = "prometheus://127.0.0.1:0"
+points = ["meter/*"]
+[[link]]
+name = "hall"
+url = "{url}"
+[[device]]
+name = "meter"
+link = "hall"
+unit = 1
+profile = "meter.toml"
+"""
+METER = """
+[[unit]]
+[[unit.point]]
+name = "count"
+address = "4x1"
+type = "uint16"
+"""
+COLLECT = """
+import atexit
+atexit.register(lambda: print("loaded:", sorted(name for name in sys.modules if ".fleet" in name or name in HIDDEN)))
+"""
+
+
+def is_stored(folder: Path) -> bool:
+    """Whether there is a store with samples; one that is being made cannot be read yet."""
+    try:
+        return len(busway.Store(folder).read("*/*")) > 0
+    except ConfigError:
+        return False
+
+
+def test_a_collector_of_no_fleet_polls_and_opens_its_pages_without_the_packages_of_fleets(tmp_path: Path) -> None:
+    (tmp_path / "meter.toml").write_text(METER)
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=10)}) as server:
+        (tmp_path / "plant.toml").write_text(PLANT.replace("{url}", server.endpoints[0]))
+        command = [sys.executable, "-c", BARE + COLLECT + COMMAND, ",".join(OF_FLEETS), "collect"]
+        with subprocess.Popen([*command, str(tmp_path / "plant.toml")], stdout=subprocess.PIPE, text=True) as running:
+            try:
+                wait_until(lambda: is_stored(tmp_path / "data"))
+                running.send_signal(signal.SIGINT)
+                out, _ = running.communicate(timeout=60)
+            finally:
+                running.kill()
+    assert running.returncode == 0
+    assert "loaded: []" in out
 
 
 def test_the_error_is_one_of_a_setting_and_one_of_an_import() -> None:

@@ -3,6 +3,7 @@
 1. A test that fails fails the run: none is repeated, in real time or not.
 2. A test that hangs fails by name.
 3. A file that makes a line in real time has the mark ``real_time`` or ``alone``.
+4. Where a foreign program is not installed, its tests are skipped by its name, and fail where peers are required.
 """
 
 import os
@@ -11,6 +12,7 @@ import sys
 from pathlib import Path
 
 import pytest
+from foreign_servers import needed
 
 TESTS = Path(__file__).parent
 FAILS_AT_FIRST = """
@@ -83,3 +85,15 @@ def test_every_file_that_makes_a_line_in_real_time_has_the_mark_or_is_in_a_folde
             assert (
                 "pytest.mark.real_time" in text or "pytest.mark.alone" in text or relative.startswith("interop/serial/")
             ), relative
+
+
+@pytest.mark.parametrize(("required", "outcome"), [(None, pytest.skip.Exception), ("1", pytest.fail.Exception)])
+def test_a_foreign_program_that_is_not_there_is_named(
+    monkeypatch: pytest.MonkeyPatch, required: str | None, outcome: type[BaseException]
+) -> None:
+    monkeypatch.delenv("BUSWAY_REQUIRE_PEERS", raising=False)
+    if required is not None:
+        monkeypatch.setenv("BUSWAY_REQUIRE_PEERS", required)
+    with pytest.raises(outcome, match=r"^no-such-server is not installed$"):
+        needed("no-such-server")
+    assert Path(needed("sh")).is_file()

@@ -2,7 +2,9 @@
 
     fleet_batches.py PORT SECONDS ROUNDS
 
-1. A message has the samples of one link: devices of 50 points, read once a second; as many as make 8 or 64 kB.
+1. A message has the samples of one link: devices of 50 points, read once a second. The small one has 8 kB. The large
+   one is the largest that an outbox makes of them: it computes before how long a message can become at most, 64 kB, and
+   these samples then have 40 kB.
 2. Bare: the bytes of the message, made before, published by nats-py to the same stream, one after the other, each
    acknowledged. Ours: the message as the outbox of a collector gives it to its stream: encoded, named, acknowledged.
 3. CPU time is that of this process; both take turns in it, and each turn has a ratio of its own.
@@ -16,15 +18,15 @@ import sys
 import time
 from collections.abc import Awaitable, Callable
 
-import nats
-
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.fleet.coordinators.nats import open_nats
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage
 from busway.apps.fleet.streams import NatsStream, make_stream
 
 BEGIN = 1_800_000_000 * 10**9
-SIZES = {"8 kB": 250, "64 kB": 2000}
+SIZES = {"8 kB": 165, "40 kB": 813}
 """Samples of a message."""
 POINTS = 50
 
@@ -48,18 +50,21 @@ def message(samples: int, number: int) -> SampleMessage:
 
 
 async def repeated(work: Callable[[int], Awaitable[object]], seconds: float) -> tuple[float, float]:
-    """Seconds and CPU seconds of one call, of as many as there is time for."""
-    calls, begin, cpu = 0, time.perf_counter(), time.process_time()
-    while (now := time.perf_counter()) < begin + seconds:
+    """Seconds and CPU seconds of one call, of as many as there is time for, and of one at least."""
+    calls, now = 0, time.perf_counter()
+    begin, cpu = now, time.process_time()
+    while not calls or now < begin + seconds:
         await work(calls)
         calls += 1
+        now = time.perf_counter()
     return (now - begin) / calls, (time.process_time() - cpu) / calls
 
 
 async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str, float]]:
-    client = await nats.connect(f"nats://127.0.0.1:{port}")
+    coordinator = await open_nats(f"nats://127.0.0.1:{port}", "bench", CoordinatorOptions())
+    client = coordinator.client
     await make_stream(client, "bench")
-    stream, bare = NatsStream(client, "bench", lambda link: "0001"), client.jetstream(timeout=5.0)
+    stream, bare = NatsStream(client, "bench"), client.jetstream(timeout=5.0)
     found: dict[str, dict[str, float]] = {}
     for name, samples in SIZES.items():
         messages = [message(samples, number) for number in range(1, 41)]
@@ -70,7 +75,7 @@ async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str
             await bare.publish("busway.bench.samples.0001", encoded[number % len(encoded)])
 
         async def publish(number: int, messages: list[SampleMessage] = messages) -> None:
-            await stream.publish(messages[number % len(messages)])
+            await stream.publish(messages[number % len(messages)], "0001")
 
         async def encode(number: int, messages: list[SampleMessage] = messages) -> None:
             messages[number % len(messages)].encode()
@@ -85,7 +90,7 @@ async def measured(port: int, seconds: float, rounds: int) -> dict[str, dict[str
         both = list(zip(rows["ours"], rows["bare"], strict=True))
         found[name]["ratio, s"] = statistics.median(ours[0] / other[0] for ours, other in both)
         found[name]["ratio, CPU"] = statistics.median(ours[1] / other[1] for ours, other in both)
-    await client.close()
+    await coordinator.close()
     return found
 
 

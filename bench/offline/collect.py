@@ -30,8 +30,9 @@ from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.sample_clock import SampleClock
 from busway.apps.collector.samples import SampleBatch
 from busway.apps.collector.schedule import LinkSchedule
+from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.commit_thread import Committer
-from busway.apps.collector.store.writer import StoreOptions, StoreWriter
+from busway.apps.collector.store.writer import Commit, StoreOptions, StoreWriter
 from busway.codes import Table
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.points import Conversion, Point, ReadRules
@@ -123,19 +124,26 @@ def collected(folder: Path) -> float:
         committer.close()
 
 
-def bytes_of_a_point() -> float:
-    """Memory of plans, decoders and schedule for one more device of a profile, by its points."""
+def bytes_of_a_point(more: int, *, own: bool) -> float:
+    """Memory of plans, decoders, schedule and last values for ``more`` more devices, by their points.
+
+    ``own``: whether each has a profile of its own, whose points, names and limits count too, or all have the same.
+    """
     points = profile()
     engine = poller(points, lambda batch: None)
-    more = 200
+    last = LastValues()
     gc.collect()
     tracemalloc.start()
     for number in range(more):
+        points = profile() if own else points
         book = PlanBook({"all": points}, ReadRules(), network_cost())
-        engine.add(f"more-{number}", 1, book, {"all": 1.0})
+        limits = {point.name: 3.0 for point in points} if own else None
+        engine.add(f"more-{number}", 1, book, {"all": 1.0}, limits=limits)
         device = engine.devices[f"more-{number}"]
         for read in book.plan_for(frozenset({"all"})).reads:
-            device.compiled(read)
+            group = device.compiled(read).group
+            values = tuple(number + 0.5 * at for at in range(len(read.items)))
+            last.update(Commit(1, 1, [SampleBatch(group, 1, 1, values)], []))
     gc.collect()
     used = tracemalloc.get_traced_memory()[0]
     tracemalloc.stop()
@@ -155,7 +163,10 @@ def planning(count: int) -> float:
 
 
 def main() -> None:
-    found: dict[str, float] = {"bytes/point": bytes_of_a_point()}
+    found: dict[str, float] = {
+        "bytes/point": bytes_of_a_point(200, own=False),
+        "bytes/own point": bytes_of_a_point(40, own=True),
+    }
     for _ in range(int(sys.argv[1])):
         folder = Path(tempfile.mkdtemp(dir=os.environ.get("TMPDIR")))
         try:

@@ -23,7 +23,7 @@ def run(bench: Bench) -> Table:
             found = children.run(command, bench.load_core, bench.budget * 3 + 30)
     except ChildFailed as failed:
         bench.say(f"no messages of a fleet: {failed}")
-        table.notes.append("nats-server or nats-py is not installed.")
+        table.notes.append(f"not measured: {str(failed).splitlines()[0]}")
         return table
     for size, each in found.items():
         for kind, name in KINDS:

@@ -24,7 +24,10 @@ def run(bench: Bench) -> Table:
     table.rows.append(("polled, decoded and committed, values/s of CPU", figure(found["collected/s"])))
     table.rows.append(("plan of 10 000 points, ms", figure(1000 * found["plan of 10000"])))
     table.rows.append(("plan of 50 000 points, ms", figure(1000 * found["plan of 50000"])))
-    table.rows.append(("memory of a point at rest, bytes", figure(found["bytes/point"])))
+    table.rows.append(("memory of a point at rest with its last value, bytes", figure(found["bytes/point"])))
+    table.rows.append(
+        ("the same, of devices with a profile of their own each, bytes", figure(found["bytes/own point"]))
+    )
     ratio = _beside_pymodbus(bench, table)
     table.figures.append(found)
     table.bars = [

@@ -21,7 +21,7 @@ from typing import Final
 from .errors import ConfigError
 
 HEAD: Final = 256
-"""Number of bytes at the beginning of a file by which `IsOurs` recognises its kind."""
+"""Number of bytes at the beginning of a file that `IsOurs` gets, to recognise its kind."""
 _MOST_LINKS: Final = 40
 """Symbolic links that are followed in one path, at most; Linux has the same limit."""
 _ALWAYS: Final = getattr(os, "O_CLOEXEC", 0) | getattr(os, "O_BINARY", 0)

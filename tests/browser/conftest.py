@@ -5,26 +5,29 @@
 3. Screenshots go to ``build/artefacts/page``.
 """
 
-import os
 import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any, NoReturn
+from typing import Any
 
 import pytest
+from browser_pages import SIZES
+from missing_peers import missing
 from page_plant import watched
 
 ARTEFACTS = Path(__file__).parents[2] / "build" / "artefacts" / "page"
 LIMIT = 15_000
-"""Milliseconds for whatever is waited for, far above what any needs."""
-WIDE = {"width": 1200, "height": 800}
+"""Milliseconds for one wait, far above what any needs."""
 
 
-def missing(reason: str) -> NoReturn:
-    """Skip the test, or fail it where a browser has to be there."""
-    if os.environ.get("BUSWAY_REQUIRE_PEERS") == "1":
-        pytest.fail(reason)
-    pytest.skip(reason)
+@pytest.fixture(scope="session")
+def axe() -> Any:
+    """The checker of barriers: its ``run`` takes a page."""
+    try:
+        from axe_playwright_python.sync_playwright import Axe
+    except ImportError:
+        missing("axe is not installed (pip install axe-playwright-python)")
+    return Axe()
 
 
 @pytest.fixture(scope="module")
@@ -67,7 +70,7 @@ def new_page(browser: Any, complaints: list[str]) -> Iterator[Callable[..., Any]
     contexts = []
 
     def make(url: str, **options: Any) -> Any:
-        context = browser.new_context(**{"viewport": WIDE, "reduced_motion": "reduce", **options})
+        context = browser.new_context(**{"viewport": SIZES["desktop"], "reduced_motion": "reduce", **options})
         contexts.append(context)
         context.set_default_timeout(LIMIT)
         page = context.new_page()

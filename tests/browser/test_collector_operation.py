@@ -8,11 +8,11 @@ import re
 import time
 
 import pytest
+from browser_pages import PHONE, expect
 from page_collector import watched_collector
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
 
-PHONE = {"width": 390, "height": 844}
 VIEWS = ("values", "alarms", "devices", "links", "sinks", "commands", "log", "configuration")
 WRITABLE = """\
 [[unit]]
@@ -23,12 +23,6 @@ point = [
     { name = "gone", address = "4x5000", access = "read" },
 ]
 """
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 @pytest.fixture(scope="module")
@@ -490,8 +484,7 @@ def test_links_say_how_long_reads_take(new_page, plant):
 
 @pytest.mark.parametrize("width", ["desktop", "phone"])
 @pytest.mark.parametrize("theme", ["light", "dark"])
-def test_nothing_overflows_and_axe_finds_no_barrier(new_page, plant, sign_in, keep, width, theme):
-    axe_of = pytest.importorskip("axe_playwright_python.sync_playwright").Axe
+def test_nothing_overflows_and_axe_finds_no_barrier(new_page, plant, sign_in, keep, axe, width, theme):
     page = new_page(plant.page.url, color_scheme=theme, **({"viewport": PHONE} if width == "phone" else {}))
     sign_in(page, "configure")
     answer(page, "/api/alarms", {"active": [alarm()], "journal": []})
@@ -506,10 +499,10 @@ def test_nothing_overflows_and_axe_finds_no_barrier(new_page, plant, sign_in, ke
             expect(page.locator(f"#{view} tbody tr").first).to_be_visible()
         keep(page, f"collector-{view}-{width}-{theme}")
         assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth"), view
-        found += [f"{view}: {each}" for each in barriers(axe_of().run(page))]
+        found += [f"{view}: {each}" for each in barriers(axe.run(page))]
     page.click("#tab-values")
     open_write(page)
-    found += [f"write: {each}" for each in barriers(axe_of().run(page))]
+    found += [f"write: {each}" for each in barriers(axe.run(page))]
     assert page.evaluate("document.querySelector('#write').getBoundingClientRect().right <= innerWidth")
     assert not found, "\n".join(found)
 

@@ -3,15 +3,8 @@
 import re
 
 import pytest
-from page_collector import PUMP, watched_collector
-
-PHONE = {"width": 390, "height": 844}
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
+from browser_pages import PHONE, expect
+from page_collector import MUTE, PUMP, watched_collector
 
 
 @pytest.fixture(scope="module")
@@ -41,6 +34,20 @@ def test_values_history_links_devices_and_sinks_are_shown(new_page, collected, k
         expect(page.locator(f"#{view} tbody tr").first).to_contain_text(text)
         keep(page, f"collector-{view}-{width}")
     assert page.evaluate("document.documentElement.scrollWidth <= document.documentElement.clientWidth")
+
+
+def test_devices_and_links_tell_who_is_silent_since_when_and_what_was_learnt(new_page, tmp_path):
+    with watched_collector(tmp_path, more=MUTE) as running:
+        page = new_page(running.page.url)
+        page.click("#tab-devices")
+        of = {name: page.locator("#device-rows tr", has_text=re.compile(f"^{name}")) for name in ("pump", "mute")}
+        expect(of["mute"]).to_contain_text(re.compile(r"silent for \d\.\d s"))
+        expect(of["pump"]).to_contain_text("polled")
+        expect(of["pump"]).to_contain_text("holding register 4999: exception 02")
+        expect(of["mute"]).not_to_contain_text("exception 02")
+        page.click("#tab-links")
+        expect(page.locator("#link-rows td").nth(4)).to_have_text(re.compile(r"^mute for \d\.\d s$"))
+        page.close()  # before its collector ends: it would complain
 
 
 def test_filters_by_text_and_quality_leave_the_points_that_fit(new_page, collected):

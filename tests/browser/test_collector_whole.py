@@ -4,6 +4,7 @@ import functools
 import re
 
 import pytest
+from browser_pages import expect
 from page_collector import watched_collector
 from waiting import wait_until
 
@@ -44,12 +45,6 @@ flags = { "over load" = 0, earth = 4, "last one" = 31 }
 name = "valve"
 address = "4x4.3"
 """
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 @pytest.fixture

@@ -3,6 +3,7 @@
 import re
 
 import pytest
+from browser_pages import SIZES, expect
 from foreign_servers import needed
 from program import Busway
 
@@ -11,13 +12,6 @@ pytest.importorskip("msgpack")
 
 LONG = 100_000
 """Milliseconds for a scene of the demonstration, on a machine that is busy."""
-SIZES = {"desktop": {"width": 1200, "height": 800}, "phone": {"width": 390, "height": 844}}
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 def test_the_demonstrations_page_shows_shards_move_and_how_far_the_sink_is(

@@ -2,16 +2,11 @@
 
 import re
 
+from browser_pages import expect
 from page_fleet import LINKS, watched_fleet
 
 LONG = 60_000
 """Milliseconds for what takes a lease's time, on a machine that is busy."""
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 def test_the_shards_of_a_collector_that_falls_silent_move_before_the_viewers_eyes(new_page, tmp_path, keep, complaints):

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import pytest
+from browser_pages import expect
 from page_plant import watched
 
 import busway
@@ -26,13 +27,6 @@ MANY_POINTS = "[[unit]]\nunit = 1\n" + "\n".join(
 def unit(plant):
     with busway.connect(plant.endpoints[0]) as link:
         yield link.unit(1)
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    expect_.set_options(timeout=60_000)  # a guard against a hang
-    return expect_(locator)
 
 
 def row(page, key):

@@ -1,20 +1,14 @@
 """What the pages of all programs have in common, in a browser: one shell, its views, colours, and who the user is."""
 
 import pytest
+from browser_pages import SIZES, expect
 from page_collector import watched_collector
 from page_plant import watched
 
-SIZES = {"desktop": {"width": 1200, "height": 800}, "phone": {"width": 390, "height": 844}}
 VIEWS = {
     "simulation": ("points", "trends", "traffic", "faults", "server"),
     "collector": ("values", "alarms", "devices", "links", "sinks", "commands", "log"),
 }
-
-
-def expect(locator):
-    from playwright.sync_api import expect as expect_
-
-    return expect_(locator)
 
 
 @pytest.fixture(scope="module", params=["simulation", "collector"])
@@ -58,6 +52,7 @@ def test_a_view_is_opened_by_its_address_and_goes_back_with_the_arrows(new_page,
     page.locator(f"#tab-{last}").focus()
     page.keyboard.press("ArrowLeft")
     expect(page.locator(f"#tab-{before}")).to_be_focused()
+    page.wait_for_url(f"{url}#{before}")  # else the browser may still believe that it is where it is to go
     page.goto(f"{url}#{last}")
     expect(page.locator(f"#{last}")).to_be_visible()
     page.close()

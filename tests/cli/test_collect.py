@@ -3,6 +3,7 @@
 import asyncio
 import json
 import os
+import re
 import signal
 import socket
 import subprocess
@@ -22,10 +23,13 @@ from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.knowledge import DeviceKnowledge, Knowledge, LearntHole
 from busway.apps.collector.learnt_file import LearntFile
 from busway.apps.collector.store.commit_thread import StoreStatus
+from busway.apps.gateway.gateway import Gateway
+from busway.cli import demo
 from busway.cli.collect import _collect
 from busway.cli.collect_demo import collect_demo
 from busway.cli.collect_status import print_status
 from busway.codes import Table
+from busway.server.server import Server
 
 PLANT = """\
 [collector]
@@ -70,6 +74,14 @@ def test_the_plan_is_shown_without_traffic(run, tmp_path: Path) -> None:
     assert "meter-7  all    3x1    34     17" in result.out
     assert "would learn what a read and a register cost" in result.out
     assert "link a: " in result.out
+    assert not (tmp_path / "data").exists()
+
+
+@pytest.mark.parametrize("more", [[], ["--json"]])
+def test_a_plan_opens_no_connection_to_a_device_that_is_there(run, tmp_path: Path, more: list[str]) -> None:
+    with busway.serve_in_thread("tcp://127.0.0.1:0", units={1: device()}) as server:
+        assert run("collect", "plan", written(tmp_path, server.endpoints[0]), *more).code == 0
+        assert server.status().counters.accepted == 0
     assert not (tmp_path / "data").exists()
 
 
@@ -308,6 +320,46 @@ async def test_the_demo_takes_a_free_port_for_its_page_where_the_wanted_one_is_t
         assert (await asyncio.to_thread(answer_of, page + "api/points"))["points"]
         signal.raise_signal(signal.SIGINT)
         await running
+
+
+async def test_what_the_demo_shows_came_through_a_gateway_from_a_serial_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its devices listen on the line alone; the other end of this line is what the gateway forwards to."""
+    servers: list[Server] = []
+    gateways: list[tuple[str, Gateway]] = []
+    serve, start = demo._devices, demo._started
+
+    def served(plant: Any, url: str) -> Server:
+        servers.append(serve(plant, url))
+        return servers[0]
+
+    async def started(line: str, port: int) -> Gateway:
+        gateways.append((line, await start(line, port)))
+        return gateways[0][1]
+
+    monkeypatch.setattr(demo, "_devices", served)
+    monkeypatch.setattr(demo, "_started", started)
+    running = asyncio.create_task(collect_demo(60.0, "127.0.0.1:0"))
+    said, good = "", set[str]()
+    async with asyncio.timeout(60):
+        while "page on " not in said:
+            await asyncio.sleep(0.01)
+            said += capsys.readouterr().err
+        page = said.partition("page on ")[2].split()[0]
+        points = (await asyncio.to_thread(answer_of, page + "api/points"))["points"]
+        while len(good) < 3:
+            qualities = (await asyncio.to_thread(answer_of, page + "api/values"))["quality"]
+            good |= {each["device"] for each, quality in zip(points, qualities, strict=True) if quality == "good"}
+    (server,), ((line, gateway),) = servers, gateways
+    (listener,) = server.status().listeners
+    assert re.fullmatch(r"rtu:///.+/port0\?baud=19200", line)
+    assert listener.endpoint.partition("?")[0] == line.partition("?")[0].replace("port0", "port1")
+    assert listener.requests >= 3
+    assert len(gateway.status().upstreams) == 1
+    assert f"behind a gateway on {gateway.endpoints[0]};" in said
+    signal.raise_signal(signal.SIGINT)
+    await running
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])

@@ -1,5 +1,6 @@
 """``busway fleet demo``: what it shows, and that nothing of it is left."""
 
+import contextlib
 import os
 import re
 import signal
@@ -11,6 +12,11 @@ import pytest
 from foreign_servers import needed
 from left_behind import left_in
 from program import Busway
+from waiting import wait_until
+
+import busway
+from busway.apps.collector.configuration import load_collector
+from busway.errors import ConfigError
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
@@ -24,6 +30,21 @@ def lives(process: int) -> bool:
     except ProcessLookupError:
         return False
     return True
+
+
+def children(process: int) -> dict[int, str]:
+    """The processes that a process has started and that live, each with its command line."""
+    found = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return {int(each): Path(f"/proc/{each}/cmdline").read_text().replace("\0", " ") for each in found}
+
+
+def polled(folder: Path) -> set[str]:
+    """The devices of which the collectors of a demonstration have values."""
+    found: set[str] = set()
+    for name in COLLECTORS:
+        with contextlib.suppress(ConfigError):  # its store is being made
+            found |= set(busway.Store(folder / name).read("*/*").device)
+    return found
 
 
 def started(lines: str) -> list[int]:
@@ -40,13 +61,32 @@ def test_ctrl_c_or_a_closed_terminal_ends_the_demonstration_and_all_that_it_has_
     with Busway("fleet", "demo", alone=True) as program:
         said = "".join(program.wait_for(f"collector {name} is started") for name in COLLECTORS)
         program.wait_for("shards of links")
-        assert len(started(said)) == 3
-        assert all(map(lives, started(said)))
+        below = children(program.process.pid)
+        assert set(started(said)) < below.keys()
+        others = " ".join(words for number, words in below.items() if number not in started(said))
+        assert ("nats-server" in others, " fleet sink archive " in others, len(below)) == (True, True, 5)
+        assert all(map(lives, below))
         assert list(tmp_path.iterdir())
         program.process.send_signal(end)
         assert program.process.wait(60) == 0
-    assert not any(map(lives, started(said)))
+    assert not any(map(lives, below))
     assert not left_in(tmp_path)
+
+
+@pytest.mark.real_time
+def test_the_collectors_of_the_demonstration_poll_two_hundred_devices(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    needed("nats-server")
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    with Busway("fleet", "demo", alone=True) as program:
+        program.wait_for("200 devices on 20 links, in this process")
+        program.wait_for("shards of links")
+        (folder,) = tmp_path.glob("busway-fleet-demo-*")
+        devices = load_collector(str(folder / "plant.toml")).devices
+        assert (len(devices), len({device.link for device in devices.values()})) == (200, 20)
+        wait_until(lambda: polled(folder) == devices.keys())
+        program.stop()
 
 
 @pytest.mark.soak

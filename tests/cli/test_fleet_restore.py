@@ -13,30 +13,16 @@ from urllib.request import urlopen
 
 import pytest
 from fleet_devices import devices_of, plant
+from fleet_samples import stored, taken
 from foreign_servers import nats_cluster
 from program import Busway
 from waiting import until
-
-import busway
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
 
 pytestmark = pytest.mark.real_time
 SECONDS = 100.0
-
-
-def stored(folder: Path) -> set[tuple[str, str, int]]:
-    """The samples that were read; the times in which links were not owned are no samples."""
-    rows = busway.Store(folder).read("*/*")
-    return {(each.device, each.point, each.time) for each in rows if each.value is not None}
-
-
-def taken(file: Path) -> set[tuple[str, str, int]]:
-    if not file.exists():
-        return set()
-    lines = [json.loads(line) for line in file.read_text().splitlines() if line.endswith("}")]
-    return {(each["device"], each["point"], each["time"]) for each in lines}
 
 
 def order(epoch: str) -> tuple[int, ...]:
@@ -72,12 +58,12 @@ async def test_after_all_servers_lost_their_folders_the_fleet_goes_on_and_epochs
             await asyncio.to_thread(program.wait_for, says)
             return program, page
 
-        async def all_started() -> tuple[list[Busway], list[str]]:
-            found = [await started("sink", "lines", says="takes the samples of zone hall")]
+        async def collectors_started() -> tuple[list[Busway], list[str]]:
+            found = []
             for name in ("west", "east"):
                 words = ("run", "--stream", "--name", name, "--store", str(tmp_path / name), "--shards", "8")
                 found.append(await started(*words, says=f"{name} collects into"))
-            return [program for program, _ in found], [page for _, page in found[1:]]
+            return [program for program, _ in found], [page for _, page in found]
 
         async def shown(page: str) -> Any:
             def asked() -> Any:
@@ -87,7 +73,7 @@ async def test_after_all_servers_lost_their_folders_the_fleet_goes_on_and_epochs
             return await asyncio.to_thread(asked)
 
         async def until_polled(page: str) -> dict[str, tuple[int, ...]]:
-            """Wait until both collectors own all shards and the sink is near; the epoch of each shard."""
+            """Wait until both collectors own all shards and the sink is near; return the epoch of each shard."""
             before, limit = [device.reads for device in devices], time.monotonic() + SECONDS
             while True:
                 found = await shown(page)
@@ -98,16 +84,17 @@ async def test_after_all_servers_lost_their_folders_the_fleet_goes_on_and_epochs
                     assert 0 <= sinks["lines"] < 1000
                     return {each["shard"]: order(each["epoch"]) for each in found["shards"]}
                 assert time.monotonic() < limit, found
-                await asyncio.sleep(0.5)
+                await asyncio.sleep(0.5)  # the page answers, and tells nothing by itself
 
         await command("apply", str(file))
-        programs, pages = await all_started()
+        sink, _ = await started("sink", "lines", says="takes the samples of zone hall")
+        collectors, pages = await collectors_started()
         before = await until_polled(pages[1])
         await until(lambda: len(taken(lines)) > 20, SECONDS)
 
-        for program in programs[1:]:  # 1. stop all collectors; the sink goes on
+        for program in collectors:  # 1. stop all collectors; the sink goes on
             program.process.send_signal(signal.SIGTERM)
-        for program in programs[1:]:
+        for program in collectors:
             await asyncio.to_thread(program.process.wait, 60)
         for server in servers:
             server.stop()
@@ -117,13 +104,8 @@ async def test_after_all_servers_lost_their_folders_the_fleet_goes_on_and_epochs
             server.start()
         await command("restore")  # 3.
         await command("apply", str(file))  # 4. apply the file again, and start the collectors
-        sink = programs[0]
         assert sink.process.poll() is None
-        found = []
-        for name in ("west", "east"):
-            words = ("run", "--stream", "--name", name, "--store", str(tmp_path / name), "--shards", "8")
-            found.append(await started(*words, says=f"{name} collects into"))
-        programs, pages = [sink, *(each for each, _ in found)], [page for _, page in found]
+        collectors, pages = await collectors_started()
         after = await until_polled(pages[1])
 
         assert before.keys() == after.keys()
@@ -132,7 +114,7 @@ async def test_after_all_servers_lost_their_folders_the_fleet_goes_on_and_epochs
             kept = await asyncio.to_thread(stored, tmp_path / name)
             assert kept
             await until(lambda kept=kept: kept <= taken(lines), SECONDS)
-        for program in programs:
+        for program in (sink, *collectors):
             program.process.send_signal(signal.SIGTERM)
             await asyncio.to_thread(program.process.wait, 60)
             assert program.process.returncode == 0

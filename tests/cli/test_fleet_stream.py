@@ -9,14 +9,20 @@ import time
 from collections.abc import AsyncIterator, Callable
 from pathlib import Path
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 from fleet_devices import FleetDevice, devices_of, plant
-from foreign_servers import nats_server
+from fleet_samples import stored, taken
+from foreign_servers import free_port, nats_server
 from program import Busway
 from waiting import until
 
-import busway
+from busway.apps.fleet.control_entries import read_entries
+from busway.apps.fleet.coordinator import RevisionConflict
+from busway.apps.fleet.coordinators.nats import open_nats
+from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.records import MemberRecord
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")
@@ -30,19 +36,6 @@ def written(tmp_path: Path, devices: list[FleetDevice], sink: str, name: str = "
     text = plant(tmp_path / "none", devices).replace("[poll_class]", 'page = "off"\n[poll_class]')
     file.write_text(f'{text}\n[[sink]]\nname = "{name}"\n{sink}\n')
     return str(file)
-
-
-def stored(folder: Path) -> set[tuple[str, str, int]]:
-    """The samples that were read; the times in which links were not owned are no samples."""
-    rows = busway.Store(folder).read("*/*")
-    return {(each.device, each.point, each.time) for each in rows if each.value is not None}
-
-
-def taken(file: Path) -> set[tuple[str, str, int]]:
-    if not file.exists():
-        return set()
-    lines = [json.loads(line) for line in file.read_text().splitlines() if line.endswith("}")]
-    return {(each["device"], each["point"], each["time"]) for each in lines}
 
 
 @contextlib.asynccontextmanager
@@ -97,6 +90,66 @@ async def test_every_sample_of_two_collectors_reaches_the_sink_although_one_is_k
                 assert program.process.returncode == 0
             status = await asyncio.to_thread(run, "fleet", "status", *at)
             assert re.search(r"^lines +\d+ +(-|[\d.]+ s)$", status.out, re.MULTILINE), status.out
+
+
+PAGE = Path(__file__).parents[2] / "docs" / "how-to" / "run-a-fleet.md"
+FAMILY = re.compile(r"^\| `(busway_fleet_\w+)` \|", re.MULTILINE)
+ALERT = re.compile(r"`(busway_fleet_\w+) == 0`")
+
+
+def scraped(port: int) -> dict[str, float]:
+    """The metrics of a fleet on a page for Prometheus, each with the sum of its samples."""
+    from prometheus_client.parser import text_string_to_metric_families
+
+    with urlopen(f"http://127.0.0.1:{port}/metrics", timeout=60) as answer:
+        families = list(text_string_to_metric_families(answer.read().decode()))
+    samples = [each for family in families for each in family.samples if each.name.startswith("busway_fleet_")]
+    return {
+        name: sum(each.value for each in samples if each.name == name)
+        for name in dict.fromkeys(each.name for each in samples)
+        if not name.endswith("_created")
+    }
+
+
+async def test_a_scrape_has_each_metric_that_is_documented_and_each_documented_alert_fires_when_it_should(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    pytest.importorskip("prometheus_client")
+    text, port = PAGE.read_text(encoding="utf-8"), free_port()
+    alerts = ALERT.findall(text)
+    assert set(alerts) == {f"busway_fleet_{name}" for name in ("may_own", "coordinator_up", "stream_up")}
+
+    async def fires(alert: str, port: int = port) -> bool:
+        return (await asyncio.to_thread(scraped, port))[alert] == 0
+
+    with nats_server(tmp_path) as server:
+        async with devices_of(2) as devices, contextlib.AsyncExitStack() as stack:
+            url = f"nats://127.0.0.1:{server.port}"
+            at = ("--coordinator", url, "--zone", "hall")
+            file = written(tmp_path, devices, f'url = "prometheus://127.0.0.1:{port}"\npoints = ["*/*"]')
+            assert (await asyncio.to_thread(run, "fleet", "apply", file, *at)).code == 0
+            given = ("run", "--stream", "--name", "west", "--store", str(tmp_path / "west"), "--shards", "8", *at)
+            await stack.enter_async_context(running(*given, says="west collects into"))
+            await until(lambda: all(device.reads > 3 for device in devices), SECONDS)
+            found = await asyncio.to_thread(scraped, port)
+            assert set(found) == set(FAMILY.findall(text))
+            assert (found["busway_fleet_shards"], found["busway_fleet_leases_total"]) >= (1, 1)
+            assert found["busway_fleet_configuration_revision"] > 0
+            assert not [alert for alert in alerts if await fires(alert)]
+
+            table = await open_nats(url, "hall", CoordinatorOptions())
+            other = MemberRecord("west", "another process", "box", 1).encode()
+            while not await fires("busway_fleet_may_own"):
+                entry = (await read_entries(table, "member.west"))["member.west"]
+                with contextlib.suppress(RevisionConflict):  # it has renewed its entry meanwhile
+                    await table.replace("member.west", other, entry.revision)
+            await table.close()
+            assert not await fires("busway_fleet_coordinator_up")
+
+            server.stop()
+            for alert in ("busway_fleet_coordinator_up", "busway_fleet_stream_up"):
+                while not await fires(alert):  # noqa: ASYNC110 - the process tells nothing
+                    await asyncio.sleep(0.1)
 
 
 async def test_a_running_sink_follows_a_newer_configuration_and_goes_on_where_it_cannot(

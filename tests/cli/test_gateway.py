@@ -355,7 +355,7 @@ def test_a_service_manager_is_told_of_start_reading_and_end(
 def test_status_shows_listeners_lines_and_units_that_are_not_asked() -> None:
     with short_directory() as folder, serial_line() as (line, _):
         control = str(folder / "control")
-        options = "&timeout=0.05&retries=0&first_pause=60&longest_pause=60"
+        options = "&timeout=0.5&retries=0&first_pause=60&longest_pause=60"
         with running(LOOPBACK, line + options, control=control) as (_, (url,)):
             with busway.connect(url, shared=False, retries=0) as link:
                 assert link.unit(1).read_holding_registers(0, count=1) == [100]

@@ -12,7 +12,7 @@ pytestmark = pytest.mark.alone
 
 READS = 10
 INACCURACY = 0.0003
-"""Seconds by which the line may be wrong about when a program wrote and when one could read."""
+"""Most seconds that the line may be wrong about when a program wrote and when one could read."""
 
 
 async def read_on_a_loop(url: str) -> list[list[int]]:

@@ -1,6 +1,7 @@
 """The files that pages show can be read: collector files, parts of them, device files, and files of other programs.
 
-Other tests read those of the chapters on the simulator, the gateway and security.
+Of a collector file that is whole, its links, classes and profiles are there too. Other tests read those of the
+chapters on the simulator, the gateway and security.
 """
 
 import re
@@ -9,6 +10,7 @@ from pathlib import Path
 
 import pytest
 
+from busway.apps.collector.configuration import parse_collector
 from busway.apps.gateway.configuration import parse_gateway
 from busway.apps.importers.telegraf import read_telegraf
 from busway.apps.simulator.includes import parse_declaration
@@ -24,6 +26,8 @@ REST = {
     "device": '[[device]]\nname = "rest"\nlink = "rest"\nprofile = "meter"\n',
 }
 """What a collector file must have, for parts of one that a page shows by themselves."""
+
+WHOLE = "".join(REST.values())
 
 OF_FLEETS = {"hosts", "gateway_wait"}
 """Keys of links that only collector files have."""
@@ -43,6 +47,8 @@ def check(text: str) -> None:
     keys = values.keys()
     if "inputs" in keys:
         assert not read_telegraf(text, "page.toml").omissions
+    elif {"link", "device"} <= keys:
+        parse_collector(text, "page.toml")
     elif keys & {"collector", "page_access", "sink"} or any(OF_FLEETS & link.keys() for link in values.get("link", ())):
         rest = "" if "device" in keys else "".join(REST.values())
         read_source(f"{text}\n{rest}", "page.toml").checked(CollectorFile)
@@ -66,6 +72,9 @@ def test_a_file_of_a_page_can_be_read(text: str) -> None:
         '[page_access]\nkey = "page.key"\n',
         '[[sink]]\nname = "a"\nurl = "mqtt://broker"\nper_piont = true\n',
         '[[unit]]\npoint = [{ name = "a", address = "4y1" }]\n',
+        WHOLE.replace('link = "rest"', 'link = "other"'),
+        WHOLE.replace('profile = "meter"', 'profile = "metre"'),
+        WHOLE + 'poll_class = "fast"\n',
     ],
 )
 def test_a_file_that_cannot_be_is_found(text: str) -> None:

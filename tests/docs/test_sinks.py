@@ -14,6 +14,26 @@ PAGE = (Path(__file__).parents[2] / "docs" / "how-to" / "send-samples-on.md").re
 ALL = [table for block in re.findall(r"```toml\n(.*?)```", PAGE, re.DOTALL) for table in tomllib.loads(block)["sink"]]
 TABLES = [table for table in ALL if not table["url"].startswith("prometheus:")]  # that is a page, and no sink
 
+SECTIONS = dict(re.findall(r"^## (.+?)\n(.*?)(?=^## |\Z)", PAGE, re.DOTALL | re.MULTILINE))
+SERVERS = {
+    "MQTT": "mosquitto",
+    "Sparkplug B": "mosquitto",
+    "PostgreSQL and TimescaleDB": "postgresql",
+    "InfluxDB, VictoriaMetrics, QuestDB": "victoria-metrics",
+    "NATS JetStream": "nats-server",
+    "Prometheus": "prometheus",
+}
+"""The server of each section, as Debian's package is called."""
+
+
+def test_each_section_with_a_server_says_how_to_start_one() -> None:
+    """Each of these packages starts its server by itself; that of NATS has no JetStream then."""
+    of_servers = {name for name, text in SECTIONS.items() if re.search(r'^url = "(?!file:)', text, re.MULTILINE)}
+    assert of_servers == set(SERVERS)
+    for name, package in SERVERS.items():
+        assert re.search(rf"\bapt-get install {package}\b", SECTIONS[name]), name
+    assert "\nnats-server -js\n" in SECTIONS["NATS JetStream"]
+
 
 @pytest.mark.parametrize("table", TABLES, ids=lambda table: table["url"])
 def test_each_table_makes_a_sink(table: dict[str, Any], tmp_path: Path) -> None:

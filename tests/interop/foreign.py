@@ -6,7 +6,6 @@
 """
 
 import json
-import os
 import select
 import shutil
 import subprocess
@@ -14,9 +13,9 @@ import tempfile
 from collections.abc import Sequence
 from pathlib import Path
 from types import TracebackType
-from typing import Any, NoReturn, Self
+from typing import Any, Self
 
-import pytest
+from missing_peers import missing as missing
 
 HERE = Path(__file__).parent
 CHECKOUT = HERE.parents[1]
@@ -45,13 +44,6 @@ IDENTITY: dict[int, bytes] = {
     0x05: b"P",
     0x06: b"Hall 3",
 }
-
-
-def missing(reason: str) -> NoReturn:
-    """Skip the test, or fail it where every peer has to be there."""
-    if os.environ.get("BUSWAY_REQUIRE_PEERS") == "1":
-        pytest.fail(reason)
-    pytest.skip(reason)
 
 
 class Program:

@@ -58,6 +58,7 @@ OWN: Final = {
     "$KV.busway-hall-commands.keys.001": "collector",
     "$KV.busway-hall.cursor.broker": "sink",
     "busway.hall.samples.0001": "collector",
+    "busway.hall.samples.pin.west": "collector",
     "busway.hall.audit": "collector",
 }
 """Subjects of streams, and the one role that may publish to each."""
@@ -167,6 +168,8 @@ async def test_each_subject_is_for_the_role_whose_it_is_and_for_no_other(site: S
                     assert "permissions violation" in said.lower(), (role, call, stream)
                 said = await refusal(client, f"$JS.API.STREAM.CREATE.{stream}", b"{}")
                 assert ("permissions violation" in said.lower()) == (role != "operator"), (role, stream)
+                for call in (f"DIRECT.GET.{stream}", f"DIRECT.GET.{stream}.$KV.busway-hall.lease.0001"):
+                    assert "permissions violation" in (await refusal(client, f"$JS.API.{call}")).lower(), (role, call)
                 said = await refusal(client, f"$JS.API.CONSUMER.DELETE.{stream}.sink-broker")
                 assert "permissions violation" in said.lower(), (role, stream)
             for subject in ("$KV.busway-yard.control.configuration", "_INBOX.of.others", "$JS.API.STREAM.NAMES", "x"):
@@ -177,7 +180,7 @@ async def test_each_subject_is_for_the_role_whose_it_is_and_for_no_other(site: S
                 await settled(client)
                 is_own = (role, subject) == ("collector", "busway.hall.command.*")
                 assert ("permissions violation for subscription" in client.cause.lower()) != is_own, (role, subject)
-        for stream, count in zip(STREAMS, (8, 1, 1, 1), strict=True):
+        for stream, count in zip(STREAMS, (8, 1, 2, 1), strict=True):
             kept = (await operator.client.jetstream(timeout=10).stream_info(stream)).state
             assert kept.messages == count, f"{stream} has what was permitted, and nothing else"
 
@@ -238,7 +241,7 @@ async def collecting(site: Site, name: str, devices: list[FleetDevice], revision
         table = await stack.enter_async_context(site.table("collector"))
         keys = await stack.enter_async_context(site.table("collector", "hall-commands"))
         await make_stream(table.client, "hall")
-        stream = NatsStream(table.client, "hall", lambda link: "0000", timeout=1.0)
+        stream = NatsStream(table.client, "hall", timeout=1.0)
         watch = asyncio.create_task(stream.watch_cursors(table))
         stack.push_async_callback(end_tasks, [watch])
         fleet = FleetCollector(

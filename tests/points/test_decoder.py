@@ -233,6 +233,24 @@ def test_types_without_a_letter_of_struct_come_back_beside_numbers(type: str, va
     assert ReadDecoder(points, HOLDING, 0, 2 + form.registers).decode(wire).values == [1, value, 2]
 
 
+@pytest.mark.parametrize(
+    ("type", "registers", "value"),
+    [
+        ("ipv4", "C000 0201", "192.0.2.1"),  # RFC 791: the first number is the high octet
+        ("ipv4", "0000 0000", "0.0.0.0"),
+        ("ipv6", "2001 0DB8 0000 0000 0000 0000 0000 0001", "2001:db8::1"),  # RFC 4291 §2.2: each group is 16 bits
+        ("ipv6", "FE80 0000 0000 0000 021B 44FF FE11 3AB7", "fe80::21b:44ff:fe11:3ab7"),
+        ("eui48", "001B 4411 3AB7", "00:1B:44:11:3A:B7"),  # IEEE 802: octets as they are written, the OUI first
+        ("eui64", "001B 44FF FE11 3AB7", "00:1B:44:FF:FE:11:3A:B7"),
+    ],
+)
+def test_addresses_of_networks_have_the_octets_of_their_definition(type: str, registers: str, value: str) -> None:
+    point = Point("it", HOLDING, 0, value_type(type))
+    wire = bytes.fromhex(registers)
+    assert point.encode(value) == wire
+    assert ReadDecoder([point], HOLDING, 0, len(wire) // 2).decode(wire).values == [value]
+
+
 def test_bytes_that_mean_nothing_in_a_type_spoil_that_point_alone() -> None:
     points = [Point("a", HOLDING, 0, value_type("bcd16")), Point("b", HOLDING, 1, value_type("uint16"))]
     found = ReadDecoder(points, HOLDING, 0, 2).decode(bytes.fromhex("00FA 0007"))

@@ -1,4 +1,4 @@
-"""Who wants to is told of every way by which bytes leave a server, and sends and closes by it."""
+"""A tap sees all bytes that leave a server, whichever way they take, and can send on connections and close them."""
 
 import asyncio
 from urllib.parse import urlsplit

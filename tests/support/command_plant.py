@@ -13,7 +13,6 @@ import http.client
 import importlib.util
 import json
 import os
-import shutil
 import signal
 import struct
 import subprocess
@@ -25,10 +24,10 @@ from pathlib import Path
 from typing import Any
 
 from foreign_servers import ForeignServer, free_port, mosquitto, nats_server
+from missing_peers import installed
 from wire_recorder import WireRecorder
 
 LIMIT = 60.0
-PLACES = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin"])
 PEOPLE = {
     "vera": ("view", "vera-0123456789-vera"),
     "anna": ("operate", "anna-0123456789-anna"),
@@ -161,9 +160,9 @@ class CommandedPlant:
         self.mqtt: ForeignServer | None = None
         self.nats: ForeignServer | None = None
         self._stack = contextlib.ExitStack()
-        if brokers and importlib.util.find_spec("aiomqtt") and shutil.which("mosquitto", path=PLACES):
+        if brokers and importlib.util.find_spec("aiomqtt") and installed("mosquitto"):
             self.mqtt = self._stack.enter_context(mosquitto(folder))
-        if brokers and importlib.util.find_spec("nats") and shutil.which("nats-server", path=PLACES):
+        if brokers and importlib.util.find_spec("nats") and installed("nats-server"):
             self.nats = self._stack.enter_context(nats_server(folder))
         self.configure(0.1)
         data = folder / "data"

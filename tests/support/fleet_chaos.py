@@ -6,7 +6,8 @@ Knows processes, network namespaces and engines. What was wrong in a run is judg
    cables are cut. Elsewhere all is on loopback, the coordinator is kept from a collector inside that one, and the run
    says so (`Run.is_parted`).
 2. Everything that was started is ended by its handle.
-3. A run proves that its faults struck (`Run.struck`): one in which too little happened has failed.
+3. A run proves that its faults struck (`Run.struck`): one in which too little happened has failed. A fault has struck
+   if others read links that its collector had read until then; many links that one fault moves are one takeover.
 """
 
 import json
@@ -28,7 +29,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from fleet_checker import Bounds, Frame, Logs, Owned, Stored, Unread, takeovers
+from fleet_checker import Bounds, Frame, Logs, Owned, Stored, Unread, excused, stood_still, taken
 from foreign_servers import PostgresqlServer, free_port, needed
 from hosts import Host, Network, why_not
 from told_program import Program
@@ -650,22 +651,26 @@ poll_class = "fast"
             elif what == "refused" or (what == "written" and rest[1] in ("expired", "refused")):
                 logs.not_executed.add(rest[0])
 
-    def struck(self, logs: Logs) -> dict[str, int]:
-        """How often faults struck. Raises `AssertionError` where the run proves nothing."""
-        frozen = 0
-        for each in self.happened:
-            if each.what == "freeze":
-                before = {
-                    f.link for f in logs.frames if f.collector == each.whom and each.begin - 1 < f.at < each.begin
-                }
-                during = {f.link for f in logs.frames if f.collector != each.whom and each.begin < f.at < each.end}
-                frozen += bool(before & during)
-        found = {
-            "takeovers": takeovers(logs),
-            "freezes": frozen,
-            "leaders": sum(each.what == "leader" for each in self.happened),
-        }
+    def struck(self, logs: Logs) -> dict[str, float]:
+        """How many faults struck, by kind, what of its long silences is excused, and how much it stood still.
+
+        Raises `AssertionError` where the run proves nothing. Where hosts can be parted, a cut must have kept a
+        collector from all devices.
+        """
+        found: dict[str, float] = Counter()
+        for each, next_one in pairwise([*self.happened, Happened("end", "", logs.end)]):
+            lasts = each.what in ("freeze", "cut", "away")  # while a fault lasts, or else until the next one
+            if each.what == "leader" or taken(logs, each.whom, each.begin, each.end if lasts else next_one.begin):
+                found[each.what] += 1
+                found["takeovers"] += each.what != "leader"
+            if each.what == "cut" and self.is_parted:
+                middle = (each.begin + each.end) / 2
+                heard = [f for f in logs.frames if f.collector == each.whom and middle < f.at < each.end]
+                assert not heard, f"{each.whom} was heard while its cable was cut"
+        found["excused"] = round(excused(logs, self.scenario.bounds), 3)
+        found["stood still"] = round(stood_still(logs, logs.begin, logs.end) / (logs.end - logs.begin), 3)
         assert found["takeovers"] >= 3, found
-        assert found["freezes"] >= 1, found
-        assert found["leaders"] >= 1 or self.scenario.backend == "local", found
+        assert found["freeze"] >= 1, found
+        assert found["leader"] >= 1 or self.scenario.backend == "local", found
+        assert found["cut"] >= 1 or not self.is_parted or "cut" not in self.scenario.faults, found
         return found

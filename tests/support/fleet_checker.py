@@ -12,6 +12,8 @@ Knows frames, periods of ownership, samples and faults as data; knows no process
 5. Every moment of a hole is in the store of the collector that ended it, or in that of the link's last owner before
    that moment, as samples without a value or as an interval. What others say of a link that they do not own is nothing.
    What the machine itself stood still needs no record.
+6. What the machine stood still excuses no more of one silence than its bound: none may be twice as long. A run in
+   which more than `MOST_EXCUSED` of the long silences need that excuse is not judged: it fails.
 """
 
 from bisect import bisect_right
@@ -21,6 +23,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 
 Epoch = tuple[int, int]
+MOST_EXCUSED = 1 / 3
+"""Part of the silences of more than a period and a second that a machine that stood still may excuse."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,6 +123,7 @@ def judged(logs: Logs, bounds: Bounds) -> list[str]:
         *writes_that_are_wrong(logs),
         *silences_that_are_too_long(logs, bounds),
         *holes_without_a_record(logs, bounds),
+        *too_little_judged(logs, bounds),
     ]
 
 
@@ -186,21 +191,46 @@ def writes_that_are_wrong(logs: Logs) -> list[str]:
 def silences_that_are_too_long(logs: Logs, bounds: Bounds) -> list[str]:
     """Rule 4."""
     found: list[str] = []
-    stretches = good_stretches(logs)
-    for link, begin, end in _silences((frame.link, frame.at) for frame in logs.frames if not frame.is_write):
-        if end - begin > bounds.takeover:
-            for first, last in stretches:
-                low, high = max(begin, first), min(end, last)
-                if high - low - stood_still(logs, low, high) > bounds.takeover + bounds.period:
-                    found.append(
-                        f"{link} was silent from {begin:.2f} to {end:.2f}, {high - low:.2f} s of it without a cause"
-                    )
+    most = bounds.takeover + bounds.period
+    for each in long_silences(logs, bounds):
+        if each.seconds - min(stood_still(logs, each.low, each.high), most) > most:
+            found.append(
+                f"{each.link} was silent from {each.begin:.2f} to {each.end:.2f}, {each.seconds:.2f} s of it without a "
+                "cause"
+            )
     links = {frame.link for frame in logs.frames}
     for link in links:
         last_frame = max(frame.at for frame in logs.frames if frame.link == link)
         if logs.end - last_frame > bounds.takeover:
             found.append(f"{link} is silent at the end")
     return found
+
+
+@dataclass(frozen=True, slots=True)
+class Silence:
+    """A time in which a link was not read, and what of it is between two faults: from ``low`` to ``high``."""
+
+    link: str
+    begin: float
+    end: float
+    low: float
+    high: float
+
+    @property
+    def seconds(self) -> float:
+        return self.high - self.low
+
+
+def long_silences(logs: Logs, bounds: Bounds) -> list[Silence]:
+    """The silences of which more than a period and a second are between two faults."""
+    stretches = good_stretches(logs)
+    return [
+        Silence(link, begin, end, max(begin, first), min(end, last))
+        for link, begin, end in _silences((frame.link, frame.at) for frame in logs.frames if not frame.is_write)
+        if end - begin > bounds.unrecorded
+        for first, last in stretches
+        if min(end, last) - max(begin, first) > bounds.unrecorded
+    ]
 
 
 def stood_still(logs: Logs, low: float, high: float) -> float:
@@ -236,10 +266,28 @@ def holes_without_a_record(logs: Logs, bounds: Bounds) -> list[str]:
                     for each in unread[owner]
                     if each.link in (None, link) and each.begin < last and (each.end is None or each.end > first)
                 ]
-            left = max(last - first - stood_still(logs, first, last) for first, last in _uncovered(begin, end, told))
+            most = bounds.takeover + bounds.period
+            left = max(
+                last - first - min(stood_still(logs, first, last), most) for first, last in _uncovered(begin, end, told)
+            )
             if left > bounds.unrecorded:
                 found.append(f"{link}: {left:.2f} s of the hole from {begin:.2f} to {end:.2f} are not recorded")
     return found
+
+
+def excused(logs: Logs, bounds: Bounds) -> float:
+    """The part of the long silences that are no breach only because the machine stood still, 0…1."""
+    found = long_silences(logs, bounds)
+    needing = [each for each in found if each.seconds > bounds.takeover + bounds.period]
+    return len(needing) / len(found) if found else 0.0
+
+
+def too_little_judged(logs: Logs, bounds: Bounds) -> list[str]:
+    """Rule 6."""
+    part = excused(logs, bounds)
+    if part <= MOST_EXCUSED:
+        return []
+    return [f"{part:.0%} of the long silences are excused by a machine that stood still: try again with less load"]
 
 
 def _last_owners(logs: Logs) -> dict[str, list[tuple[str, float, float]]]:
@@ -260,16 +308,10 @@ def holes(logs: Logs, longest: float) -> list[tuple[str, float, float]]:
     return [each for each in _silences((each.link, each.at) for each in logs.stored) if each[2] - each[1] > longest]
 
 
-def takeovers(logs: Logs) -> int:
-    """How often a link went from an owner that had not given it back to another collector."""
-    by_link: dict[str, list[Owned]] = defaultdict(list)
-    for each in sorted(logs.owned, key=lambda each: each.epoch):
-        by_link[each.link].append(each)
-    return sum(
-        before.collector != after.collector and (before.end is None or before.end > after.begin)
-        for rows in by_link.values()
-        for before, after in pairwise(rows)
-    )
+def taken(logs: Logs, collector: str, begin: float, end: float) -> set[str]:
+    """The links that a collector read in the two seconds before a time, and others in that time."""
+    before = {each.link for each in logs.frames if each.collector == collector and begin - 2.0 < each.at < begin}
+    return before & {each.link for each in logs.frames if each.collector != collector and begin < each.at < end}
 
 
 def _silences(moments: Iterable[tuple[str, float]]) -> list[tuple[str, float, float]]:

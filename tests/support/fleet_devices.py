@@ -11,6 +11,8 @@ from busway.apps.collector.configuration import CollectorConfiguration, parse_co
 from busway.apps.fleet.lease_times import LeaseTimes
 
 TIMES = LeaseTimes(ttl=3.0, renew=0.4, guard=0.3, answer=0.8)
+LONG_TIMES = LeaseTimes(ttl=30.0, renew=0.4, guard=0.3, answer=0.8)
+"""Of leases that do not lapse while a machine pauses."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,11 +27,12 @@ class Asked:
 
 @dataclass
 class FleetDevice:
-    """A device whose registers 0 and 1 count its reads."""
+    """A device whose registers 0 and 1 count its reads; it notes when connections end, and of which peer."""
 
     name: str
     port: int = 0
     asked: list[Asked] = field(default_factory=list)
+    ended: list[tuple[float, int]] = field(default_factory=list)
     written: list[tuple[int, int]] = field(default_factory=list)
     reads: int = 0
 
@@ -52,6 +55,7 @@ class FleetDevice:
         except (asyncio.IncompleteReadError, ConnectionError):
             pass
         finally:
+            self.ended.append((asyncio.get_running_loop().time(), peer))
             writer.close()
 
     def _reply(self, function: int, address: int, pdu: bytes) -> bytes:

@@ -38,7 +38,7 @@ class Scale:
 
     Attributes:
         collectors, points, shards: how many there were; shards with links only.
-        imbalance: the part of the fair load by which the collector that is furthest off is off, settled.
+        imbalance: how far the worst collector is from the fair load, as a part of that, settled.
         dealt: the same, were all shards dealt anew to collectors without any, the dearest first.
         takeover: seconds from the end of a collector to the moment at which all of its shards were owned.
         changes: of entries in a second that the coordinator was asked for, settled.

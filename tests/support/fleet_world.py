@@ -73,7 +73,7 @@ class World:
         times: of the leases.
         seed: of everything that is left to chance.
         network: between members and the coordinator.
-        drift: largest part by which a clock runs fast or slow.
+        drift: how much too fast or too slow a clock runs at most, as a part of the time.
         poll: seconds between two transactions on a shard; None to judge the balance alone.
         worst: seconds that a transaction may take.
         member_kind: what makes a member; mutants give another one.

@@ -1,6 +1,6 @@
 """Servers that sinks send to, from Debian's packages: started on a free port of loopback, stopped, started again.
 
-A test is skipped by name where a server is not installed; with BUSWAY_REQUIRE_PEERS=1 it fails.
+A test is skipped where a server is not installed, or fails (`missing_peers`).
 """
 
 import contextlib
@@ -18,22 +18,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Self
 
-import pytest
+from missing_peers import needed
 
 READY_SECONDS = 60.0
 _CHANCE = random.SystemRandom()  # tests that run beside this one must not choose the same
 _given: set[int] = set()
 _giving = threading.Lock()
-
-
-def needed(name: str, *places: str) -> str:
-    """The path of a program; the test is skipped, or fails, where it is not installed."""
-    path = shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin", *places]))
-    if path is None:
-        if os.environ.get("BUSWAY_REQUIRE_PEERS") == "1":
-            pytest.fail(f"{name} is not installed")
-        pytest.skip(f"{name} is not installed")
-    return path
 
 
 def free_port() -> int:

@@ -41,6 +41,15 @@ profile = "pump.toml"
 name = "lines"
 url = "file://lines.jsonl"
 """
+MUTE = """\
+[[device]]
+name = "mute"
+link = "hall"
+unit = 9
+poll_class = "all"
+profile = "pump.toml"
+"""
+"""More for the file: a device that is not there."""
 
 
 class WatchedCollector:

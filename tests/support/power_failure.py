@@ -8,7 +8,6 @@ its folder. Writes after that may be there or not, each for itself (`PowerFailur
 
 import os
 import random
-import subprocess
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -31,13 +30,6 @@ class Content:
 
     durable: bytearray = field(default_factory=bytearray)
     pending: list[Record] = field(default_factory=list)
-
-
-def build(folder: Path) -> Path:
-    """The library that records, compiled."""
-    library = folder / "recorded_writes.so"
-    subprocess.run(["gcc", "-shared", "-fPIC", "-O1", "-o", library, SOURCE, "-ldl"], check=True, timeout=60)
-    return library
 
 
 def environment(library: Path, store: Path, log: Path) -> dict[str, str]:

@@ -1,4 +1,4 @@
-"""A gateway as cheap ones are: what has come waits in a queue, and reaches the device also when its client has gone."""
+"""A gateway like the cheap ones: requests wait in a queue, and reach the device even if their client has gone."""
 
 import asyncio
 import contextlib
@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, slots=True)
 class OnTheLine:
-    """One request that the device behind the gateway has seen: when it came and left, and the address of its client."""
+    """One request that the device has seen: when it came to the gateway and left it, and the address of its client."""
 
     arrived: float
     left: float
@@ -21,11 +21,12 @@ class QueueingGateway:
     """Holds each request of a connection in a queue of that connection before the device sees it.
 
     Attributes:
-        held: by address of a client, the seconds for which its requests are held, counted from when they arrive; those
-            of the others pass at once. So does a gateway that gives each connection a thread, and lets these fight
-            for the line.
-        line: what the device has seen, in order.
-        waiting: how many requests are in the queues.
+        held: seconds for which requests of a client are held, counted from when they arrive, by address of the client;
+            requests of other clients pass at once. A gateway with one thread for each connection behaves like this,
+            because its threads compete for the line.
+        line: the requests that the device has seen, in order.
+        waiting: number of requests in the queues.
+        reads: number of requests that were answered; the registers hold it.
     """
 
     port: int = 0
@@ -37,7 +38,7 @@ class QueueingGateway:
 
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator["QueueingGateway"]:
-        """Serve on a free port; what waits at the end is dropped."""
+        """Serve on a free port; requests that wait at the end are dropped."""
         server = await asyncio.start_server(self._talk, "127.0.0.1", 0)
         self.port = server.sockets[0].getsockname()[1]
         try:

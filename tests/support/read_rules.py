@@ -24,6 +24,11 @@ def allowed(table: Table, start: int, end: int, members: Iterable[PlainItem], ru
     for span in rules.forbidden.get(table, ()):
         if touched & set(range(span.start, span.end)):
             return False
+    for span in rules.exact.get(table, ()):
+        if touched & set(range(span.start, span.end)):
+            if (start, end) != (span.start, span.end):
+                return False
+            declared |= touched
     ranges = rules.readable.get(table, ())
     if ranges:
         return any(touched <= set(range(span.start, span.end)) for span in ranges)

@@ -8,6 +8,8 @@ import asyncio
 import contextlib
 import json
 from collections.abc import Callable, Sequence
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -19,12 +21,14 @@ from busway.apps.collector.commands.journal import CommandJournal
 from busway.apps.collector.commands.runner import CommandRunner
 from busway.apps.collector.commands.sparkplug import PLACE
 from busway.apps.collector.commands.targets import CollectedTargets
+from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
 from busway.apps.collector.cost import network_cost
 from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.poller import LinkPoller
 from busway.apps.collector.sample_clock import EARLIEST, SampleClock
 from busway.apps.collector.schedule import LinkSchedule
 from busway.apps.collector.sinks.mqtt import topic_level
+from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.fleet.fleet_commands import FleetCommands, command_subject
 from busway.apps.web.access import AccessToken, PageAccess, PageAccessRules, Role
 from busway.apps.web.application import page_resources
@@ -36,6 +40,51 @@ from busway.points import Point, ReadRules
 from busway.values import value_type
 
 LEVEL = Point("level", Table.HOLDING_REGISTERS, 99, value_type("uint16"))
+FILE = """\
+[collector]
+store = "data"
+[poll_class]
+c.period = 3600.0
+[[link]]
+name = "hall"
+url = "tcp://127.0.0.1:1"
+[[device]]
+name = "boiler"
+link = "hall"
+unit = 1
+profile = "device:logo8"
+"""
+"""A collector file whose device gets other points (`configuration_of`)."""
+
+
+@cache
+def _parsed() -> CollectorConfiguration:
+    return parse_collector(FILE, "plant.toml")
+
+
+def configuration_of(points: Sequence[Point]) -> CollectorConfiguration:
+    """The configuration of a collector whose one device has these points, and `LEVEL`."""
+    usual = _parsed()
+    boiler = replace(usual.devices["boiler"], points=(*points, LEVEL), rules=ReadRules(), items={"c": (LEVEL,)})
+    return replace(usual, devices={"boiler": boiler})
+
+
+class HandedInput:
+    """The input of commands of one sink; the test itself hands each message to its `CommandReceiver`."""
+
+    separator: str = "/"
+
+    def __init__(self, kind: str, rights: InputRights) -> None:
+        self.kind, self.rights = kind, rights
+
+    def level(self, name: str) -> str:
+        return name if self.kind == "sparkplug" else topic_level(name)
+
+    def join(self, group: str, member: str) -> bool:
+        return True
+
+    async def run(self, receiver: CommandReceiver) -> None:
+        """Receive nothing."""
 
 
 class RecordedRegisters:
@@ -107,19 +156,13 @@ class RuledPlant:
         self._set_points(points)
 
     def _set_points(self, points: Sequence[Point]) -> None:
-        boiler = SimpleNamespace(name="boiler", link="hall", unit=1, points=(*points, LEVEL), rules=ReadRules())
-        link = SimpleNamespace(settings=SimpleNamespace(endpoint=SimpleNamespace(framing="mbap")))
-        self.configuration = SimpleNamespace(devices={"boiler": boiler}, links={"hall": link})
+        self.configuration = configuration_of(points)
 
     async def start(self) -> None:
         self.claims = GatedClaims()
         self._begin_link()
         self.audit = AuditLog(self.folder / "audit.log")
-        targets = CollectedTargets(
-            lambda: self.configuration,  # type: ignore[arg-type, return-value]
-            lambda device: self.poller,
-            SimpleNamespace(last=lambda device, point: None),  # type: ignore[arg-type]
-        )
+        targets = CollectedTargets(lambda: self.configuration, lambda device: self.poller, LastValues())
         self.commands = CommandRunner(
             targets,
             CommandJournal(self.folder),
@@ -143,8 +186,7 @@ class RuledPlant:
         loop = asyncio.get_running_loop()
         clock = SampleClock(loop.time(), EARLIEST)
         schedule = LinkSchedule(1.0)
-        ignore: Callable[[Any], None] = lambda _: None  # noqa: E731
-        self.poller = LinkPoller("hall", self.device, schedule, clock, ignore, ignore, numbered=True, now=loop.time)
+        self.poller = LinkPoller("hall", self.device, schedule, clock, _ignore, _ignore, numbered=True, now=loop.time)
         self.poller.add("boiler", 1, PlanBook({"c": [LEVEL]}, ReadRules(), network_cost()), {"c": 3600.0})
         if self.is_paused:
             self.poller.pause("boiler", paused=True)
@@ -165,11 +207,9 @@ class RuledPlant:
     def add_input(self, name: str, kind: str, patterns: Sequence[str], role: str) -> None:
         """Take messages of a sink from now on, instead of those that it had before."""
         where = PLACE if kind == "sparkplug" else "plant/{device}/{point}"
-        level = (lambda text: text) if kind == "sparkplug" else topic_level
-        made: Any = SimpleNamespace(rights=InputRights(where, tuple(patterns), 10.0, role), kind=kind, level=level)
         receiver = CommandReceiver(
             name,
-            made,
+            HandedInput(kind, InputRights(where, tuple(patterns), 10.0, role)),
             self.commands,
             lambda: self.configuration,
             now=lambda: self.now,
@@ -221,3 +261,7 @@ class RuledPlant:
     async def fleet(self, content: dict[str, Any]) -> dict[str, Any]:
         """The answer to a request to the owner of the link."""
         return await self._fleet.take(command_subject("hall", "hall"), json.dumps(content).encode())
+
+
+def _ignore(_: object) -> None:
+    """Do nothing with samples or an interval."""

@@ -8,8 +8,6 @@
 import asyncio
 import importlib.util
 import json
-import os
-import shutil
 import subprocess
 from collections.abc import Iterable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -18,8 +16,7 @@ from typing import Any, Protocol
 
 from foreign_servers import ForeignServer, PostgresqlServer, durable_mosquitto, nats_server, needed
 from kept_once import Delivered, Key
-
-PLACES = os.pathsep.join([os.environ.get("PATH", ""), "/usr/sbin"])
+from missing_peers import installed
 
 
 class Receiver(Protocol):
@@ -181,7 +178,7 @@ def document_problems(where: str, found: Iterable[Mapping[str, Any]], lines: Del
 
 def is_there(package: str, program: str) -> bool:
     """Whether a server and the package for it are installed."""
-    return importlib.util.find_spec(package) is not None and shutil.which(program, path=PLACES) is not None
+    return importlib.util.find_spec(package) is not None and installed(program) is not None
 
 
 @contextmanager

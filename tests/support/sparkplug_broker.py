@@ -26,6 +26,8 @@ class SparkplugBroker:
         retained: messages for later subscribers.
         take: gets each message that arrives.
         taken: how many have arrived.
+        qualities: the type of each message that clients sent, as in its topic (``DDATA``), with its quality of service.
+        is_mute: whether messages of QoS 1 are answered only by `answer`.
     """
 
     take: Take
@@ -34,7 +36,10 @@ class SparkplugBroker:
     loses_after: int | None = None
     retained: dict[str, bytes] = field(default_factory=dict)
     taken: int = 0
+    qualities: list[tuple[str, int]] = field(default_factory=list)
+    is_mute: bool = False
     clients: "list[FakeClient]" = field(default_factory=list)
+    unanswered: list[Callable[[], object]] = field(default_factory=list)
 
     def client(self, **options: Any) -> "FakeClient":
         return FakeClient(self, options["will"])
@@ -47,12 +52,18 @@ class SparkplugBroker:
             if topic in client.topics:
                 client.heard.put_nowait(_message(topic, content, retain=False))
 
+    def answer(self) -> None:
+        """Answer the messages of QoS 1 that are not answered yet."""
+        while self.unanswered:
+            self.unanswered.pop(0)()
+
     def lose(self) -> None:
         """End all connections as a network does: the last wills are delivered."""
         for client in list(self.clients):
             client.end()
 
-    def arrived(self, client: "FakeClient", topic: str, content: bytes) -> bool:
+    def arrived(self, client: "FakeClient", topic: str, content: bytes, qos: int) -> bool:
+        self.qualities.append((topic.split("/")[2], qos))
         if client not in self.clients:
             return False
         if self.loses_after is not None:
@@ -113,14 +124,16 @@ class FakeClient:
 
     async def publish(self, topic: str, content: bytes, qos: int, **_: object) -> None:
         self._check()
-        self._broker.arrived(self, topic, content)
+        self._broker.arrived(self, topic, content, qos)
         await asyncio.sleep(0)  # others have their turn, as they have where a socket is written
 
-    def _publish_below(self, topic: str, content: bytes, *_: object) -> SimpleNamespace:
+    def _publish_below(self, topic: str, content: bytes, qos: int, *_: object) -> SimpleNamespace:
         number = next(self._numbers)
-        if self._broker.arrived(self, topic, content):
+        if self._broker.arrived(self, topic, content, qos):
             answer = SimpleNamespace(value=0)
-            asyncio.get_running_loop().call_soon(lambda: self._client.on_publish(None, None, number, answer))
+            self._broker.unanswered.append(lambda: self._client.on_publish(None, None, number, answer))
+            if not self._broker.is_mute:
+                asyncio.get_running_loop().call_soon(self._broker.answer)
         return SimpleNamespace(rc=0, mid=number)
 
     def _check(self) -> None:

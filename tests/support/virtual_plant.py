@@ -15,6 +15,7 @@ import contextlib
 import selectors
 import shutil
 import struct
+import threading
 import time
 from collections.abc import AsyncIterator, Callable, Coroutine, Sequence
 from dataclasses import dataclass, field
@@ -176,6 +177,7 @@ class VirtualPlant:
         self._base, self._started = base, loop.now
         self._devices: dict[tuple[str, int], VirtualDevice] = {}
         self._copies = 0
+        self._looked = threading.local()
         self.link_closes: Callable[[str], Coroutine[Any, Any, None]] = _at_once
         self.transaction: Callable[[float, float], None] = lambda began, ended: None
 
@@ -185,7 +187,12 @@ class VirtualPlant:
 
     def time_ns(self) -> int:
         """The wall clock."""
-        return self._base + round((self.loop.now - self._started) * NANOSECONDS)
+        self._looked.at = now = self.loop.now
+        return self._base + round((now - self._started) * NANOSECONDS)
+
+    def moment(self) -> float:
+        """The time of the loop when this thread last looked at the wall clock: it may have passed since."""
+        return getattr(self._looked, "at", self.loop.now)
 
     def step_clock(self, seconds: float) -> None:
         """Set the wall clock forth or back."""

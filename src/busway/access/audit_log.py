@@ -48,7 +48,7 @@ _RETRY: Final = 1.0
 _LOOK_PAUSE: Final = 1.0
 """Seconds between two checks of the free space of the file system."""
 _LATE: Final = 1.0
-"""Seconds by which a timer may be late; beyond that, its event loop is taken to have ended."""
+"""Most seconds that a timer may be late; after that, its event loop is taken to have ended."""
 
 
 class FlushSchedule(Protocol):

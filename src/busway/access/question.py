@@ -59,7 +59,7 @@ class Asker:
         host: numeric address, ``10.0.0.7``; the name of a serial line.
         role: role of the client's certificate; None without one.
         listener: URL of the listener.
-        listener_names: further URLs by which a rule may name the listener.
+        listener_names: further URLs that a rule may use for the listener.
     """
 
     host: str = ""

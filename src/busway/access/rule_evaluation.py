@@ -32,7 +32,7 @@ class Decision:
         code: exception code of the refusal; 0 if allowed.
         rule: the rule that refused, or the first that permitted; None if the default decided.
         reason: why it is refused, in words; empty if allowed.
-        rates: the rules with a rate by which it is permitted; the caller counts the request against them.
+        rates: the rules with a rate that permit it; the caller counts the request against them.
         needs_current: whether it is refused only because the result of a mask write (function 22) is not known; a
             caller that knows the register's value asks again with `Question.with_current`.
     """

@@ -150,8 +150,8 @@ BEHIND_DASHES: Final[list[str]] = []
 def refuse_unknown_option(value: str) -> None:
     """Raise `ConfigError` if a value looks like a misspelt option: one or two minus signs and a letter.
 
-    Negative numbers, ``-inf``, ``-nan`` and what stands behind ``--`` are values. Meant for commands whose
-    parser takes unknown options as values.
+    Negative numbers, ``-inf``, ``-nan`` and what stands behind ``--`` are values. Meant for commands whose parser takes
+    unknown options as values.
     """
     if value in BEHIND_DASHES:
         return

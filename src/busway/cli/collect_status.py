@@ -12,6 +12,7 @@ from .output import print_json, say, warn
 if TYPE_CHECKING:
     from ..apps.collector.collector import Collector
     from ..apps.fleet.zone_watch import ZoneWatch
+    from ..apps.web.collector_page import CollectorPage
 
     Newest = Callable[[], Awaitable[int | None]]
 
@@ -29,34 +30,39 @@ async def open_page(
         zone: the watched zone, for a collector of a fleet; None for no page of a fleet.
         newest: returns the number of the newest message of the zone's stream, for the lag of sinks.
     """
-    at, url = collector.configuration.file.collector.page, ""
+    at, page = collector.configuration.file.collector.page, None
     try:
-        url = "" if at == "off" else await _open_page_at(at, stack, collector, zone, newest)
+        page = None if at == "off" else await _open_page_at(at, stack, collector, zone, newest)
     except ModbusError as error:
         warn(f'no page: {error}; [collector] page = "off", or another address, in {collector.configuration.name}')
-    _note(stack, collector, url, is_in_fleet=zone is not None)
+    _announce(stack, collector, page, is_in_fleet=zone is not None)
 
 
 async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
     """Serve the page of the demonstration, on a free port if its port is taken; on an error, print a warning only."""
-    at, url = collector.configuration.file.collector.page, ""
+    at, page = collector.configuration.file.collector.page, None
     try:
         try:
-            url = await _open_page_at(at, stack, collector)
+            page = await _open_page_at(at, stack, collector)
         except LinkDown:
             host, _, port = at.rpartition(":")
             warn(f"port {port} is taken; the page takes another")
-            url = await _open_page_at(f"{host}:0", stack, collector)
+            page = await _open_page_at(f"{host}:0", stack, collector)
     except ModbusError as error:
         warn(f"no page: {error}")
-    _note(stack, collector, url, is_in_fleet=False)
+    _announce(stack, collector, page, is_in_fleet=False)
 
 
-def _note(stack: AsyncExitStack, collector: "Collector", page: str, *, is_in_fleet: bool) -> None:
+def _announce(
+    stack: AsyncExitStack, collector: "Collector", page: "CollectorPage | None", *, is_in_fleet: bool
+) -> None:
+    """Let `busway status` find the collector until ``stack`` closes, and print then the address of its page."""
     from ..apps.collector.running import noted
 
-    configuration = collector.configuration
-    stack.enter_context(noted(configuration.name, configuration.store, page, is_in_fleet=is_in_fleet))
+    configuration, url = collector.configuration, "" if page is None else page.url
+    stack.enter_context(noted(configuration.name, configuration.store, url, is_in_fleet=is_in_fleet))
+    if page is not None:
+        say(f"page on {url} (tokens that permit more than to view: {page.token_path})")
 
 
 async def _open_page_at(
@@ -65,8 +71,8 @@ async def _open_page_at(
     collector: "Collector",
     zone: "ZoneWatch | None" = None,
     newest: "Newest | None" = None,
-) -> str:
-    """Serve the collector's web page until ``stack`` closes, print its address, and return it.
+) -> "CollectorPage":
+    """Serve the collector's web page until ``stack`` closes, and return it.
 
     Args:
         at: host and port; port 0 takes a free one.
@@ -89,9 +95,7 @@ async def _open_page_at(
             fleet = FleetApi(zone, newest)
     except ImportError as error:
         raise missing_extra(error) or error from error
-    page = await stack.enter_async_context(CollectorPage(collector, at, fleet))
-    say(f"page on {page.url} (tokens that permit more than to view: {page.token_path})")
-    return page.url
+    return await stack.enter_async_context(CollectorPage(collector, at, fleet))
 
 
 def print_status(collector: "Collector", *, as_json: bool) -> None:

@@ -333,7 +333,7 @@ async def _apply(
 ) -> None:
     """Make a file the configuration of a zone; with ``times``, also change for how long leases hold.
 
-    Raises as `apply_configuration`, and `ConfigError` if a collector runs that has other times.
+    Raises as `apply_configuration` and `record_times`, and `ConfigError` if the time changes while a collector runs.
     """
     from ..apps.fleet.control_entries import apply_configuration, record_times, recorded_times
 
@@ -472,7 +472,7 @@ async def _run(
             stream = None
             if stream_zone is not None:
                 refuse_what_needs_a_store(configuration)
-                stream = await open_stream(stack, table, stream_zone, shards, replicas)
+                stream = await open_stream(stack, table, stream_zone, replicas)
                 configuration = replace(configuration, sinks={})
             member = await stack.enter_async_context(
                 FleetCollector(

@@ -36,16 +36,13 @@ def nats_client(table: "Coordinator") -> Any:
     return client
 
 
-async def open_stream(
-    stack: AsyncExitStack, table: "Coordinator", zone: str, shards: int, replicas: int
-) -> "NatsStream":
+async def open_stream(stack: AsyncExitStack, table: "Coordinator", zone: str, replicas: int) -> "NatsStream":
     """Open the stream of a zone for the samples of one collector, and follow the cursors of the stream's sinks.
 
     Args:
         stack: exit stack that ends the following when it closes.
         table: the coordinator.
         zone: name of the zone.
-        shards: number of shards of the zone.
         replicas: number of servers that keep each message.
 
     Raises:
@@ -53,12 +50,11 @@ async def open_stream(
         StreamDown: no server has answered.
     """
     from ..apps.fleet.lease_driver import end_tasks
-    from ..apps.fleet.shards import shard_of
     from ..apps.fleet.streams import NatsStream, StreamOptions, make_stream
 
     client = nats_client(table)
     await make_stream(client, zone, StreamOptions(replicas=replicas))
-    stream = NatsStream(client, zone, lambda link: shard_of(link, shards))
+    stream = NatsStream(client, zone)
     watch = asyncio.create_task(stream.watch_cursors(table), name="busway fleet cursors")
     watch.add_done_callback(_tell_end_of_cursors)
     stack.push_async_callback(end_tasks, [watch])

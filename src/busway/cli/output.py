@@ -122,17 +122,13 @@ def fewest_digits(value: float, size: int) -> float:
 
 
 def float32_digits(value: Any) -> Any:
-    """Return a value of a point of type float32 with the fewest digits; what is no float32 unchanged.
+    """Return a stored value of a point of type float32, a float with the fewest digits for it.
 
-    That is what was stored while the point had another type, and what is no number.
+    Other values are returned unchanged, such as floats that were stored while the point had another type.
     """
-    if not isinstance(value, float) or not math.isfinite(value):
-        return value
-    try:
-        (held,) = struct.unpack(">f", struct.pack(">f", value))
-    except OverflowError:
-        return value
-    return fewest_digits(value, 4) if held == value else value
+    from ..points.conversion import is_float32
+
+    return fewest_digits(value, 4) if isinstance(value, float) and is_float32(value) else value
 
 
 def shown_value(value: Any) -> str:

@@ -697,9 +697,11 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _on_line_timer(self, now: float) -> float:
-        """Handle the timer of a link on a line: with ``precise_timing``, send a frame exactly when it is due.
+        """Handle the timer of a link on a line, and return the time afterwards.
 
-        Also tells the session if the port still holds characters of the last frame. Returns the time afterwards.
+        With ``precise_timing``, a frame that is due within 2 × ``_spin`` is prepared now, and sent when it is due,
+        after a busy loop; otherwise the caller sends it. While a request is in flight, the session is also told if
+        the port still holds characters of the frame.
         """
         if self._spin and now < self._timer_at <= now + 2 * self._spin:
             self._pump(self._timer_at)  # preparing the frame takes a tenth of a millisecond

@@ -41,7 +41,7 @@ def let_go(lists: list[list[Any]]) -> None:  # Any: nothing is asked of them
 def keep_uncollected() -> None:
     """Exclude all existing objects from the garbage collector's work: they are freed by reference counting only.
 
-    Meant for a program that has read much data which stays in memory. Reference cycles among the existing
-    objects are never freed.
+    Meant for a program that has read much data which stays in memory. Reference cycles among the existing objects are
+    never freed.
     """
     gc.freeze()

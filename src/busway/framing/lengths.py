@@ -45,13 +45,13 @@ def lengths_of(functions: FunctionTable) -> "FrameLengths":
 
 
 class FrameLengths:
-    """Lengths of all frames of a table of functions, by direction and function code.
+    """Lengths of all RTU frames of a table of functions; `length` returns that of one frame.
 
     Attributes:
         requests, replies: lists of the length rules (rule 2 of this file); the index is the function byte 0…255.
         shapes: for each function byte 0…255, the rules of its reply and of its request in the form of `shape_of`;
-            rules of unknown functions and `ASK` are left out.
-        asked_requests, asked_replies: lengths of the functions whose rule is `ASK`.
+            equal ones once, and rules of unknown functions and `ASK` are left out.
+        asked_requests, asked_replies: compute the length of each frame whose function byte has the rule `ASK`.
     """
 
     __slots__ = ("asked_replies", "asked_requests", "replies", "requests", "shapes")

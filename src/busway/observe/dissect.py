@@ -89,7 +89,7 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The request that was explained last, by which its reply is recognised."""
+    """The request that was explained last; its reply is recognised with it."""
 
     request: Request
     code: int

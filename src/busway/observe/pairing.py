@@ -163,7 +163,7 @@ class Pairing:
 
         Args:
             reply_window: seconds for which a reply is awaited, above 0.
-            functions: the table of functions, by which a frame equal to its request may be a reply.
+            functions: the table of functions; it tells whether a frame that is equal to its request may be the reply.
         """
         self.statistics: LineStatistics = LineStatistics()
         self.reply_window: float = reply_window

@@ -117,7 +117,7 @@ class StreamTrace:
     Args:
         name: name of the connection in the log.
         is_server: whether requests are received here, and replies sent.
-        functions: the table of functions by which messages are decoded.
+        functions: the table of functions with which messages are decoded.
         carrier: socket or transport of the connection, from which a capture file has its addresses.
     """
 

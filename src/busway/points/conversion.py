@@ -24,7 +24,7 @@ _MOST_STEPS_OFF: Final = Fraction(1, 1_000_000)
 """How far a value may be from a whole number of steps in any case, in steps."""
 _MOST_STEPS_OFF_OF_ALL: Final = Fraction(1, 10)
 """The same for the largest values: half a step is never taken for a whole one."""
-_ROUNDING: Final = Fraction(1, 1 << 49)
+ROUNDING: Final = Fraction(1, 1 << 49)
 """Largest relative error of a float that was computed in a few steps: eight times its last bit."""
 _ROUNDING_OF_FLOAT32: Final = Fraction(1, 1 << 24)
 """Largest relative error of the nearest number of 32 bits."""
@@ -152,11 +152,12 @@ def is_whole(steps: Fraction, value: float, step: Fraction) -> bool:
     """
     error = Fraction(0)
     if not isinstance(value, int):
-        error = abs(exact(value) / step) * (_ROUNDING_OF_FLOAT32 if _is_float32(value) else _ROUNDING)
+        error = abs(exact(value) / step) * (_ROUNDING_OF_FLOAT32 if is_float32(value) else ROUNDING)
     return abs(steps - round(steps)) <= max(_MOST_STEPS_OFF, min(error, _MOST_STEPS_OFF_OF_ALL))
 
 
-def _is_float32(value: float) -> bool:
+def is_float32(value: float) -> bool:
+    """Whether a number of 32 bits has exactly this value; False for NaN."""
     try:
         return bool(struct.unpack("<f", struct.pack("<f", value))[0] == value)
     except OverflowError:

@@ -14,10 +14,10 @@ from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
 from ..errors import InvalidRequest
 from ..values import Address
 from ..values.refusal import shown
-from .conversion import exact, is_whole
+from .conversion import ROUNDING, exact, is_whole
 
-_ROUNDING: Final = 2.0**-49
-"""Largest relative error of a float that was computed in a few steps: eight times its last bit."""
+_ROUNDING: Final = float(ROUNDING)
+"""`ROUNDING` as a float: it is used for each sample of a point with a deadband."""
 
 
 @dataclass(frozen=True, slots=True, order=True)
@@ -176,8 +176,8 @@ class ReportRule:
         Args:
             before: the value passed on before.
             now: the value of this sample.
-            silence: seconds between the two; below 0 where the clock was set back between them, which is passed on as
-                a silence is: how long it was is not known.
+            silence: seconds between the two; below 0 if the clock was set back between them. Its true length is not
+                known then, so it counts as longer than any limit.
         """
         if self.when == "every" or self.is_change(before, now):
             return True

@@ -376,7 +376,7 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def unfinished(self) -> int:
-        """Number of received bytes that belong to an incomplete request."""
+        """Number of received bytes that belong to an incomplete request; always 0 with RTU or ASCII framing."""
         return self.session.unfinished if self.session is not None else 0
 
     @property

@@ -89,7 +89,7 @@ class ListenerContext:
     Attributes:
         loop: the event loop that the listener runs on.
         listener: URL of the listener with the address and port that are really bound.
-        listener_names: further URLs by which access rules may name the listener.
+        listener_names: further URLs that access rules may use for the listener.
         hosts: numeric addresses that the listener is bound to.
         settings, parameters: all settings of the listener, and its limits and timeouts.
         counters: counters shared by all listeners of a server.

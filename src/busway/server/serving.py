@@ -152,7 +152,10 @@ class ServerThread:
         asyncio.run_coroutine_threadsafe(self._server.reset(), self._loop).result()
 
     def reload_security(self) -> None:
-        """Read the certificates of the ``tls://`` listeners again, from any thread (`Server.reload_security`)."""
+        """Read the certificates of the ``tls://`` listeners again, and wait until it is done.
+
+        From any thread but the server's own. Raises `ConfigError`, as `Server.reload_security` does.
+        """
 
         async def reload() -> None:
             self._server.reload_security()

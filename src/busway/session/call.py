@@ -257,9 +257,9 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """Return the bytes of a request for ``unit``, if it was encoded before for another unit.
+    """Return the bytes of a request for ``unit``, where ``known`` are its bytes for another unit.
 
-    ``known`` are the bytes found first; its ``others`` holds the bytes for all units.
+    They are taken from ``known.others``; if they are not in it, they are encoded and added.
     """
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references

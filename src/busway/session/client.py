@@ -43,8 +43,7 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
-"""
+"""Factor for a unit's usual response time, which is that of its slowest recent reply, at each faster reply."""
 _LAUNCHES_APART = 32
 """Number of sends without batches after a batch had to be split, because replies came in another order or one was an
 exception: splitting a batch costs a fifth of what its requests cost.
@@ -633,7 +632,7 @@ class TcpClientSession:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """Update the usual response time of a unit: the longest of its recent response times."""
+        """Update the usual response time of a unit: ``seconds``, or the earlier one less a tenth if that is longer."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:

@@ -404,7 +404,7 @@ class Doubts:
     def marker(self, unit: int, *, is_check: bool = False) -> Marker | None:
         """Return the next marker request (see `Marker`) for a unit; None if no kind of marker can be used for it.
 
-        Each call uses up one of the numbers by which markers 08/00 differ.
+        Each call uses up one of the numbers that tell markers 08/00 apart.
 
         ``is_check``: see `UnitDoubt.marker`.
         """

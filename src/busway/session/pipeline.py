@@ -76,7 +76,7 @@ class Authorizer(Protocol):
         """A number that changes when earlier decisions, or earlier results of `rights_of`, are no longer valid."""
 
     def rights_of(self, client: ClientIdentity) -> ClientRights:
-        """Return the rights of a client, by which its requests are answered on the fast path."""
+        """Return the rights of a client; the fast path answers only what they permit."""
 
     def authorize(
         self, context: RequestContext, request: AnyRequest, served: ServedUnit | None

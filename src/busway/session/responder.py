@@ -50,8 +50,8 @@ class ClientIdentity:
         listener: URL of the listener.
         role: role of the client's certificate; None without one.
         is_priority: whether the client is a priority host.
-        listener_names: further URLs by which access rules may name the listener: as it was configured, and every
-            address that it is bound to.
+        listener_names: further URLs that access rules may use for the listener: its URL as configured, and one for
+            every address that it is bound to.
         audit_text: text for the client in lines of the audit log; set by the audit log, empty before.
     """
 
@@ -245,8 +245,8 @@ class ForwardingTarget(Protocol):
         """Forward one or several requests; the results are reported to ``asker``.
 
         For each request its method ``answer``, ``reply`` or ``refuse`` is called, possibly before this method returns,
-        with the request, and with the element of ``tags`` at the same position, by which the caller recognises the
-        request.
+        with the request, and with the element of ``tags`` at the same position, which tells the caller which
+        request it is.
         """
 
 

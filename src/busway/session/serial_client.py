@@ -55,8 +55,7 @@ OWED_FOR: Final = 2.0
 """
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""Factor by which each faster reply reduces a unit's usual response time, which is that of its slowest recent reply.
-"""
+"""Factor for a unit's usual response time, which is that of its slowest recent reply, at each faster reply."""
 
 
 class MasterState(Enum):

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from killed_mending import killed_while_mending
 from virtual_plant import BASE, NANOSECONDS, VirtualDevice, VirtualPlant, run_virtually
 
 import busway
@@ -26,11 +27,11 @@ from busway.apps.collector.time_service import Synchronisation
 
 SEEDS = [int(each) for each in os.environ.get("BUSWAY_TRUST_SEEDS", "1 2 3").split()]
 LATE = NANOSECONDS // 2
-"""Nanoseconds by which a good sample may be ahead after a clock was set back."""
+"""Most nanoseconds that a good sample may be ahead after a clock was set back."""
 ROUNDING = 2_000
-"""Nanoseconds by which floats of a monotonic clock are wrong."""
+"""Most nanoseconds that a time may be wrong because a monotonic clock is a float."""
 OFFSETS = (-86_400, -3600, -5, -1, 0, 1, 5, 3600, 86_400, None)
-"""Seconds by which a machine's clock is wrong when it begins; None: it begins in 1970."""
+"""Seconds that a machine's clock is ahead when it begins; None: it begins in 1970."""
 PROFILE = """\
 [[unit]]
 unit = 1
@@ -62,7 +63,7 @@ age = 0.02
 
 @dataclass(slots=True)
 class Answer:
-    """An answer of the device: its right time, the process that read it, and whether that knew the time then."""
+    """An answer of the device: its right time, and the number of the process that read it."""
 
     right: int
     life: int
@@ -103,7 +104,7 @@ class TrustWalk:
             left -= 1
 
     def begin(self) -> None:
-        """A machine begins, with a clock that nobody has set, or a process on one whose clock is right."""
+        """A machine begins with a clock that was not set, or a process begins on a machine whose clock is right."""
         if self.chance.random() < 0.8:
             self.boot, self.says = self.plant.loop.now - self.chance.choice((5.0, 20.0)), Synchronisation.NO
             offset = self.chance.choice(OFFSETS)
@@ -168,30 +169,18 @@ class TrustWalk:
         What it reads after its folder was copied is not in the copy.
         """
         assert collector._committer is not None
-        writer, calls, killed = collector._committer.writer, 0, False
-        dies_at = self.chance.randrange(3) if self.chance.random() < 0.4 and self.life not in self.learnt else 99
-        mend_next = writer.mend_next
-
-        def mend_next_or_die() -> bool:
-            nonlocal calls, killed
-            if calls == dies_at:
-                self.plant.kill()
-                killed = True
-            calls += 1
-            return mend_next()
-
+        dies_at = self.chance.randrange(3) if self.chance.random() < 0.4 and self.life not in self.learnt else None
         await self.plant.committed(collector)
-        writer.mend_next = mend_next_or_die  # type: ignore[method-assign]
-        number = len(self.answers)
-        self.learnt.setdefault(self.life, number)
-        self.set_right("set")
-        await self.plant.loop.advance(6.0)
-        await self.plant.committed(collector)
-        writer.mend_next = mend_next  # type: ignore[method-assign]
-        if killed:
+        with killed_while_mending(self.plant, collector._committer.writer, dies_at) as kill:
+            number = len(self.answers)
+            self.learnt.setdefault(self.life, number)
+            self.set_right("set")
+            await self.plant.loop.advance(6.0)
+            await self.plant.committed(collector)
+        if kill.is_done:
             self.done.append(f"killed at call {dies_at}")
             self.excused |= set(range(number, len(self.answers)))
-        return killed
+        return kill.is_done
 
     # What must hold.
 
@@ -264,8 +253,7 @@ def test_a_good_sample_has_the_right_time_and_none_is_lost_whatever_clocks_do(
             await walk.run()
             walk.check()
             walk.check_sink()
-        except BaseException:
-            print(walk.done)
-            raise
+        finally:
+            print(walk.done)  # shown where the test fails
 
     run_virtually(main, tmp_path, monkeypatch)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+from killed_mending import killed_while_mending
 from virtual_plant import BASE, NANOSECONDS, VirtualDevice, VirtualPlant, run_virtually
 
 import busway
@@ -27,7 +28,7 @@ from busway.apps.collector.store.writer import Commit
 SEEDS = [int(each) for each in os.environ.get("BUSWAY_CLOCK_SEEDS", "2 5 6").split()]
 YEAR_2026 = 1_767_225_600 * NANOSECONDS
 TOLERANCE = 2_000
-"""Nanoseconds by which a time may be wrong: what floats of a monotonic clock round."""
+"""Most nanoseconds that a time may be wrong because a monotonic clock is a float."""
 PROFILE = """\
 [[unit]]
 unit = 1
@@ -156,26 +157,17 @@ class ClockWalk:
 
     async def set_clock(self, collector: busway.Collector, dies: str) -> None:
         """The clock is set, which is noticed within five seconds; perhaps the process dies over it."""
-        life, writer = self.lives[-1], collector._committer.writer  # type: ignore[union-attr]
+        assert collector._committer is not None
+        life = self.lives[-1]
         await self.plant.committed(collector)
-        mend_next, calls = writer.mend_next, 0
-        dies_at = self.chance.randrange(4) if dies == "is killed while it mends" else 99
-
-        def mend_next_or_die() -> bool:
-            nonlocal calls
-            if calls == dies_at:
-                self.plant.kill()
-                life.is_killed = True
-            calls += 1
-            return mend_next()
-
-        writer.mend_next = mend_next_or_die  # type: ignore[method-assign]
-        self.plant.set_clock(self.truth(self.plant.loop.now))
-        before = {name: len(each) for name, each in self.answers.items()}
-        await self.plant.loop.advance(5.0)
-        late = {name: range(before[name], len(each)) for name, each in self.answers.items()}
-        await self.plant.committed(collector)
-        writer.mend_next = mend_next  # type: ignore[method-assign]
+        dies_at = self.chance.randrange(4) if dies == "is killed while it mends" else None
+        with killed_while_mending(self.plant, collector._committer.writer, dies_at) as kill:
+            self.plant.set_clock(self.truth(self.plant.loop.now))
+            before = {name: len(each) for name, each in self.answers.items()}
+            await self.plant.loop.advance(5.0)
+            late = {name: range(before[name], len(each)) for name, each in self.answers.items()}
+            await self.plant.committed(collector)
+        life.is_killed = kill.is_done
         life.is_right = True
         if life.is_killed:  # what was committed after the copy is lost
             self.done.append(f"killed while it mends, at call {dies_at}")
@@ -316,7 +308,7 @@ class ClockWalk:
                 samples = store.read(f"{device}/count", since=BASE)
                 for time, value, reason in zip(samples.time, samples.value, samples.reason, strict=True):
                     if value is not None and reason < 16:
-                        sums[time // (size * NANOSECONDS) * size * NANOSECONDS].append(int(value))  # type: ignore[arg-type]
+                        sums[time // (size * NANOSECONDS) * size * NANOSECONDS].append(int(value))
                 found = {
                     time: (low, high, count)
                     for time, low, high, count in zip(
@@ -328,7 +320,7 @@ class ClockWalk:
 
     def check_sink(self) -> None:
         """The sink got each sample with the time that it has in the store, and never with another one."""
-        stored = {}
+        stored: dict[tuple[str, Any], int] = {}  # a value is a number here
         store = busway.Store(self.plant.folder / "data")
         for device in self.devices:
             table = store.read(f"{device}/count")
@@ -360,9 +352,8 @@ def test_samples_from_before_the_clock_was_set_are_mended_once_and_none_is_lost(
             walk.check_intervals()
             walk.check_buckets()
             walk.check_sink()
-        except BaseException:
-            print(walk.done)
-            raise
+        finally:
+            print(walk.done)  # shown where the test fails
 
     run_virtually(main, tmp_path, monkeypatch)
 
@@ -438,6 +429,5 @@ def test_steps_of_the_clock_lose_and_double_nothing_and_keep_the_order(
 
     try:
         run_virtually(main, tmp_path, monkeypatch)
-    except BaseException:
-        print(done)
-        raise
+    finally:
+        print(done)  # shown where the test fails

@@ -20,6 +20,7 @@ from busway.apps.collector import time_service
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.configuration import CollectorConfiguration, load_collector
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
+from busway.apps.collector.sinks.files import FileSink
 from busway.apps.collector.time_service import Synchronisation
 from busway.errors import ConfigError
 from busway.points.quality import exception_reason
@@ -420,6 +421,50 @@ async def test_samples_are_handed_on_to_sinks_and_shown_to_prometheus(tmp_path: 
             assert await collector.reload(load_collector(file)) == ["sink lines began anew"]
             await until((tmp_path / "others.jsonl").exists)
         assert '"speed"' in _text_of(tmp_path, "lines*")
+
+
+@pytest.mark.parametrize("holds_its_thread", [False, True])
+async def test_a_sink_that_hangs_stops_neither_polling_nor_commits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, holds_its_thread: bool
+) -> None:
+    """Judged by rounds: it polls on while the sink has waited for an answer since its first batch."""
+    hangs, released = threading.Event(), threading.Event()
+
+    async def send(sink: FileSink, samples: object) -> None:
+        hangs.set()
+        if holds_its_thread:
+            released.wait(60)
+        await asyncio.Event().wait()
+
+    monkeypatch.setattr(FileSink, "send", send)
+    async with served() as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=0.02)
+        with file.open("a") as text:
+            text.write('[[sink]]\nname = "lines"\nurl = "file://lines.jsonl"\nage = 0.0\n')
+        async with busway.collect(file) as collector:
+            await until(hangs.is_set)
+            (device,), kept = collector.status(), collector.store_status().samples
+            await until(lambda: collector.status()[0].rounds >= device.rounds + 100)
+            await until(lambda: collector.store_status().samples >= kept + 100)
+            assert collector.sink_statuses()[0].sent == 0
+            released.set()
+
+
+async def test_a_scrape_sends_no_request(tmp_path: Path) -> None:
+    """A point that has no value yet is not asked for either: the device is read once in an hour."""
+    device = busway.Device(holding_registers=100)
+    asked: list[int] = []
+    device.on_read("holding_registers", lambda access: asked.append(access.address))
+    async with busway.serve("tcp://127.0.0.1:0", units={1: device}) as server:
+        file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"}, period=3600.0)
+        with file.open("a") as text:
+            text.write('[[sink]]\nname = "page"\nurl = "prometheus://127.0.0.1:0"\npoints = ["pump/*"]\n')
+        async with busway.collect(file) as collector:
+            await until(lambda: collector.status()[0].state == "polled")
+            before = len(asked)
+            for _ in range(50):
+                await asyncio.to_thread(lambda: urlopen(collector.pages[0]).read())
+            assert len(asked) - before < 5, "its first round, and what is asked once to learn"
 
 
 def _text_of(folder: Path, pattern: str) -> str:

@@ -1,5 +1,6 @@
 """Collector files: what they make, and all that is wrong with one at once, each with file, line and key."""
 
+from ipaddress import ip_address
 from pathlib import Path
 
 import pytest
@@ -97,6 +98,12 @@ def test_a_file_makes_links_devices_and_points(plant: Path) -> None:
     assert [each.device for each in made.devices["meter-7"].descriptions()] == ["meter-7"] * len(
         made.devices["meter-7"].points
     )
+
+
+def test_the_page_is_on_loopback_where_the_file_does_not_say(plant: Path) -> None:
+    host, _, port = load_collector(plant).file.collector.page.rpartition(":")
+    assert ip_address(host).is_loopback
+    assert port == "8503"
 
 
 def test_devices_of_one_profile_share_their_points(plant: Path) -> None:

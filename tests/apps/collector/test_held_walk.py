@@ -145,6 +145,8 @@ def test_nothing_older_than_its_limit_is_good(seed: int, tmp_path: Path, monkeyp
     async def main(plant: VirtualPlant) -> None:
         walk = HeldWalk(plant, seed)
         async with plant.collecting() as collector:
+            assert collector._committer is not None
+            collector._committer._clock = plant.moment
             collector.values._moment = lambda: plant.loop.now
             stream = CollectorStream(collector)
             stream.values._moment = lambda: plant.loop.now

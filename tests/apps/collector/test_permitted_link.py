@@ -13,12 +13,12 @@ from busway.pdu.read_items import ReadHoldingRegisters
 
 
 class Answering:
-    """A link whose requests have this outcome."""
+    """A link whose last request of a call has this outcome; the first one is answered."""
 
     def __init__(self, outcome: Any) -> None:
         self.outcome, self.asked = outcome, 0
 
-    async def run(self, _: int, requests: Sequence[Request], __: Any) -> list[Any]:
+    async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
         self.asked += len(requests)
         if isinstance(self.outcome, asyncio.CancelledError):
             raise self.outcome
@@ -26,7 +26,7 @@ class Answering:
 
 
 def asked(link: Answering, permit: Callable[[str], None], told: list[str]) -> PermittedLink:
-    return PermittedLink("hall", link, permit, told.append)  # type: ignore[arg-type]
+    return PermittedLink("hall", link, permit, told.append)
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,7 @@ def asked(link: Answering, permit: Callable[[str], None], told: list[str]) -> Pe
         (Overloaded("full"), False),
         (UnitSuspended("silent", next_probe=1.0), False),
         (LinkDown("refused", kind="refused", sent=False), False),
-        (LinkDown("reset", kind="reset", sent=True), True),
+        (LinkDown("reset", kind="lost", sent=True), True),
         (NoReply("silent"), True),
         (BadReply("of another unit", kind="unit"), True),
         (asyncio.CancelledError(), True),

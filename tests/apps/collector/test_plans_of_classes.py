@@ -68,16 +68,20 @@ def test_a_device_that_is_slower_than_assumed_gets_a_plan_with_fewer_reads() -> 
 
 @pytest.mark.parametrize("seed", range(20))
 def test_once_the_cost_is_known_no_plan_is_dearer_than_the_best_by_more_than_it_has_to_save(seed: int) -> None:
+    """The first plan that is made of what was learnt is the best to 2 %; later ones are kept until 5 % can be saved."""
     chance = random.Random(seed)
     places = sorted(chance.sample(range(900), 90))
     book = book_of(places, baud_cost(9600))
-    answer(book, baud_cost(9600, turnaround=chance.choice((0.001, 0.030, 0.150))), 6)
+    true = baud_cost(9600, turnaround=chance.choice((0.001, 0.030, 0.150)))
+    answer(book, true, 6)
+    best = plan_reads(items(places), BRIDGED, true)
+    assert predicted(book.plan_for(FAST).reads, true) <= 1.02 * best.seconds
     for _ in range(4):  # it gets slower and faster while it is polled
         true = baud_cost(9600, turnaround=chance.uniform(0.001, 0.2))
         answer(book, true, 40)
         assert book.cost.base == pytest.approx(true.base, rel=0.05)
-        best = plan_reads(items(places), BRIDGED, book.cost)
-        assert predicted(book.plan_for(FAST).reads, book.cost) <= 1.03 * (1 + WORTH) * best.seconds
+        best = plan_reads(items(places), BRIDGED, true)
+        assert predicted(book.plan_for(FAST).reads, true) <= (1 + WORTH) * best.seconds
 
 
 def test_a_plan_stays_where_another_would_save_less_than_it_has_to() -> None:
@@ -126,7 +130,10 @@ def test_what_a_register_costs_behind_a_network_is_not_forgotten_where_all_reads
 
 @pytest.mark.parametrize("seed", range(30))
 def test_behind_a_network_no_plan_is_dearer_than_the_best_by_more_than_it_has_to_save(seed: int) -> None:
-    """Any map in several tables, any line behind the gateway, noise, and one reply of ten that is a second late."""
+    """Any map in several tables, any line behind the gateway, noise, and one reply of ten that is a second late.
+
+    2 % are what noise may do to the cost that was learnt, 5 % what another plan has to save.
+    """
     chance = random.Random(seed)
     true = baud_cost(chance.choice((1200, 9600, 19_200, 115_200)), turnaround=chance.choice((0.001, 0.005, 0.02, 0.1)))
     found: list[PlainItem] = []

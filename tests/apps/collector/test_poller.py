@@ -20,10 +20,11 @@ from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, SampleCloc
 from busway.apps.collector.samples import SampleBatch, StateInterval
 from busway.apps.collector.schedule import LinkSchedule
 from busway.codes import Table
-from busway.errors import BadReply, ExceptionReply, LinkDown, ModbusError, NoReply
+from busway.errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
 from busway.points import Conversion, Point, ReadRules, Reason
+from busway.points.point_rules import ItemRange
 from busway.points.quality import exception_reason
 from busway.values import value_type
 
@@ -151,6 +152,8 @@ async def test_what_a_device_refuses_or_breaks_is_a_sample_with_the_reason(
         (lambda: NoReply("not asked", kind="in doubt"), Reason.IN_DOUBT, Reason.SUSPENDED),
         (lambda: LinkDown("refused"), Reason.NO_CONNECTION, Reason.NO_CONNECTION),
         (lambda: ExceptionReply(0x0B), exception_reason(0x0B), Reason.SUSPENDED),
+        (lambda: InvalidRequest("no request has this unit"), Reason.CONFIGURATION, Reason.NO_CONNECTION),
+        (lambda: ConfigError("the certificate is not there"), Reason.CONFIGURATION, Reason.NO_CONNECTION),
     ],
 )
 async def test_a_silent_device_has_one_bad_sample_and_then_an_interval_until_it_answers(
@@ -248,6 +251,27 @@ async def test_a_point_that_is_not_asked_for_is_bad_for_its_reason_again_after_e
     (mark,) = [batch for batch in bench.batches if "p17" in batch.points]
     assert (mark.points, list(mark.values), mark.reasons) == (("p17",), [None], exception_reason(2))
     assert mark.time == bench.intervals[-1].end
+
+
+async def test_a_point_that_no_read_may_fetch_by_its_rules_is_bad_once_for_its_configuration() -> None:
+    loop, device, batches = asyncio.get_running_loop(), Device(), list[SampleBatch]()
+    poller = LinkPoller(
+        "plc", device, LinkSchedule(1.0), SampleClock(loop.time(), START), batches.append, print,
+        numbered=True, now=loop.time,
+    )  # fmt: skip
+    rules = ReadRules(forbidden={H: (ItemRange(5, 6),)}, bridge=True)
+    book = PlanBook({"c": [number("a", 4), number("b", 5)]}, rules, network_cost())
+    poller.add("plc", 1, book, {"c": 0.001})
+    task = asyncio.create_task(poller.run())
+    await until(lambda: len(batches) > 20)
+    poller.finish()
+    await task
+    marks = [batch for batch in batches if "b" in batch.points]
+    assert [(each.points, list(each.values), each.reasons) for each in marks] == [
+        (("b",), [None], Reason.CONFIGURATION)
+    ]
+    assert {batch.reasons for batch in batches if batch.points == ("a",)} == {0}
+    assert not [each for each in device.asked if each.address <= 5 < each.address + each.count]
 
 
 async def test_the_cost_of_reads_is_learnt_from_their_times() -> None:

@@ -135,7 +135,7 @@ class ReloadWalk:
         for _ in range(2000):
             if all(each.cursor >= self.newest for each in collector.sink_statuses()):
                 return
-            await asyncio.to_thread(asyncio.run, asyncio.sleep(0.01))
+            await asyncio.to_thread(time.sleep, 0.01)  # for the threads of the sinks
         raise AssertionError(collector.sink_statuses())
 
     def check(self) -> None:

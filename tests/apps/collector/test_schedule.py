@@ -15,6 +15,7 @@ from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.schedule import (
     DEAD_SHARE,
     LONGEST_BACKOFF,
+    SLACK,
     LinkSchedule,
     Turn,
     TurnKind,
@@ -121,6 +122,29 @@ def test_classes_that_are_due_together_make_one_plan() -> None:
     link.run(100)
     sets = {turn.round.classes for _, turn in link.turns if turn.round is not None}
     assert sets == {frozenset({"fast"}), frozenset({"fast", "slow"})}
+
+
+@pytest.mark.parametrize(
+    ("later", "together"),
+    [(0.95 * SLACK * 4.0, True), (1.05 * SLACK * 4.0, False), (-0.95 * SLACK, True), (-1.05 * SLACK, False)],
+)
+def test_due_times_that_differ_by_less_than_the_slack_are_one_round(later: float, together: bool) -> None:
+    """The class that is due later is read early, by up to the slack of its own period: 4 s and 1 s."""
+    link = link_with({"a": book({"fast": 5, "slow": 5}, bridge=True)}, {"fast": 1.0, "slow": 4.0})
+    link.run(20.5)
+    device = link.schedule.devices["a"]
+    device.due["slow"] = device.due["fast"] + later
+    link.schedule._release_at(min(device.due.values()), device)
+    first = min(device.due.values())
+    link.turns.clear()
+    link.run(61)
+    rounds = {turn.round.due: turn.round for _, turn in link.turns if turn.round is not None}
+    slow = [each for each in rounds.values() if "slow" in each.classes]
+    assert {each.classes for each in slow} == {frozenset({"fast", "slow"} if together else {"slow"})}
+    begin = first if together else first + max(later, 0.0)
+    begins = [begin + 4.0 * at for at in range(len(slow))]
+    assert [each.due for each in slow] == pytest.approx(begins), "it is early each time by as much: the grid stays"
+    assert len(slow) >= 10
 
 
 def test_the_reads_of_a_round_follow_each_other() -> None:
@@ -231,6 +255,19 @@ def test_silent_devices_use_a_twentieth_of_the_time_of_a_link_at_most() -> None:
     link.run(3000)
     assert link.schedule.probing <= DEAD_SHARE * 3000 + 2 * link.schedule.timeout
     assert link.schedule.probing >= 0.5 * DEAD_SHARE * 3000  # and it is used
+
+
+@pytest.mark.parametrize("seconds", [10.0, 60.0])
+def test_in_a_short_time_probes_may_use_two_timeouts_more_than_their_share(seconds: float) -> None:
+    """Wherever the time begins: one that was saved up, and one of the probe that began with the last of it."""
+    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
+    link.run(100)
+    link.dead = {f"d{at}" for at in range(10)}
+    link.run(1000)
+    probes = [began for began, turn in link.turns if turn.kind is TurnKind.PROBE and began > 20]
+    most = max(sum(begin <= each < begin + seconds for each in probes) for begin in probes) * link.schedule.timeout
+    assert most <= DEAD_SHARE * seconds + 2 * link.schedule.timeout
+    assert most > DEAD_SHARE * seconds + 0.5 * link.schedule.timeout, "and it is used"
 
 
 def test_a_silent_device_is_probed_by_its_cheapest_read_at_once_and_then_ever_more_rarely() -> None:

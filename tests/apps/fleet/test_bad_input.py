@@ -145,7 +145,7 @@ async def test_a_stream_that_is_full_stops_no_polling_is_told_and_takes_what_wai
             )
             await jetstream.add_stream(full)
             await make_stream(coordinator.client, "hall")
-            stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+            stream = NatsStream(coordinator.client, "hall", timeout=1.0)
             async with member(tmp_path, "one", devices, coordinator, stream) as one:
                 outbox = one.outbox
                 assert outbox is not None

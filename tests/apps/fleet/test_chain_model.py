@@ -134,6 +134,7 @@ class Sender:
             collector=self.name,
             store=self.word,
             link_of=lambda: self.links,
+            shard_of=lambda link: "0000",
             epoch_of=self.epoch_of,
             revision_of=lambda commit: sum(each <= commit for each in self.revisions),
             gaps_of=lambda after, last: [each for each in self.gaps if after < each.commit <= last],
@@ -150,7 +151,7 @@ class Sender:
     def most_bytes(self) -> int:
         return self.longest
 
-    async def publish(self, message: SampleMessage) -> None:
+    async def publish(self, message: SampleMessage, shard: str) -> None:
         assert len(message.encode()) <= self.longest
         self.samples_of[message.chain.start] = self.samples
         self.world.stream.publish(message)

@@ -51,6 +51,21 @@ async def running(tmp_path: Path, devices: list[FleetDevice]) -> AsyncIterator[t
         await table.close()
 
 
+async def test_what_polling_a_shard_costs_is_the_sum_of_its_links_by_the_configuration_that_holds(
+    tmp_path: Path,
+) -> None:
+    async with devices_of(4) as devices, running(tmp_path, devices) as (table, one):
+        assert {shard: len(links) for shard, links in one._links_of.items()} == {"0000": 1, "0001": 3}
+        before = {shard: one.member.cost(shard) for shard in ("0000", "0001")}
+        assert before["0001"] == pytest.approx(3 * before["0000"])
+        slower = plant(tmp_path / "one", devices).replace("fast.period = 0.1", "fast.period = 0.4")
+        (tmp_path / "plant.toml").write_text(slower)
+        revision = await apply_configuration(table, str(tmp_path / "plant.toml"))
+        await until(lambda: one.revision == revision and one.member.cost("0000") < before["0000"], 60)
+        after = {shard: one.member.cost(shard) for shard in before}
+        assert after == pytest.approx({shard: cost / 4 for shard, cost in before.items()})
+
+
 async def test_a_running_collector_takes_links_that_come_and_leaves_links_that_go(tmp_path: Path) -> None:
     async with devices_of(4) as devices, running(tmp_path, devices[:3]) as (table, one):
         await until(lambda: all(device.reads > 1 for device in devices[:3]), 60)

@@ -6,9 +6,10 @@ import time
 from collections.abc import AsyncGenerator, AsyncIterator, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
-from fleet_devices import FleetDevice, plant
+from fleet_devices import TIMES, FleetDevice, devices_of, plant
 from foreign_servers import ForeignServer, PostgresqlServer, nats_cluster, nats_server
 from waiting import until
 
@@ -34,6 +35,7 @@ from busway.apps.fleet.coordinator import (
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
+from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_status import zone_status
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 from busway.apps.fleet.records import LeaseRecord, MemberRecord, ZoneRecord
@@ -339,6 +341,48 @@ async def test_a_bucket_that_forgets_entries_is_refused_by_name(servers: dict[st
     with pytest.raises(ConfigError, match="the bucket busway-forgets forgets entries after 3600 s, leases too"):
         async with backend.opened("forgets"):
             pass
+
+
+@pytest.mark.parametrize("permits", [False, True])
+async def test_nothing_is_decided_by_what_was_got_from_a_server_also_where_any_server_may_answer(
+    servers: dict[str, Backend], tmp_path: Path, permits: bool
+) -> None:
+    """A follower that lags answers a direct get, and the leader's answer is old when it comes."""
+    backend, zone = servers["nats"], f"direct-{permits}"
+    asked: list[str] = []
+
+    async def came(message: Any) -> None:
+        asked.append(message.subject)
+
+    async with contextlib.AsyncExitStack() as stack:
+        devices = await stack.enter_async_context(devices_of(2))
+        table = await stack.enter_async_context(backend.opened(zone))
+        assert isinstance(table, NatsCoordinator)
+        jetstream = table.client.jetstream()
+        config = (await jetstream.stream_info(f"KV_busway-{zone}")).config
+        assert not config.allow_direct
+        if permits:
+            assert (await jetstream.update_stream(config.evolve(allow_direct=True))).config.allow_direct
+        await table.client.subscribe("$JS.API.>", cb=came)
+        (tmp_path / "plant.toml").write_text(plant(tmp_path / "store", devices))
+        await apply_configuration(table, str(tmp_path / "plant.toml"))
+        shared = await read_configuration(table)
+        assert shared is not None
+        for name in ("one", "two"):
+            configuration = replace(shared.parsed(TIMES), store=str(tmp_path / name))
+            other = await stack.enter_async_context(backend.opened(zone))
+            await stack.enter_async_context(
+                FleetCollector(
+                    configuration, other, name, host=name, shards=8, times=TIMES, revision=shared.revision, keys=table
+                )
+            )
+        await until(lambda: all(device.reads > 3 for device in devices))
+        with pytest.raises(RevisionConflict):
+            await table.create(CONFIGURATION, b"x")
+        await drain_collector(table, "one")
+        assert set((await zone_status(table, 2)).members) == {"one", "two"}
+    assert any("CONSUMER.CREATE" in subject for subject in asked), "the table is watched"
+    assert not [subject for subject in asked if "GET" in subject]
 
 
 async def test_a_database_that_does_not_sync_is_refused_by_name() -> None:

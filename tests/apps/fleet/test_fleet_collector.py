@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from fleet_devices import TIMES, FleetDevice, devices_of, parsed, plant
+from fleet_devices import LONG_TIMES, TIMES, FleetDevice, devices_of, parsed, plant
 from waiting import until
 
 import busway
@@ -66,6 +66,30 @@ async def test_two_collectors_share_the_links_and_each_link_is_asked_by_one_at_a
         assert any(len(device.owners()) == 3 for device in devices)
 
 
+async def test_collectors_have_equal_seconds_of_line_time_and_not_equal_numbers_of_links(tmp_path: Path) -> None:
+    """One link is read seven times as often as each of the seven others: it is half of the work."""
+    async with devices_of(8) as devices, contextlib.AsyncExitStack() as stack:
+        both = []
+        for name in ("one", "two"):
+            text = plant(tmp_path / name, devices).replace("fast.period = 0.1", "fast.period = 0.1\nslow.period = 0.7")
+            first, *others = text.split("[[link]]")[1:]
+            slow = [each.replace('"fast"', '"slow"') for each in others]
+            text = "[[link]]".join([text.split("[[link]]")[0], first, *slow])
+            coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+            stack.push_async_callback(coordinator.close)
+            fleet = FleetCollector(
+                parse_collector(text, f"{name}.toml"), coordinator, name, host=name, shards=64, times=TIMES
+            )
+            both.append(await stack.enter_async_context(fleet))
+        one, two = both
+        costs = {link: one.member.cost(one.shard_of(link)) for link in one._configuration.links}
+        assert [costs[f"link-{number}"] / costs["link-0"] for number in range(1, 8)] == pytest.approx([1 / 7] * 7)
+        assert costs["link-7"] > 0.001, "it is not the least that a link costs"
+        await until(lambda: sorted((len(one.links), len(two.links))) == [1, 7], 60)
+        (alone,) = min(one.links, two.links, key=len)
+        assert alone == "link-0"
+
+
 async def test_every_sample_has_the_epoch_in_which_it_was_taken(tmp_path: Path) -> None:
     async with devices_of(2) as devices:
         async with fleet(tmp_path, "one", devices) as one:
@@ -81,6 +105,33 @@ async def test_every_sample_has_the_epoch_in_which_it_was_taken(tmp_path: Path) 
             assert all(log.epoch_of(row.link, row.after_commit) is None for row in rows)
     found = busway.Store(tmp_path / "one").read("*/count")
     assert len(found) >= 10
+
+
+async def test_a_shard_is_released_once_all_samples_of_its_links_are_committed_in_its_epoch(tmp_path: Path) -> None:
+    released: list[tuple[int, int, list[int]]] = []
+    async with devices_of(2) as devices:
+        async with fleet(tmp_path, "one", devices) as one:
+            honest = one.member.left
+
+            def left(shard: str) -> None:
+                counts = [device.reads for device in devices if one.shard_of(device.name) == shard]
+                released.append((one.collector.newest_commit, *counts))
+                honest(shard)
+
+            one.member.left = left  # type: ignore[method-assign]
+            await until(lambda: all(device.reads > 5 for device in devices))
+            epochs = dict(one._active)
+        assert len(released) == 2
+        with (
+            contextlib.closing(OwnershipLog(tmp_path / "one")) as log,
+            StoreWriter(tmp_path / "one", now=time.time_ns()) as writer,
+        ):
+            found = CommitReader(tmp_path / "one", writer.manifest).read(0, 10_000)
+            assert found is not None
+            samples = [each for each in found.samples if each.value is not None]
+            assert all(log.epoch_of(each.device, each.commit) == epochs[each.device] for each in samples)
+            for newest, reads in released:
+                assert reads in [each.value for each in samples if each.commit <= newest], "the last one too"
 
 
 async def test_a_collector_of_which_a_part_has_ended_says_so_and_another_takes_its_links(
@@ -148,6 +199,29 @@ async def test_a_lapsed_lease_sends_nothing_more_although_the_collector_runs(
         reads = [device.reads for device in devices]
         await asyncio.sleep(0.5)
         assert [device.reads for device in devices] == reads, "absence is the claim: nothing is sent in half a second"
+
+
+async def test_the_connection_of_a_link_that_is_lost_ends_before_anything_else_is_sent_to_its_device(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        honest = one._driver._coordinator.replace
+
+        async def away(*_: object) -> int:
+            raise CoordinatorDown("it is away")
+
+        monkeypatch.setattr(one._driver._coordinator, "replace", away)
+        await until(lambda: not one.member.owned, 30)
+        await until(lambda: all(device.ended for device in devices), 30)
+        ends = max(at for device in devices for at, _ in device.ended)
+        monkeypatch.setattr(one._driver._coordinator, "replace", honest)
+        await until(lambda: all(len(device.owners()) > 1 for device in devices), 30)
+        for device in devices:
+            first, second = device.owners()
+            assert device.ended == [(device.ended[0][0], first)]
+            assert max(each.at for each in device.asked if each.peer == first) <= device.ended[0][0]
+            assert min(each.at for each in device.asked if each.peer == second) > ends
 
 
 async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has_lapsed(
@@ -402,6 +476,47 @@ async def test_a_process_that_stood_still_for_longer_than_its_leases_records_the
         assert gap.begin < stopped + 1.5e9, "the last transaction may have taken a second"
         assert gap.end is not None
         assert gap.end > stopped + TIMES.ttl * 1e9
+
+
+class CountingTable(LocalCoordinator):
+    """Counts its changes."""
+
+    changes: int = 0
+
+    async def create(self, key: str, value: bytes) -> int:
+        self.changes += 1
+        return await super().create(key, value)
+
+    async def replace(self, key: str, value: bytes, revision: int) -> int:
+        self.changes += 1
+        return await super().replace(key, value, revision)
+
+
+async def changes_per_renewal(folder: Path, links: int, shards: int) -> float:
+    """The changes of the table for each renewal of the entry of its only collector, the mean of ten."""
+    absent = [FleetDevice(f"link-{number}", 1 + number) for number in range(links)]
+    text = plant(folder / f"{links}-{shards}", absent).replace("fast.period = 0.1", "fast.period = 600")
+    table = await asyncio.to_thread(CountingTable, folder / f"{links}-{shards}.zone", "hall")
+    try:
+        configuration = parse_collector(text, "x.toml")
+        async with FleetCollector(configuration, table, "one", host="one", shards=shards, times=LONG_TIMES) as one:
+            await until(lambda: len(one.member.owned) == shards)
+            count, changes = one.member._me.count, table.changes
+            await until(lambda: one.member._me.count >= count + 10)
+            return (table.changes - changes) / (one.member._me.count - count)
+    finally:
+        await table.close()
+
+
+async def test_what_leases_cost_the_table_grows_with_shards_and_not_with_links(tmp_path: Path) -> None:
+    few, many, more_shards = await asyncio.gather(
+        changes_per_renewal(tmp_path, 20, 4),
+        changes_per_renewal(tmp_path, 200, 4),
+        changes_per_renewal(tmp_path, 200, 16),
+    )
+    assert many == pytest.approx(few, rel=0.2)
+    assert few == pytest.approx(1 + 4, rel=0.2)
+    assert more_shards == pytest.approx(1 + 16, rel=0.2)
 
 
 async def test_links_whose_transactions_outlast_a_lease_are_refused_by_name(tmp_path: Path) -> None:

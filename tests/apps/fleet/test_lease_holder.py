@@ -352,6 +352,40 @@ def proposed(member: FleetMember, now: float) -> dict[str, Proposal]:
     return {each.key: each for each in member.turn(now)}
 
 
+def acted(seed: int) -> dict[str, float]:
+    """When a collector takes its first shard, renews it, and gives one to a collector that comes after ten seconds.
+
+    All that it sees, and when, is the same for each seed.
+    """
+    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(seed), shards=8)
+    member.set_shards({f"{number:04d}": 0.1 for number in range(8)})
+    member.end_snapshot(0.0)
+    found: dict[str, float] = {}
+    now, revision = 0.0, 0
+    while "gives" not in found and now < 25.0:
+        now = max(now + 1e-3, member.next_turn())
+        if now > 10.0 and revision < 1000:
+            revision = 1000
+            member.entry(Entry("member.east", MemberRecord("east", "run", "east", 1).encode(), revision), 10.0)
+        for each in member.turn(now):
+            revision += 1
+            member.entry(Entry(each.key, each.value, revision), now)
+            member.outcome(each, revision, now)
+            if each.key == f"{LEASES}0000":
+                found.setdefault("renews" if "takes" in found else "takes", now)
+        if any(event.step is Step.LEAVE for event in member.events()):
+            found.setdefault("gives", now)
+    return found
+
+
+@pytest.mark.parametrize(("act", "spread"), [("takes", 0.1), ("renews", 0.2), ("gives", 1.5)])
+def test_collectors_that_see_the_same_do_not_act_at_the_same_moment(act: str, spread: float) -> None:
+    """Each would make a change that is in vain, or all renewals would come at once."""
+    moments = sorted(acted(seed)[act] for seed in range(40))
+    assert len({round(each, 3) for each in moments}) > 30
+    assert moments[-1] - moments[0] > spread
+
+
 def test_the_first_collector_records_the_figures_of_the_zone_and_owns_nothing_before_that_is_confirmed() -> None:
     member = alone()
     first = proposed(member, 0.0)

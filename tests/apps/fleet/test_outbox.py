@@ -27,6 +27,7 @@ class MemoryStream:
 
     def __init__(self) -> None:
         self.messages: list[SampleMessage] = []
+        self.shards: list[str] = []
         self.sinks: dict[str, SinkPlace] = {}
         self.is_up = True
         self.start = 0
@@ -39,11 +40,12 @@ class MemoryStream:
     def most_bytes(self) -> int:
         return self.longest
 
-    async def publish(self, message: SampleMessage) -> None:
+    async def publish(self, message: SampleMessage, shard: str) -> None:
         if not self.is_up:
             raise StreamDown("it is full")
         assert len(message.encode()) <= self.longest
         self.messages.append(message)
+        self.shards.append(shard)
         self.start = message.chain.start
 
     def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
@@ -73,6 +75,7 @@ class Sending:
             collector="one",
             store="s",
             link_of=lambda: {"meter": "hall", "pump": "roof"},
+            shard_of=lambda link: f"shard of {link}",
             epoch_of=lambda link, commit: Epoch(1, 10 if commit <= 4 else 20),
             gaps_of=lambda after, last: [each for each in self.gaps if after < each.commit <= last],
             now=lambda: self.time,
@@ -106,6 +109,7 @@ async def test_commits_are_sent_once_by_link_and_epoch(tmp_path: Path) -> None:
             ("", None, []),
         ]
         assert [each.complete for each in sending.stream.messages] == [0, 0, 0, 0, 6]
+        assert sending.stream.shards == [*["shard of hall"] * 2, *["shard of roof"] * 2, "none"]
 
 
 async def test_the_cursor_moves_only_by_what_sinks_keep_and_a_restart_begins_there(tmp_path: Path) -> None:
@@ -247,11 +251,11 @@ class UnansweringStream(MemoryStream):
         super().__init__()
         self.numbers: list[int] = []
 
-    async def publish(self, message: SampleMessage) -> None:
+    async def publish(self, message: SampleMessage, shard: str) -> None:
         self.numbers.append(message.chain.number)
         if len(self.numbers) < 3:
             raise StreamDown("no answer, but the stream may have it")
-        await super().publish(message)
+        await super().publish(message, shard)
 
 
 async def test_no_number_of_a_message_is_used_again_after_an_attempt_that_was_not_acknowledged(tmp_path: Path) -> None:
@@ -293,12 +297,12 @@ class DroppingStream(MemoryStream):
         self.refused = ""
         self.first = self.next = 1
 
-    async def publish(self, message: SampleMessage) -> None:
+    async def publish(self, message: SampleMessage, shard: str) -> None:
         if message.link and message.link == self.refused:
             raise StreamDown("away")
         if message.name not in self.names:
             self.names.add(message.name)
-            await super().publish(message)
+            await super().publish(message, shard)
             self.next += 1
 
     def drop(self) -> None:

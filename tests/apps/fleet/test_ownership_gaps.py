@@ -1,4 +1,4 @@
-"""Gaps of ownership at sinks: whatever the order of gap and samples, the same gap remains, and no sample is in it."""
+"""Gaps of ownership at sinks: in any order of gap and samples the same gap remains, and no sample is in it."""
 
 import itertools
 from collections.abc import Iterator, Sequence
@@ -114,7 +114,7 @@ def database() -> Iterator[PostgresqlServer]:
 
 
 class Gaps:
-    """A sink to PostgreSQL with tables of its own, which can be made anew, and what its tables have."""
+    """A sink to PostgreSQL with tables of its own; it can be created again on these, as in another process."""
 
     def __init__(self, server: PostgresqlServer, number: int) -> None:
         self.server, self.number = server, number

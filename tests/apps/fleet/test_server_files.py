@@ -67,6 +67,15 @@ def test_no_role_may_delete_purge_or_change_streams_and_only_operators_make_them
             assert (f"$KV.busway-hall.{other}" in text) == (role == owner)
 
 
+@pytest.mark.parametrize("is_site", [False, True])
+def test_no_role_may_get_an_entry_of_a_table_from_a_server_that_does_not_lead(is_site: bool) -> None:
+    """All read tables as consumers; the newest message of samples is got for the lag of sinks alone."""
+    for role in RIGHTS:
+        got = [subject for subject in permissions(role, "hall", is_site=is_site).publish if ".GET" in subject]
+        assert not [subject for subject in got if "DIRECT" in subject or "KV_" in subject]
+        assert all("STREAM.MSG.GET.busway-samples-hall" in subject for subject in got)
+
+
 def test_the_table_has_a_row_for_each_right() -> None:
     assert len(rights_table("hall").splitlines()) == 2 + sum(map(len, RIGHTS.values())) + 1
 

@@ -7,13 +7,15 @@ import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import pytest
-from fleet_devices import TIMES, FleetDevice, devices_of, parsed
+from fleet_devices import TIMES, FleetDevice, devices_of, parsed, plant
 from foreign_servers import ForeignServer, nats_server
 from waiting import until
 
 import busway
+from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
@@ -30,6 +32,7 @@ from busway.apps.fleet.messages import decode_message
 from busway.apps.fleet.outbox import Outbox
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.records import LeaseRecord
+from busway.apps.fleet.shards import shard_of
 from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
 
@@ -98,7 +101,7 @@ async def sending(
 ) -> AsyncIterator[FleetCollector]:
     async with connected(server) as coordinator:
         await make_stream(coordinator.client, "hall")
-        stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+        stream = NatsStream(coordinator.client, "hall", timeout=1.0)
         watch = asyncio.create_task(stream.watch_cursors(coordinator))
         try:
             async with FleetCollector(
@@ -172,6 +175,40 @@ async def test_every_sample_of_two_collectors_reaches_a_sink_that_was_away_and_a
         assert handed.error is None
 
 
+async def test_the_subject_of_a_message_has_the_shard_whose_lease_is_that_of_the_link(tmp_path: Path) -> None:
+    """Also of a link that one host alone reaches, and of two links to one endpoint."""
+    found: dict[str, set[str]] = {}
+
+    async def came(message: Any) -> None:
+        if link := decode_message(message.data).link:
+            found.setdefault(link, set()).add(message.subject.removeprefix("busway.hall.samples."))
+
+    async with contextlib.AsyncExitStack() as stack:
+        server = stack.enter_context(nats_server(tmp_path))
+        one, two = await stack.enter_async_context(devices_of(2))
+        links = {"other": one.port, "first": one.port, "pinned": two.port}
+        text = plant(tmp_path / "one", [FleetDevice(name, port) for name, port in links.items()])
+        text = text.replace('name = "pinned"', 'name = "pinned"\nhosts = ["box"]', 1)
+        coordinator = await stack.enter_async_context(connected(server))
+        await make_stream(coordinator.client, "hall")
+        await coordinator.client.subscribe("busway.hall.samples.>", cb=came)
+        collector = await stack.enter_async_context(
+            FleetCollector(
+                parse_collector(text, "one.toml"),
+                coordinator,
+                "one",
+                host="box",
+                shards=8,
+                times=TIMES,
+                stream=NatsStream(coordinator.client, "hall"),
+            )
+        )
+        await until(lambda: len(found) == 3, 60)
+        assert shard_of("first", 8) != shard_of("other", 8), "else this shows nothing"
+        assert found == {"first": {shard_of("first", 8)}, "other": {shard_of("first", 8)}, "pinned": {"pin.box"}}
+        assert set(collector.member.owned) == {shard_of("first", 8), "pin.box"}
+
+
 async def test_texts_longer_than_a_server_takes_are_set_aside_and_all_else_is_sent(tmp_path: Path) -> None:
     texts = ["x" * length for length in (10, 6000, 4000, 2000, 2000, 2000, 2000, 5)]
     with nats_server(tmp_path, "max_payload: 6000") as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
@@ -182,7 +219,7 @@ async def test_texts_longer_than_a_server_takes_are_set_aside_and_all_else_is_se
                 for number, text in enumerate(texts)
             ]
             writer.commit(batches, [], NOW)
-            outbox = opened(tmp_path / "store", writer, NatsStream(coordinator.client, "hall", lambda link: "0000"))
+            outbox = opened(tmp_path / "store", writer, NatsStream(coordinator.client, "hall"))
             assert not await outbox.step()
             jetstream = coordinator.client.jetstream()
             newest = (await jetstream.stream_info("busway-samples-hall")).state.last_seq
@@ -213,7 +250,7 @@ async def test_a_gap_of_ownership_reaches_a_sink_of_the_stream_between_the_sampl
     with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
         async with connected(server) as coordinator, handing_on(server, sink) as handed:
             await make_stream(coordinator.client, "hall")
-            stream = NatsStream(coordinator.client, "hall", lambda link: "0000")
+            stream = NatsStream(coordinator.client, "hall")
             outbox = opened(tmp_path / "store", writer, stream, [gap])
             for number in range(4):
                 batch = SampleBatch(PointGroup("meter", ("name",)), NOW + number, 5, (number,))
@@ -257,7 +294,7 @@ async def test_samples_follow_at_once_when_a_server_that_was_away_is_back(
     with nats_server(tmp_path) as server, StoreWriter(tmp_path / "store", now=NOW) as writer:
         async with connected(server) as coordinator:
             await make_stream(coordinator.client, "hall")
-            stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+            stream = NatsStream(coordinator.client, "hall", timeout=1.0)
             outbox = opened(tmp_path / "store", writer, stream)
             task = asyncio.create_task(outbox.run())
             try:
@@ -291,6 +328,7 @@ def opened(
         collector="one",
         store="s",
         link_of=lambda: {"meter": "hall"},
+        shard_of=lambda link: "0000",
         epoch_of=lambda link, commit: Epoch(1, 6 if commit < 4 else 7),
         revision_of=lambda commit: 33 if commit < 4 else 44,
         gaps_of=lambda after, last: [each for each in gaps if after < each.commit <= last],
@@ -331,7 +369,7 @@ async def test_a_sink_gets_what_was_in_a_stream_that_was_deleted_although_the_ne
             for _ in range(1000):
                 await jetstream.publish("busway.hall.samples.none", b"no message of samples")
             await until(lambda: handed.unreadable == 1000, 60)
-            stream = NatsStream(coordinator.client, "hall", lambda link: "0000", timeout=1.0)
+            stream = NatsStream(coordinator.client, "hall", timeout=1.0)
             outbox = opened(tmp_path / "store", writer, stream, now=lambda: 20 * time.monotonic())
             tasks = [asyncio.create_task(each) for each in (outbox.run(), stream.watch_cursors(coordinator))]
 

@@ -2,11 +2,13 @@
 
 import math
 import re
+import time
+from pathlib import Path
 from typing import Any
 from urllib.request import urlopen
 
 import pytest
-from page_collector import WatchedCollector, watched_collector
+from page_collector import MUTE, WatchedCollector, watched_collector
 from waiting import wait_until
 
 import busway
@@ -64,6 +66,24 @@ def test_devices_say_how_they_do(plant: WatchedCollector) -> None:
     (device,) = plant.ask("/api/devices")[1]["devices"]
     assert (device["name"], device["state"], device["silent_since"]) == ("pump", "polled", None)
     assert device["reads"] > 0
+
+
+def test_devices_and_links_say_who_is_silent_since_when_and_what_was_learnt(tmp_path: Path) -> None:
+    with watched_collector(tmp_path, more=MUTE) as running:
+
+        def devices() -> dict[str, Any]:
+            return {each["name"]: each for each in running.ask("/api/devices")[1]["devices"]}
+
+        begun = time.time_ns() // 1_000_000
+        wait_until(lambda: devices()["mute"]["silent_since"] is not None and devices()["pump"]["learnt"], 60)
+        now = time.time_ns() // 1_000_000
+        found = devices()
+        assert (found["mute"]["state"], found["mute"]["learnt"]) == ("silent", [])
+        assert begun - 60_000 < found["mute"]["silent_since"] <= now
+        assert (found["pump"]["state"], found["pump"]["silent_since"]) == ("polled", None)
+        assert found["pump"]["learnt"] == ["holding register 4999: exception 02"]
+        (link,) = running.ask("/api/links")[1]["links"]
+        assert link["silent"] == [{"device": "mute", "since": found["mute"]["silent_since"]}]
 
 
 def test_sinks_say_how_far_behind_they_are(plant: WatchedCollector) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import json
 import time
 from collections.abc import Callable, Iterator
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -12,7 +13,11 @@ from waiting import wait_until
 from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import ClientConnection, connect
 
+from busway.apps.collector.samples import PointGroup, SampleBatch
+from busway.apps.collector.sinks.prometheus import LastValues
+from busway.apps.collector.store.writer import Commit
 from busway.apps.web import collector_stream, viewers
+from busway.apps.web.collector_stream import CollectorStream
 from busway.apps.web.live_values import LiveValues
 
 
@@ -76,6 +81,35 @@ def test_a_defect_while_values_are_told_is_logged_and_the_next_viewer_gets_them(
             wait_until(lambda: "values are no longer sent to the page" in caplog.text)
         with stream_of(plant) as second:
             assert json.loads(second.recv(timeout=20))["changed"]
+
+
+@pytest.mark.parametrize("when", ["start", "reload"])
+def test_a_commit_while_the_last_values_are_taken_over_is_shown(when: str) -> None:
+    """A collector of which only the parts exist that a stream looks at; one point is read while it begins."""
+    told: list[Callable[[Commit], None]] = []
+    group = PointGroup("meter", ("power",))
+
+    class LastValuesOfBefore(LastValues):
+        def reads(self) -> list[tuple[SampleBatch, float]]:
+            found = super().reads()
+            for each in (self.update, *told):
+                each(Commit(1, 0, [SampleBatch(group, 1_000_000_000, 0, [7])], []))
+            return found
+
+    def configured(*points: str) -> SimpleNamespace:
+        device = SimpleNamespace(name="meter", points=[SimpleNamespace(name=each) for each in points])
+        return SimpleNamespace(devices={"meter": device})
+
+    collector: Any = SimpleNamespace(
+        configuration=configured("power"),
+        values=LastValues() if when == "reload" else LastValuesOfBefore(),
+        subscribe=told.append,
+        commands=SimpleNamespace(subscribe=lambda told: None),
+    )
+    stream = CollectorStream(collector)
+    if when == "reload":
+        collector.configuration, collector.values = configured("power", "energy"), LastValuesOfBefore()
+    assert stream.refresh().columns()[0][0] == 7
 
 
 def test_registers_come_for_points_that_are_shown_and_only_as_they_change(plant: WatchedCollector) -> None:

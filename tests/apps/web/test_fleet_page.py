@@ -1,6 +1,8 @@
-"""The fleet over HTTP: how far sinks are behind, asked of the stream no more often than is useful."""
+"""The fleet over HTTP: how far sinks are behind; the stream is asked once in `NEWEST_SECONDS`, not for each page."""
 
 import json
+
+import pytest
 
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.coordinators.local import LocalCoordinator
@@ -10,12 +12,13 @@ from busway.apps.web import fleet_page
 from busway.apps.web.fleet_page import FleetApi
 
 
-class Coordinator:
-    """One that nobody asks."""
+def unused_coordinator() -> LocalCoordinator:
+    """A coordinator without a file: these tests do not use it."""
+    return LocalCoordinator.__new__(LocalCoordinator)
 
 
 def watch_with_sinks(**taken: int) -> ZoneWatch:
-    watch = ZoneWatch(Coordinator())  # type: ignore[arg-type]
+    watch = ZoneWatch(unused_coordinator())
     for number, (name, sequence) in enumerate(taken.items(), 1):
         watch.take(Entry(f"cursor.{name}", json.dumps([sequence]).encode(), number))
     return watch
@@ -37,7 +40,7 @@ async def behind(api: FleetApi) -> dict[str, int | None]:
     return {each.name: each.behind for each in (await api.get_fleet()).sinks}
 
 
-async def test_a_sink_is_behind_by_the_messages_that_it_has_not_taken(monkeypatch) -> None:
+async def test_a_sink_is_behind_by_the_messages_that_it_has_not_taken(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = Stream(100)
     api = FleetApi(watch_with_sinks(archive=97, lines=100, ahead=103), stream)
     assert await behind(api) == {"archive": 3, "lines": 0, "ahead": 0}
@@ -54,4 +57,4 @@ async def test_where_the_stream_is_not_known_no_lag_is_told() -> None:
 
 
 async def test_a_zone_without_nats_has_no_stream() -> None:
-    assert await newest_message(LocalCoordinator.__new__(LocalCoordinator), "hall") is None
+    assert await newest_message(unused_coordinator(), "hall") is None

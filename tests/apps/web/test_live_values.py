@@ -1,6 +1,7 @@
 """What changed since a tick, as one text for all viewers."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -101,7 +102,7 @@ def test_a_good_value_that_is_not_read_again_when_due_is_held_until_it_is() -> N
     assert since(values, 1)["changed"][0][0] == 0
     assert since(values, 1)["reasons"][str(int(Reason.HELD))] == ["uncertain", "held"]
     assert not values.advance()
-    values.update(commit(SampleBatch(PUMP, 2 * SECOND, 0, (1.5, 7, 2), 0)))
+    values.update(replace(commit(SampleBatch(PUMP, 2 * SECOND, 0, (1.5, 7, 2), 0)), moment=5.0))
     assert values.columns()[1] == [0, 0, 0, 0]
     values.set_limits({})
     moment[0] = 99.0
@@ -144,10 +145,25 @@ def test_values_of_before_the_clock_was_set_move_and_are_replaced_by_later_ones(
 
 
 def test_one_that_begins_has_what_was_read_before() -> None:
-    values = LiveValues(POINTS, limits={POINTS[3]: 3.0}, moment=lambda: 9.0, reads=[
-        (SampleBatch(PUMP, SECOND, 0, (1.5, 7, 2)), 8.0), (SampleBatch(METER, SECOND, 0, (1,)), 5.0),
-    ])  # fmt: skip
+    values = LiveValues(POINTS, limits={POINTS[3]: 3.0}, moment=lambda: 9.0)
+    reads = [(SampleBatch(PUMP, SECOND, 0, (1.5, 7, 2)), 8.0), (SampleBatch(METER, SECOND, 0, (1,)), 5.0)]
+    values.begin(reads, {})
     assert values.columns() == ([1.5, 7, 2, 1], [0, 0, 0, Reason.HELD], [1000] * 4)
+
+
+@pytest.mark.parametrize("ticks", [False, True])
+def test_what_was_stored_while_one_begins_is_newer_than_what_was_read_before(ticks: bool) -> None:
+    values = LiveValues(POINTS)
+    values.update(
+        Commit(
+            1, 0, [SampleBatch(METER, 2 * SECOND, 0, (2,))], [StateInterval("pump", SECOND, 2 * SECOND, Reason.LOST)]
+        )
+    )
+    if ticks:
+        values.advance()
+    reads = [(SampleBatch(METER, SECOND, 0, (1,)), 0.0), (SampleBatch(PUMP, 3 * SECOND, 0, (1.5, 7, 2)), 0.0)]
+    values.begin(reads, {"pump": StateInterval("pump", SECOND, None, Reason.MAINTENANCE)})
+    assert values.columns() == ([1.5, 7, 2, 2], [0, 0, 0, 0], [3000] * 3 + [2000])
 
 
 def test_one_that_begins_is_told_of_points_that_were_not_read_too() -> None:

@@ -2,8 +2,9 @@
 
 A profile that is played and read by itself proves only that it can be played. What it says is checked against a second
 statement of the same facts, registers in the notation of the manuals, and against the bytes of the examples that
-manuals have. Such examples were found for the Eastron SDM630 (phase 1 voltage) and the Danfoss VLT FC series
-(parameters 3-03 and 1-24); the other manuals have none, or none that was found.
+manuals have. Such examples were found for the Eastron SDM630 (phase 1 voltage), the Danfoss VLT FC series (parameters
+3-03 and 1-24, the status word) and couplers of WAGO's system 750; the other manuals, those of `WITHOUT_EXAMPLE`, have
+none, or none that was found.
 """
 
 import socket
@@ -145,6 +146,19 @@ def test_a_point_stands_where_its_manual_says(
     assert (point.table, point.start, point.type) == (place.table, place.offset, type)
     assert point.order.startswith(order)
     assert point.conversion.scale == scale
+
+
+WITHOUT_EXAMPLE = {
+    *("abb_b23", "dtsu666", "em24", "em340", "iem3155", "logo8"),
+    *("pac2200", "sdm120", "sma", "sun2000", "umg96rm", "wago879"),
+}
+"""Profiles whose manual gives no bytes of a value, as far as found."""
+
+
+def test_each_profile_of_a_real_device_has_facts_of_its_manual_and_its_bytes_where_there_are_any() -> None:
+    """Another profile brings rows of `FACTS`, and an example, or its name in `WITHOUT_EXAMPLE`."""
+    assert {profile for profile, *_ in FACTS} == set(REAL)
+    assert {profile for profile, *_ in EXAMPLES} | {"wago750"} == set(REAL) - WITHOUT_EXAMPLE
 
 
 MAPS = {

@@ -24,7 +24,7 @@
 `device_status`   The status of a polled device: whether it answers, and what its reads have brought
 `learnt_file`     The file beside the store in which a collector keeps what it learns about devices, over restarts
 `sample_readers`  The programs that follow the samples of a running collector
-`running`         Notes by which `busway status` finds the running collectors of this user
+`running`         Notes that let `busway status` find the running collectors of this user
 `report_rules`    Which report rule holds for a point, in the store and towards sinks
 `connected_systems`  The other systems that a running collector is connected to: sinks, pages, servers with commands
 `reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file
@@ -38,9 +38,10 @@
 
 Where it is decided: which registers one read fetches: `plan`. What a device refuses, and how long its reads take:
 `learning`. Which device is asked next, how often a silent one, and which rounds are skipped: `schedule`. Whether a link
-has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`. What a reload changes: `reloading`.
-Why a sample has no value, or a doubtful one: `poller` for the read, `busway.points` for its decoding. When a
-counter has begun again: `busway.points.derived`. Whether a collector of a fleet may still poll: `permitted_link` asks,
-`busway.apps.fleet.lease_holder` decides. What is remembered
-of devices over a restart: `learnt_file`; of samples: `store`.
+has too much to do: `admission`. The time of a sample: `poller` and `sample_clock`; whether the wall clock is right:
+`time_service`. When a value is held: `held_values`. What a reload changes: `reloading`; which sinks, pages and inputs
+begin and end with it: `connected_systems`. Why a sample has no value, or a doubtful one: `poller` for the read,
+`busway.points` for its decoding. When a counter has begun again: `busway.points.derived`. Whether a collector of a
+fleet may still poll: `permitted_link` asks, `busway.apps.fleet.lease_holder` decides. What is remembered of devices
+over a restart: `learnt_file`; of samples: `store`.
 """

@@ -49,7 +49,7 @@ from .maintenance import MaintenanceBook
 from .permitted_link import PermittedLink
 from .point_names import PointKey, PointNames
 from .poller import LinkPoller
-from .reloading import Reloading, refuse_what_cannot_change
+from .reloading import Reloading
 from .report_rules import points_of, store_rules
 from .sample_clock import ClockCorrection, SampleClock
 from .sample_readers import SampleReaders
@@ -558,8 +558,7 @@ class Collector:
 
         Nothing that is in use changes; the store lists the new sinks.
         """
-        refuse_what_cannot_change(self.configuration, configuration)
-        self._systems.check(configuration)
+        self._reloading.check(configuration)
 
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
@@ -622,7 +621,7 @@ class Collector:
         self.values.configure(configuration.hold_limits(), points_of(configuration).keys())
         done: list[str] = []
         changed = sorted(self.changed_links(configuration))
-        for name in changed:  # before anything is awaited: no command of a new point goes to a device of before
+        for name in changed:  # before anything is awaited: no command for a new point goes to an old device
             self._links[name].poller.finish()
         await asyncio.gather(*(self._finish_link(name) for name in changed))
         for name in changed:

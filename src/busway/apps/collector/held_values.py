@@ -48,9 +48,11 @@ def hold_limits(
         for point in read:
             found[point.name] = min(limit, found.get(point.name, limit))
     inputs = {point.name: parse_expression(point.formula).names for point in points if point.formula}
-    for _ in inputs:  # a computed point may use another: as often as there are computed points is deep enough
+    has_changed = True
+    while has_changed:  # a computed point may use another one
+        has_changed = False
         for name, used in inputs.items():
             known = [found[each] for each in used if each in found]
-            if known:
-                found[name] = min(known)
+            if known and found.get(name) != min(known):
+                found[name], has_changed = min(known), True
     return found

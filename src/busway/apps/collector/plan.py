@@ -7,7 +7,7 @@ Knows items, what a device allows, and what a read costs; knows no clock, no soc
 2. A value is never split over two reads.
 3. Reads stop at forbidden registers, at the borders of readable ranges and at those of exact blocks.
 4. A register of no item may clear when it is read. So such holes are read only inside readable ranges, or where the
-   device's rules say ``bridge``.
+   device's rules say ``bridge``. A hole between wanted items that other items fill is no such hole.
 5. Within these limits the plan is exact. Items of which none lies inside another have one order, by start and by end,
    and some cheapest plan reads a run of them at a time. The best run that ends with item j begins where
    ``best[i] − c · start[i]`` is least, over all i that one read reaches; a monotone queue keeps that minimum, so that
@@ -148,7 +148,9 @@ def plan_reads(
     for table in Table:
         items = due.get(table)
         if items:
-            _plan_table(table, _blocks(items), _blocks(idle.get(table, [])), rules, cost, reads, unreadable)
+            not_due = idle.get(table, [])
+            border = _Borders(table, rules, (*items, *not_due))
+            _plan_table(table, _blocks(items), _blocks(not_due), border, rules, cost, reads, unreadable)
     return DevicePlan(tuple(reads), tuple(unreadable), sum(read.seconds for read in reads))
 
 
@@ -236,12 +238,12 @@ def _plan_table(
     table: Table,
     due: list[_Block],
     idle: list[_Block],
+    border: "_Borders",
     rules: ReadRules,
     cost: ReadCost,
     reads: list[PlannedRead],
     unreadable: list[Unreadable],
 ) -> None:
-    border = _Borders(table, rules)
     places: list[_Place] = []
     kept: list[_Block] = []
     for block in due:
@@ -260,9 +262,14 @@ def _plan_table(
 
 
 class _Borders:
-    """Decides by a device's rules which ranges of a table may be read, and which of them by one read."""
+    """Decides by a device's rules which ranges of a table may be read, and which of them by one read.
 
-    def __init__(self, table: Table, rules: ReadRules) -> None:
+    ``items`` are all items of the table, wanted or not.
+    """
+
+    def __init__(self, table: Table, rules: ReadRules, items: Sequence[ReadItem]) -> None:
+        self._items = items
+        self._declared: _Ranges | None = None
         self._label = table.label
         self._limit = rules.limit(table)
         self._bridge = rules.bridge
@@ -274,6 +281,7 @@ class _Borders:
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
         """Return the range to read for a block of items, or None with the reason why no read may fetch the block."""
         start, end, items = block
+        found: ItemRange | None = None
         if self._exact is not None:
             found = self._exact.touched(start, end)
             if found is not None:
@@ -290,7 +298,7 @@ class _Borders:
             around = self._readable.touched(start, end)
             if around is None or not (around.start <= start and end <= around.end):
                 return None, "it does not lie in one of the readable ranges"
-        elif len(items) > 1 and not self._bridge and not _is_gapless(block):
+        elif found is None and len(items) > 1 and not self._bridge and not self._is_declared(start, end):
             return None, "its group has an undeclared hole: give the readable range, or bridge = true"
         return (start, end), ""
 
@@ -298,8 +306,8 @@ class _Borders:
         """Whether two neighbouring ranges must not be fetched by one read.
 
         This is so if a border lies between them, if they are not in one readable range, or if one of them or the gap
-        between them touches an exact block; also if the gap is forbidden, or the device has no readable ranges and gaps
-        are not bridged.
+        between them touches an exact block; also if the gap is forbidden, or if the device has no readable ranges, gaps
+        are not bridged, and the gap has a register or bit of no item.
         """
         end, start = left[1], right[0]
         has_hole = start > end
@@ -313,7 +321,7 @@ class _Borders:
             around = self._readable.touched(*left)
             if around is not None and right[1] > around.end:
                 return True
-        elif has_hole and not self._bridge:
+        elif has_hole and not self._bridge and not self._is_declared(end, start):
             return True
         if self._borders:
             at = bisect_left(self._borders, end)
@@ -321,14 +329,11 @@ class _Borders:
                 return True
         return has_hole and self._forbidden is not None and self._forbidden.touched(end, start) is not None
 
-
-def _is_gapless(block: _Block) -> bool:
-    at = block.start
-    for item in block.items:
-        if item.start > at:
-            return False
-        at = max(at, item.start + item.width)
-    return True
+    def _is_declared(self, start: int, end: int) -> bool:
+        """Whether each register or bit from ``start`` to before ``end`` belongs to an item, wanted or not."""
+        if self._declared is None:  # made when the first hole is met: most devices have readable ranges, or no hole
+            self._declared = _Ranges([ItemRange(each.start, each.start + each.width) for each in self._items])
+        return self._declared.cover(start, end)
 
 
 class _Ranges:
@@ -352,6 +357,15 @@ class _Ranges:
         if at >= 0 and self._spans[at].end > start:
             return self._spans[at]
         return None
+
+    def cover(self, start: int, end: int) -> bool:
+        """Whether the ranges together have everything from ``start`` to before ``end``."""
+        while start < end:
+            found = self.touched(start, start + 1)
+            if found is None:
+                return False
+            start = found.end
+        return True
 
 
 def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
@@ -383,7 +397,14 @@ def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, p
 
 
 def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
-    """Return the cheapest division of sorted ranges into reads, none wider than ``limit`` (rule 5)."""
+    """Return the cheapest reads that cover ranges in one table, none wider than ``limit`` (rule 5).
+
+    Args:
+        places: pairs of start and end, sorted by both; none is wider than ``limit``.
+        limit: most registers or bits of a read.
+        base: cost of a read without its registers or bits.
+        per_item: cost of each register or bit that is read, those in holes included.
+    """
     if len(places) == 1:
         return places
     origin = places[0][0]  # small numbers keep all digits

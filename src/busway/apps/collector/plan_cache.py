@@ -22,9 +22,9 @@ from .learning import BITS_OF_A_REGISTER, CostLearner, MapLearner, ReadOutcome, 
 from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, Unreadable, plan_reads, predicted
 
 WORTH: Final = 0.05
-"""Part of the new plan's time by which the old plan must be slower to be replaced."""
+"""How much slower the old plan must be to be replaced, as a part of the new plan's time."""
 NEAR: Final = 1.02
-"""Factor by which costs may leave the range in which a plan was found good enough, before it is compared again."""
+"""How far costs may leave the range in which a plan was found good enough, before it is compared again: a factor."""
 CHECKED_EVERY: Final = 16
 """Successful reads between two checks whether new plans would be faster."""
 MOST_PLANS: Final = 32

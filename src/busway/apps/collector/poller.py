@@ -75,8 +75,8 @@ class _CompiledRead:
         group: the device and the points, in the order of the values.
         data: the data of the last reply, for requests of raw registers; empty before the first.
         at: when that reply was read, nanoseconds since 1970 UTC.
-        exponents: names of points in the read by which other points may be scaled.
-        scaled: the place of each point that is scaled by one of another read, and the name of that one.
+        exponents: names of the points in the read that are scale factors of other points.
+        scaled: the place of each point whose scale factor is in another read, and the name of that factor.
     """
 
     read: PlannedRead
@@ -195,14 +195,13 @@ class PolledDevice:
         if found is None or found.read is not read:
             if len(self._compiled) >= MOST_DECODERS:
                 self._compiled.clear()
-            factors = {point.conversion.scale_from for point in self.book.points()} - {""}
             names = tuple(point.name for point in read.items)
             found = self._compiled[id(read)] = _CompiledRead(
                 read,
                 _REQUESTS[read.table](read.start, read.width),
                 _decoder_of(read),
                 PointGroup(self.name, names),
-                exponents=tuple(name for name in names if name in factors),
+                exponents=tuple(point.name for point in read.items if point.is_exponent),
                 scaled=tuple(
                     (place, factor)
                     for place, point in enumerate(read.items)
@@ -552,7 +551,8 @@ class LinkPoller:
             raise BadReply(f"{counted(len(data), 'byte')} came where {decoder.size} were asked for", kind="content")
         compiled.data, compiled.at = data, middle
         found = decoder.decode(data, device.scale_factors)
-        device.factors_at.update(dict.fromkeys(compiled.exponents, ended))
+        for name in compiled.exponents:
+            device.factors_at[name] = ended
         held = [place for place, factor in compiled.scaled if device.is_factor_held(factor, ended)]
         if not found.flaws and self._clock.is_right and not held:
             return SampleBatch(compiled.group, middle, half, found.values)

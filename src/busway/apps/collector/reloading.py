@@ -61,8 +61,8 @@ class Reloading:
         current: Callable[[], CollectorConfiguration],
         audit: Callable[[], AuditLog | None],
         apply: Callable[[CollectorConfiguration], Awaitable[list[str]]],
-        prepare: Callable[[CollectorConfiguration], None] = lambda new: None,
-        check: Callable[[CollectorConfiguration], None] = lambda new: None,
+        prepare: Callable[[CollectorConfiguration], None],
+        check: Callable[[CollectorConfiguration], None],
     ) -> None:
         self._current, self._audit, self._apply = current, audit, apply
         self._prepare, self._check = prepare, check
@@ -72,6 +72,14 @@ class Reloading:
         self.is_ending: bool = False
         self.waiting: list[str] = []
         self.refusal: list[str] = []
+
+    def check(self, configuration: CollectorConfiguration) -> None:
+        """Raise `ConfigError` if another configuration cannot be used while the collector runs.
+
+        Nothing that is in use changes.
+        """
+        _refuse_what_cannot_change(self._current(), configuration)
+        self._check(configuration)
 
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         """Put another configuration into use, and return what changed, each as a sentence.
@@ -152,8 +160,7 @@ class Reloading:
             raise ConfigError(f"the configuration is {in_use} by now, not {revision}: read it again", key="revision")
         configuration = await self._parsed(text, by, origin)
         try:
-            refuse_what_cannot_change(self._current(), configuration)
-            self._check(configuration)
+            self.check(configuration)
             await asyncio.to_thread(replace_file, configuration.name, text)
         except ConfigError as error:
             self._record(text, [str(error)], False, by, origin)
@@ -170,7 +177,7 @@ class Reloading:
     async def _use(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         old = self._current()
         try:
-            refuse_what_cannot_change(old, configuration)
+            _refuse_what_cannot_change(old, configuration)
             self._prepare(configuration)
         except ConfigError as error:
             self._record(configuration.text, [str(error)], False, by, origin)
@@ -212,7 +219,7 @@ def _places(error: ConfigError) -> list[str]:
     ]
 
 
-def refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
+def _refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
     """Raise `NeedsRestart` if a new configuration has another store than the old one."""
     if new.store != old.store:
         raise NeedsRestart(

@@ -1,4 +1,4 @@
-"""Notes by which `busway status` finds the running collectors of this user, which have no control socket.
+"""Notes that let `busway status` find the running collectors of this user, which have no control socket.
 
 Knows paths, JSON and the lock of a store; asks no collector.
 
@@ -53,20 +53,19 @@ def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[No
     pid = os.getpid()
     name = os.path.abspath(file) if os.path.exists(file) else file
     note = RunningCollector(pid, name, os.path.abspath(store), page, is_in_fleet)
-    try:
+    path = None
+    with contextlib.suppress(ConfigError, OSError):  # only `busway status` misses it
         path = control_directory() / f"{pid}{NOTE_SUFFIX}"
         path.unlink(missing_ok=True)  # of a dead process with the same number
         descriptor = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
         with open(descriptor, "w", encoding="utf-8") as opened:
             json.dump(asdict(note), opened)
-    except (ConfigError, OSError):
-        yield  # only `busway status` misses it
-        return
     try:
         yield
     finally:
-        with contextlib.suppress(OSError):
-            path.unlink()
+        if path is not None:
+            with contextlib.suppress(OSError):
+                path.unlink()
 
 
 def find_collectors(*directories: Path) -> list[RunningCollector]:

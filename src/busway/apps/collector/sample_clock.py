@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from typing import Final
 
 NANOSECONDS: Final = 1_000_000_000
+"""Nanoseconds in a second."""
 EARLIEST: Final = 1_767_225_600 * NANOSECONDS
 """2026-01-01, nanoseconds since 1970: a wall clock that shows less is wrong, because this program is younger."""
 TOLERANCE: Final = NANOSECONDS // 2
@@ -101,5 +102,5 @@ class SampleClock:
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """Return the nanoseconds, 0 or less, by which sample times have slowed down since `adjust` (rule 2)."""
+        """Return how much sample times have slowed down since `adjust` (rule 2): nanoseconds, 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

@@ -14,12 +14,11 @@ Pure: knows no clock, file or socket. The poller makes samples, the store keeps 
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
 
 from ...errors import InvalidRequest
 from ...points.quality import Quality, Reason, exception_code_of, exception_reason, quality_of, reason_text
 from ...values.refusal import shown
-from .sample_clock import ClockCorrection
+from .sample_clock import NANOSECONDS, ClockCorrection
 
 __all__ = [
     "NANOSECONDS",
@@ -44,9 +43,6 @@ __all__ = [
 
 Value = bool | int | float | str
 """The value of a point: a state, a number or a text. Integers have at most 64 bits."""
-
-NANOSECONDS: Final = 1_000_000_000
-"""Nanoseconds in a second."""
 
 
 @dataclass(frozen=True, slots=True)

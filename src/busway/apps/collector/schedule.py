@@ -14,7 +14,8 @@ the turn that it gets, and tells `LinkSchedule.done`.
    counted, never queued: memory does not grow under overload.
 4. A device that was not asked yet is asked by one cheap read. One that is silent is suspended: its rounds stop, and it
    is probed by its cheapest read, at once first, then ever more rarely. All probes of a link together use at most
-   `DEAD_SHARE` of its time.
+   `DEAD_SHARE` of its time, and up to two timeouts beside that: one that was saved up while no probe was due, and one
+   of a probe that began with the last of it. So a single minute with timeouts of 1 s may have 8 % of probes.
 5. Questions of learning wait until nothing else is due.
 """
 
@@ -30,9 +31,9 @@ from .plan import PlannedRead
 from .plan_cache import Classes, PlanBook
 
 DEAD_SHARE: Final = 0.05
-"""Part of a link's time that probes of silent devices may use together."""
+"""Part of a link's time that probes of silent devices may use together in the long run (rule 4)."""
 SLACK: Final = 0.05
-"""Part of its period by which a class may be read early, together with other classes."""
+"""How early a class may be read, together with other classes: a part of its period."""
 LONGEST_BACKOFF: Final = 60.0
 """Seconds between two probes of a silent device, at most, where `DEAD_SHARE` allows."""
 MOST_WRITES: Final = 256
@@ -589,7 +590,7 @@ class LinkSchedule:
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Return the seconds by which a polling round may be late, at most, if the admission test has passed.
+    """Return how many seconds a polling round may be late, at most, if the admission test has passed.
 
     Args:
         period: poll period of the class, in seconds.

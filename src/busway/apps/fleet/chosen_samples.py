@@ -5,12 +5,12 @@ store is refused by name.
 
 1. A rule compares a sample with the last one of its point that the sink has taken since this process began: after a
    start the first sample of each point is passed on.
-2. A sample that is older than the last one is passed on whatever the rule says, such as one of a collector that was
-   away: it comes between others, and no rule can tell whether the sink needs it.
-3. A gap of ownership becomes what a sink gets of any time without reads: one sample without a value for each point, at
-   its begin, with the reason `Reason.OWNERSHIP`; rules do not hold it back. It begins after the newest sample of the
-   device that has passed here, and never has the time of that sample, which it would replace. A sink that keeps gaps
-   itself (`GapSink`) gets the gap instead.
+2. A sample that is older than the last one, such as one of a collector that was away, is passed on under every rule: it
+   comes between others, and no rule can tell whether the sink needs it.
+3. A sink gets for a gap of ownership what it gets for any time without reads: one sample without a value for each
+   point, at the begin of the gap, with the reason `Reason.OWNERSHIP`; rules do not hold it back. The gap begins after
+   the newest sample of the device that has passed here, and its mark never has the time of that sample, which it would
+   replace. A sink that keeps gaps itself (`GapSink`) gets the gap instead.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -33,6 +33,7 @@ _EVERY: Final = ReportRule()
 _AFTER: Final = 1000
 """Nanoseconds from the newest sample to the begin of a gap: the finest step that all sinks can tell apart."""
 _MOST_PLACED: Final = 100_000
+"""Most begins of gaps that are remembered."""
 _Point = tuple[str, str]
 
 

@@ -7,9 +7,9 @@ Knows entries and the checks of a collector file; knows no collector.
 2. The text alone is shared, with the path of its file: device profiles that the text names must be under the same path
    on every machine of the fleet.
 3. Keys begin with ``control.``, so that a server can deny them to collectors.
-4. How long leases hold is in the entry of the zone, which the first collector makes, or an operator before. It changes
-   only while no collector runs; one that is cut off meanwhile is told by that entry, and its leases say how long they
-   hold.
+4. How long leases hold is in the entry of the zone. The first collector makes it, unless an operator has. It changes
+   only while no collector runs. One that was cut off meanwhile learns the new time from this entry; its leases say how
+   long they hold.
 """
 
 import asyncio
@@ -79,7 +79,7 @@ async def read_entries(coordinator: Coordinator, prefix: str) -> dict[str, Entry
     Waits without limit for a coordinator that does not answer.
 
     Raises:
-        ConfigError: the table can never be read, such as for want of rights.
+        ConfigError: the table can never be read, for example because rights are missing.
     """
     found: dict[str, Entry] = {}
     async with aclosing(coordinator.watch(prefix)) as entries:

@@ -282,6 +282,7 @@ class FleetCollector:
             collector=self.member.name,
             store=self.ownership.store,
             link_of=lambda: self._link_of,
+            shard_of=self.shard_of,
             epoch_of=self.ownership.epoch_of,
             revision_of=self.ownership.revision_of,
             gaps_of=self.ownership.gaps,
@@ -390,7 +391,7 @@ class FleetCollector:
         _log.info("the configuration of revision %d holds", revision)
 
     def _part_ended(self, task: asyncio.Task[None]) -> None:
-        """If a task has ended, for whatever reason, end all others: leases lapse, and other collectors take the links.
+        """If a task has ended, for any reason, end all others: leases lapse, and other collectors take the links.
 
         Called for each task that ends; only the first has an effect, and none while the collector ends in order.
         """
@@ -409,7 +410,7 @@ class FleetCollector:
     def _permit(self, link: str) -> None:
         """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now.
 
-        Else the time is remembered as that of the last transaction (`_end_of`).
+        If this collector may begin, the time is kept as that of the link's last transaction (`_end_of`).
         """
         if link not in self._active or not self.member.may_begin(
             self._shard_of[link], self._now(), self._times_of[link].transaction
@@ -565,7 +566,7 @@ class FleetCollector:
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
         """Return the times without an owner before shards were gained from owners that fell silent.
 
-        One for each of their links that has devices and of which the begin of that time is known.
+        There is one for each of their links that has devices, if it is known when that time began.
         """
         found = []
         for event in events:

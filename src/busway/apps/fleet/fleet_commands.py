@@ -6,7 +6,7 @@ its key and the wire are the collector's own. Works with nats-server 2.9.
 1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by, expires and
    role. Only the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
 2. Its key is taken as that of any write of a collector of a fleet (`key_table`).
-3. When a command of this collector ends, whatever way it came, a message about it is also sent to the stream of audit
+3. When a command of this collector ends, no matter how it came, a message about it is also sent to the stream of audit
    lines, ``busway.<zone>.audit``.
 4. A command that reached a collector as a message, for a link that another one owns, goes the same way to its owner.
 5. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the

@@ -18,6 +18,7 @@ from typing import Final
 
 from ...errors import ConfigError
 from ..collector.task_errors import first_error, log_defect
+from ..collector.time_service import seconds_since_boot
 from .coordinator import (
     SNAPSHOT_BEGINS,
     SNAPSHOT_ENDS,
@@ -35,8 +36,7 @@ _log = logging.getLogger("busway.fleet")
 
 def boot_time() -> float:
     """Return the time of the clock of leases, in seconds: never set, and running while a machine with Linux sleeps."""
-    clock = getattr(time, "CLOCK_BOOTTIME", None)
-    return time.monotonic() if clock is None else time.clock_gettime(clock)
+    return seconds_since_boot()
 
 
 async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:

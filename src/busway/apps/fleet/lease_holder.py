@@ -56,7 +56,7 @@ PATIENCE: Final = 0.4
 PATIENCE_OF_BACKUPS: Final = 3.0
 """Seconds that a pinned shard waits for its first host, where that lives."""
 CLOCK_LIMIT: Final = 5.0
-"""Seconds by which a wall clock may differ from the coordinator's. How long an answer takes is not counted as one."""
+"""Most seconds between a wall clock and the coordinator's. How long an answer takes does not count as a difference."""
 MOST_OPEN: Final = 64
 """Proposals that are open at once."""
 MOST_LEAVING: Final = 8
@@ -138,8 +138,8 @@ class _SeenMember:
     revision: int
     at: float
     ahead: float | None
-    """Seconds by which the member's wall clock was ahead of the coordinator's, less the time its change took to arrive.
-    None if the coordinator tells no time.
+    """How far the member's wall clock was ahead of the coordinator's, in seconds, less the time its change took to
+    arrive. None if the coordinator tells no time.
     """
 
 
@@ -209,10 +209,10 @@ class FleetMember:
         counts: counters of what happened to its leases.
         generation: the generation number of the zone.
         rival: the word ``run`` of another live process with the same name; None without one.
-        clock_error: seconds by which the wall clock is ahead of the coordinator's; 0 within `CLOCK_LIMIT`.
+        clock_error: how far the wall clock is ahead of the coordinator's, in seconds; 0 within `CLOCK_LIMIT`.
         behind: commits that not all sinks have; set by the driver and told to the other collectors.
-        wall_ahead: seconds by which the wall clock is ahead of the clock of leases; set by the driver, and used only to
-            date entries and to find wrong clocks.
+        wall_ahead: how far the wall clock is ahead of the clock of leases, in seconds; set by the driver, and used only
+            to date entries and to find wrong clocks.
     """
 
     def __init__(

@@ -19,8 +19,8 @@ class LeaseTimes:
     Attributes:
         ttl: seconds for which a lease holds, counted from when its last successful renewal was sent, 3…300.
         renew: seconds between two renewals, above 0 and at most a third of ``ttl``.
-        guard: seconds by which the owner stops earlier and another collector begins later, so that clocks may drift;
-            from a hundredth to a quarter of ``ttl``.
+        guard: seconds that the owner stops earlier, and another collector begins later, so that clocks may drift; from
+            a hundredth to a quarter of ``ttl``.
         answer: seconds after which the outcome of a change without an answer is unknown; at most a third of ``ttl``.
 
     Raises:
@@ -37,8 +37,12 @@ class LeaseTimes:
         """Return the times of leases that hold for ``ttl`` seconds, all others in the proportion of the defaults.
 
         Args:
-            ttl: seconds for which a lease holds.
-            guard: seconds of the guard; None for that of the proportion.
+            ttl: seconds for which a lease holds, 3…300.
+            guard: seconds of the guard, from a hundredth to a quarter of ``ttl``; None for the proportion of the
+                defaults.
+
+        Raises:
+            ConfigError: a value is out of its range.
         """
         usual = cls()
         part = ttl / usual.ttl

@@ -85,8 +85,12 @@ class _Waiting:
 class SampleStream(Protocol):
     """Interface of a message stream that takes samples from collectors, and passes them on to sinks."""
 
-    async def publish(self, message: SampleMessage) -> None:
+    async def publish(self, message: SampleMessage, shard: str) -> None:
         """Send a message with samples to the stream; when this returns, the stream has the message.
+
+        Args:
+            message: the message.
+            shard: name of the shard (group of links) of the message's link; ``none`` without a link.
 
         Raises:
             StreamDown: the stream has not acknowledged the message, but may have it.
@@ -132,6 +136,7 @@ class Outbox:
         collector: name of the collector in the messages.
         store: the word that names its store in the messages.
         link_of: returns by device the name of its link; called before each batch.
+        shard_of: returns the name of a link's shard (group of links); called for each message with a link.
         epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
         revision_of: returns the revision of the configuration with which a commit's samples were taken.
         gaps_of: returns the gaps of ownership that belong to the commits after one number up to another; called in
@@ -148,6 +153,7 @@ class Outbox:
         collector: str,
         store: str,
         link_of: Callable[[], Mapping[str, str]],
+        shard_of: Callable[[str], str],
         epoch_of: Callable[[str, int], Epoch | None],
         revision_of: Callable[[int], int] = lambda commit: 0,
         gaps_of: Callable[[int, int], Sequence[OwnershipGap]] = lambda after, last: (),
@@ -156,6 +162,7 @@ class Outbox:
         self._manifest, self._stream = manifest, stream
         self._collector, self._store = collector, store
         self._link_of, self._epoch_of, self._revision_of, self._now = link_of, epoch_of, revision_of, now
+        self._shard_of = shard_of
         self._gaps_of = gaps_of
         self._reader = CommitReader(folder, manifest)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
@@ -227,7 +234,8 @@ class Outbox:
         self._number += 1
         number = self._number
         chain = Chain(self._start, number, self._acknowledged, is_first)
-        await self._stream.publish(replace(message, chain=chain))
+        shard = self._shard_of(message.link) if message.link else "none"
+        await self._stream.publish(replace(message, chain=chain), shard)
         self._acknowledged = number
         self._published_at = self._now()
         self._messages += 1

@@ -4,9 +4,9 @@ Pure: knows no file, stream or sink.
 
 1. The new owner records a gap, from the last renewal of the lease before to the begin of its own ownership. The former
    owner may have gone on for a while after that renewal.
-2. Of a device nothing is missing before its newest sample in the gap. So that sample is the true begin, of whichever
-   owner and whenever it arrives: a later one moves the begin, an earlier one does nothing. The order in which they
-   arrive does not matter.
+2. Nothing of a device is missing before its newest sample in the gap, so the time of that sample is the true begin.
+   It may be a sample of either owner, and may arrive late: a later one moves the begin, an earlier one does nothing.
+   The order in which samples arrive does not matter.
 3. An interval without reads that an owner has recorded (`Reason.OWNERSHIP`) is no sample in this sense.
 """
 

@@ -66,7 +66,7 @@ RIGHTS: Final[dict[str, tuple[Right, ...]]] = {
             "takes, renews and releases leases, and says that it lives",
             ("$KV.busway-{zone}.lease.>", "$KV.busway-{zone}.member.>", "$KV.busway-{zone}.zone"),
         ),
-        Right("publishes samples", (_looked_up(_SAMPLES), "busway.{zone}.samples.*")),
+        Right("publishes samples", (_looked_up(_SAMPLES), "busway.{zone}.samples.>")),
         Right("publishes live values", ("busway.{zone}.live.*",)),
         Right("takes commands and answers them", (), ("busway.{zone}.command.*",), answers=True),
         Right("passes on commands by MQTT and NATS to the owner of the link", ("busway.{zone}.command.*",)),

@@ -2,8 +2,8 @@
 
 Knows streams, subjects and consumers; the protocol is nats-py's (``busway[fleet]``). Works with nats-server 2.9.
 
-1. Subjects are ``busway.<zone>.samples.<shard>``; one stream has all of them. It drops the oldest when it is full:
-   collectors still have what no sink keeps, and send it again.
+1. Subjects are ``busway.<zone>.samples.<shard>``, with the shard whose lease is that of the link; one stream has them
+   all. It drops the oldest when it is full: collectors still have what no sink keeps, and send it again.
 2. A sink is a durable consumer with explicit acknowledgement. It tells how far it is by a cursor in the coordinator's
    table, written after the sink has committed.
 3. A message that was sent and not acknowledged may be in the stream. Sent again, it has another ``Nats-Msg-Id``
@@ -197,20 +197,23 @@ class NatsStream:
     """Sends the samples of one collector into the zone's message stream, and follows which of them all sinks have.
 
     Args:
-        client: connected client of nats-py.
+        client: the NATS client of the coordinator, which tells when it has a new connection.
         zone: name of the collector's zone.
-        shard_of: returns the name of a link's shard (group of links).
         timeout: seconds to wait for the acknowledgement of a message.
     """
 
-    def __init__(self, client: Any, zone: str, shard_of: Callable[[str], str], *, timeout: float = 5.0) -> None:
-        self._client, self._zone, self._shard_of = client, zone, shard_of
+    def __init__(self, client: Any, zone: str, *, timeout: float = 5.0) -> None:
+        self._client, self._zone = client, zone
         self._jetstream = client.jetstream(timeout=timeout)
         self._cursors = CursorBook()
         self._again: asyncio.Event = client.again
 
-    async def publish(self, message: SampleMessage) -> None:
+    async def publish(self, message: SampleMessage, shard: str) -> None:
         """Send a message with samples to the stream; when this returns, the stream has the message.
+
+        Args:
+            message: the message.
+            shard: name of the shard (group of links) of the message's link, the end of the subject.
 
         Raises:
             StreamDown: the connection is lost, or no acknowledgement came; the message may be in the stream.
@@ -219,7 +222,6 @@ class NatsStream:
         self._again = self._client.again
         if not self._client.is_connected:
             raise StreamDown("the connection to the server is lost")
-        shard = self._shard_of(message.link) if message.link else "none"
         try:
             await self._jetstream.publish(
                 f"busway.{self._zone}.samples.{shard}", message.encode(), headers={"Nats-Msg-Id": message.name}

@@ -322,7 +322,10 @@ class _Makers:
         )
 
     def listener(self, place: Place, endpoint: Endpoint) -> Listener:
-        """Create a listener of the file; its invalid options are reported and left out.
+        """Create a listener of the file; what is invalid is reported, and the listener is then not fit for use.
+
+        If one of its TLS options, of its access lists or of its limits is invalid, the whole group is None. Invalid
+        options in the URL stay in it.
 
         Args:
             place: where its URL is in the file: in a ``[[listener]]`` section, or in ``listen``.

@@ -55,7 +55,12 @@ class KeptState:
 
 
 def save_state(path: str, state: KeptState) -> None:
-    """Save the state of a simulation in a file. Raises `ConfigError` on failure; then the earlier file is unchanged."""
+    """Save the state of a simulation in a file.
+
+    Raises:
+        ConfigError: the file cannot be replaced, and is as it was. If only its folder could not be synchronised to the
+            disk, it has the new state already.
+    """
     document = {
         "kind": _KIND,
         "version": _VERSION,

@@ -34,7 +34,6 @@
 Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections there may
 be, and how long each may wait: `connections`. Which tokens are valid: `page_tokens`. How an error is answered:
 `operations`. What a viewer of a collector is sent, and when: `live_values`, `collector_stream`; of a simulation:
-`simulation_stream`. In which time a viewer must take a message, and
-that its token still holds: `viewers`. What a page consists of: `application`. What a command from the page needs:
-`collector_commands`.
+`simulation_stream`. In which time a viewer must take a message, and that its token still holds: `viewers`. What a page
+consists of: `application`. What a command from the page needs: `collector_commands`.
 """

@@ -11,6 +11,7 @@ Knows HTML, files and FastAPI; knows no resource of a module, and no socket.
 
 import hashlib
 import logging
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from http import HTTPStatus
@@ -42,7 +43,7 @@ _KINDS: Final = {
 }
 """Content types by the ends of file names; the HTML files are parts of the shell and not served by themselves."""
 _PARTS: Final = ("controls", "views", "dialogs")
-"""Parts of a module's HTML file, in their order; each begins with ``<!-- NAME -->`` and stands there in the shell."""
+"""Parts of a module's HTML file, any of them or all. Each begins with ``<!-- NAME -->``, which the shell has too."""
 _HEADERS: Final = (
     (
         b"content-security-policy",
@@ -134,15 +135,16 @@ def _folder() -> Traversable:
 def _shell(names: Sequence[str]) -> str:
     """Return the HTML of a page: the shell with the views of its modules, in their order."""
     html = (_folder() / "index.html").read_text(encoding="utf-8").replace("<!-- modules -->", " ".join(names))
-    texts = [(_folder() / f"{name}.html").read_text(encoding="utf-8") for name in names]
-    for part, after in zip(_PARTS, (*_PARTS[1:], None), strict=True):
-        found = [text.partition(_mark(part))[2].partition(_mark(after) if after else "\0")[0] for text in texts]
-        html = html.replace(_mark(part), "".join(found).strip("\n"))
+    modules = [_parts_of((_folder() / f"{name}.html").read_text(encoding="utf-8")) for name in names]
+    for part in _PARTS:
+        html = html.replace(f"<!-- {part} -->", "".join(each.get(part, "") for each in modules).strip("\n"))
     return html
 
 
-def _mark(part: str) -> str:
-    return f"<!-- {part} -->"
+def _parts_of(html: str) -> dict[str, str]:
+    """Return the parts of a module's HTML file, by name."""
+    _, *found = re.split(f"<!-- ({'|'.join(_PARTS)}) -->", html)
+    return dict(zip(found[::2], found[1::2], strict=True))
 
 
 def _assets() -> Iterator[tuple[str, _File]]:

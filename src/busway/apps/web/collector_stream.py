@@ -109,6 +109,7 @@ class CollectorStream:
         self.points: list[tuple[str, str]] = _points_of(collector)
         self.values: LiveValues = self._made()
         collector.subscribe(self._committed)
+        self._begin()
         collector.commands.subscribe(self._tell_command)
 
     def __len__(self) -> int:
@@ -116,7 +117,12 @@ class CollectorStream:
 
     def _made(self) -> LiveValues:
         last = self._collector.values
-        return LiveValues(self.points, last.intervals(), last.is_behind, last.limits, reads=last.reads())
+        return LiveValues(self.points, last.is_behind, last.limits)
+
+    def _begin(self) -> None:
+        """Take over the last values of the collector; call it when `values` is told of commits: none is then missed."""
+        last = self._collector.values
+        self.values.begin(last.reads(), last.intervals())
 
     def _committed(self, commit: Commit) -> None:
         self.values.update(commit)
@@ -132,6 +138,7 @@ class CollectorStream:
             if points != self.points:
                 self.points = points
                 self.values = self._made()
+                self._begin()
                 self.revision += 1
             else:
                 self.values.set_limits(self._collector.values.limits)

@@ -19,7 +19,7 @@ import json
 import math
 import threading
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, Final
 from weakref import WeakKeyDictionary
 
@@ -50,11 +50,9 @@ class LiveValues:
 
     Args:
         points: device and name of each point, in the order of ``/api/points``.
-        intervals: by device, the latest interval in which it was not read.
         is_behind: whether commits have failed or hung for some seconds (rule 4).
         limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
         moment: returns seconds of the monotonic clock.
-        reads: what was read before, each with when it ended, seconds of the monotonic clock.
 
     Attributes:
         tick: number of the last tick; 0 before the first.
@@ -66,11 +64,9 @@ class LiveValues:
     def __init__(
         self,
         points: Sequence[tuple[str, str]],
-        intervals: Mapping[str, StateInterval] | None = None,
         is_behind: Callable[[], bool] = lambda: False,
         limits: Mapping[tuple[str, str], float] | None = None,
         moment: Callable[[], float] = time.monotonic,
-        reads: Sequence[tuple[SampleBatch, float]] = (),
     ) -> None:
         self.tick: int = 0
         self.values: list[Value | None] = [None] * len(points)
@@ -84,12 +80,12 @@ class LiveValues:
         self._held = [False] * len(points)
         self._look_at = 0.0
         self._groups: WeakKeyDictionary[PointGroup, list[int]] = WeakKeyDictionary()
-        self._waiting: dict[PointGroup, tuple[SampleBatch, float]] = {read[0].group: read for read in reads}
+        self._waiting: dict[PointGroup, tuple[SampleBatch, float]] = {}
         self._by_device: dict[str, list[int]] = {}
         for place, (device, _) in enumerate(points):
             self._by_device.setdefault(device, []).append(place)
-        self._intervals: dict[str, StateInterval] = dict(intervals or {})
-        self._unapplied: set[str] = set(self._intervals)
+        self._intervals: dict[str, StateInterval] = {}
+        self._unapplied: set[str] = set()
         self._is_behind = is_behind
         self._was_behind = False
         self._lock = threading.Lock()
@@ -102,17 +98,30 @@ class LiveValues:
         self._shortest = min(self._limits, default=math.inf)
         self._look_at = 0.0
 
+    def begin(self, reads: Iterable[tuple[SampleBatch, float]], intervals: Mapping[str, StateInterval]) -> None:
+        """Take over what was stored before the first `update`; what came with an update meanwhile stays.
+
+        Args:
+            reads: the last read of each group of points, each with when it ended, seconds of the monotonic clock.
+            intervals: by device, the latest interval in which it was not read.
+        """
+        with self._lock:
+            for batch, at in reads:
+                self._waiting.setdefault(batch.group, (batch, at))  # an older one than a point has already is ignored
+            for device, interval in intervals.items():
+                if self._intervals.setdefault(device, interval) is interval:
+                    self._unapplied.add(device)
+
     def update(self, commit: Commit) -> None:
         """Take over the samples, intervals and corrected times of a commit; the next tick makes them visible.
 
         Called by the thread of the store for each commit, once it is stored. Begins a tick itself above `MOST_WAITING`.
         """
-        now = self._moment()
         with self._lock:
             if commit.correction is not None:
                 self._mend(commit.correction)
             for batch in commit.last_values:
-                self._waiting[batch.group] = batch, now - age_of(batch, commit.at)
+                self._waiting[batch.group] = batch, commit.moment - age_of(batch, commit.at)
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each

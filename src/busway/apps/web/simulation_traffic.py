@@ -192,8 +192,8 @@ class Traffic:
     def line(self, name: str) -> "LineRecorder":
         """Return the recorder for the frames of a serial line, or of a connection with serial framing.
 
-        Called by `busway.observe.trace`. Frames of a line that is opened after `stop` are passed to the
-        capture file alone.
+        Called by `busway.observe.trace`. Frames of a line that is opened after `stop` are passed to the capture file
+        alone.
 
         Args:
             name: name of the line, shown as the peer of its frames.
@@ -282,7 +282,7 @@ class Traffic:
 
 
 class _Requests:
-    """The unanswered requests of one connection or line, by which its replies are explained and timed."""
+    """The unanswered requests of one connection or line, to explain and time its replies."""
 
     __slots__ = ("_asked",)
 

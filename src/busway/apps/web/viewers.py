@@ -1,4 +1,4 @@
-"""The WebSockets of open pages: how a viewer is accepted, served and closed, whatever the page shows.
+"""The WebSockets of open pages: how a viewer of any page is accepted, served and closed.
 
 A viewer is one open page. Knows WebSockets, the access rules and limits of time; knows no message of a page.
 
@@ -44,11 +44,11 @@ async def accept(socket: WebSocket, present: int) -> bool:
 
 
 async def converse(socket: WebSocket, sending: Coroutine[Any, Any, None], take: Callable[[str], str]) -> None:
-    """Serve the WebSocket of a viewer until it ends or sends what does not fit.
+    """Serve the WebSocket of a viewer until it ends, or a message of the viewer is refused.
 
     Args:
         socket: the accepted WebSocket.
-        sending: sends the messages to the viewer; ends by `Gone`, and is cancelled at the end.
+        sending: sends the messages to the viewer until that is `Gone`; it is cancelled at the end.
         take: called with each text from the viewer; returns why it is refused, or an empty text.
     """
     sender = asyncio.create_task(sending)

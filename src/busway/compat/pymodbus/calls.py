@@ -154,7 +154,7 @@ class ModbusClientMixin:
         return self._ask(ReadFileRecordRequest, names, records, device_id)
 
     def write_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
-        """Write parts of files, function 21."""
+        """Write parts of files, function 21; for ``names`` and the result see `ModbusClientMixin`."""
         return self._ask(WriteFileRecordRequest, names, records, device_id)
 
     # --- identification and diagnostics -------------------------------------------------------------------------------

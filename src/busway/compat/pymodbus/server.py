@@ -75,7 +75,7 @@ class ContextModel:
         self._identity = identity
 
     def _code(self, table: Table) -> int:
-        """Return the function code by which to ask the context for a table.
+        """Return the function code to pass to the context, so that it uses a table.
 
         It is that of the request, if the context has the same table for it; otherwise the code that reads the table.
         """

@@ -130,7 +130,7 @@ class ServerSection(OptionSection):
     checked_later: ClassVar[tuple[type[Any], ...]] = (ListenerParameters,)  # with the listeners
 
     preset: Annotated[
-        PresetWord, "`strict` sets each option by which a deviation ends; what contradicts it is refused."
+        PresetWord, "`strict` sets each option that ends a deviation; what contradicts it is refused."
     ] = "standard"
 
     def options(self) -> dict[str, Any]:  # of several types
@@ -266,7 +266,7 @@ class GroupSection(WholeSection):
         Args:
             path: path of the group in the unit's section.
             prefix: text before the group's name: the names of the groups around it.
-            by: number of items by which the addresses in the file are shifted, because a group around it is repeated.
+            by: number of items to add to the addresses in the file, because a group around it is repeated.
             outer: full names of points around the group, those of the nearest group first.
             around: what the groups around it add to a point.
         """

@@ -38,7 +38,10 @@ def _unchanged(value: object) -> object:
 
 @with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """Base of file sections with options of a link; options that the file leaves out have no value."""
+    """Base of file sections with options of a link; an option that the file leaves out is None.
+
+    So is one that the file sets to ``none``; only `options` tells them apart: it returns those that are set.
+    """
 
     preset: Annotated[
         LinkPresetWord | None,
@@ -55,7 +58,7 @@ class LinkSection(LinkKeys):
 
     checked_later: ClassVar[tuple[type[Any], ...]] = LINKS  # together with its scheme, where the link is put together
 
-    name: Annotated[str, Name("the name of a link"), "by which programs open it, and routes and devices name it."]
+    name: Annotated[str, Name("the name of a link"), "the name that programs, routes and devices use for it."]
     url: Annotated[Url, "the endpoint."]
 
 

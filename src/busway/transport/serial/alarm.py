@@ -27,8 +27,8 @@ _NEVER = (0, 0)
 LONGEST_LEAD: Final = 0.0001
 """Most seconds that a timer is set earlier: for so long an alarm may block its event loop."""
 _SLOWLY: Final = 1 / 16
-"""Where the timer was later than its lead (the time by which it is set earlier), the lead grows by this share of the
-difference; where it was earlier, the lead falls at once.
+"""If the timer was later than its lead (how much earlier it is set), the lead grows by this share of the difference; if
+it was earlier, the lead falls at once.
 """
 
 

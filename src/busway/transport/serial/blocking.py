@@ -36,7 +36,7 @@ class BlockingSerialPort:
     """An open serial port for blocking use by one thread at a time.
 
     Attributes:
-        port: the name by which it was opened.
+        port: the name that it was opened with.
         path: the device path of that name.
         settings: baud rate, parity and the other settings of the line.
         pseudo_terminal: whether it is a pseudo-terminal, which passes bytes on at once and not with the line's speed.

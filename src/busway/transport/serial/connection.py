@@ -34,7 +34,7 @@ class SerialConnection:
     """An open serial port, used from the event loop that opened it. Created by `open`.
 
     Attributes:
-        port: the name by which it was opened.
+        port: the name that it was opened with.
         path: the device path of that name.
         settings: baud rate, parity and the other settings of the line.
         pseudo_terminal: whether it is a pseudo-terminal, which passes bytes on at once and not with the line's speed.

@@ -31,7 +31,7 @@ class Claim:
         """Claim a serial port for one user in this process.
 
         Args:
-            port: the name by which it is opened.
+            port: the name to open it with.
             user: who uses it; the error for the next one that wants the port shows this text.
 
         Raises:

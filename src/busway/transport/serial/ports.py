@@ -35,7 +35,7 @@ class FoundPort:
     """A serial port of this machine: its path, and what is known of its USB adapter.
 
     Attributes:
-        path: the name by which to open it; where possible one that does not change (``by-id``).
+        path: the name to open it with; where possible one that does not change (``by-id``).
         device: the present name of the device: ``/dev/ttyUSB0``.
         vendor, product: USB identity, 0…65 535; None for ports that are not on USB.
         serial_number: as the device tells it; None if it does not.

@@ -29,7 +29,7 @@ _ANY_CERTIFICATE: Final = "CERTIFICATE-----"
 _BEGIN_REVOCATIONS: Final = "-----BEGIN X509 CRL-----"
 _OPENSSL_NAME: Final = {Curve.P_256: "prime256v1"}
 _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
-"""Names of the files that are read in a directory of authorities end so."""
+"""Endings of the names of those files in a directory of authorities that are read."""
 _NO_CHECK_TIME: Final = 0x20_0000
 """X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
 _LOOK_SECONDS: Final = 1.0

@@ -43,7 +43,7 @@ class TlsFailure(ConnectionError):
     """Error: a TLS connection failed; the text says why, and does not name the peer.
 
     Attributes:
-        kind: the kind by which it is counted.
+        kind: the kind under which it is counted.
     """
 
     def __init__(self, kind: FailureKind, sentence: str) -> None:

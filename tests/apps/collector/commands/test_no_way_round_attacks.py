@@ -6,18 +6,16 @@ from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import pytest
-from ruled_plant import RuledPlant
+from ruled_plant import HandedInput, RuledPlant
 from waiting import set_forward, until
 
 from busway.apps.collector.commands.claims import KeysUnavailable
 from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
 from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
 from busway.apps.collector.commands.rights import WriterRights
-from busway.apps.collector.sinks.mqtt import topic_level
 from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.pdu.read_items import ReadHoldingRegisters
@@ -206,7 +204,7 @@ async def test_a_confirmation_says_nothing_of_another_point(tmp_path: Path) -> N
 
 
 async def test_a_message_that_is_passed_on_in_a_fleet_keeps_its_role(tmp_path: Path) -> None:
-    """The owner of the link may have a newer file, by which the point needs more."""
+    """The owner of the link may have a newer file, in which the point needs a higher role."""
     passed: list[tuple[PointCommand, str]] = []
 
     class Owners:
@@ -223,12 +221,12 @@ async def test_a_message_that_is_passed_on_in_a_fleet_keeps_its_role(tmp_path: P
             return {}
 
     rights = InputRights("plant/{device}/{point}", ("*/*",), 10.0, "operate")
-    made: Any = SimpleNamespace(rights=rights, kind="mqtt", level=topic_level, join=lambda group, member: True)
-    file: Any = SimpleNamespace(devices={"boiler": SimpleNamespace(name="boiler", points=[SETPOINT])})
-    receiver = CommandReceiver("broker", made, SimpleNamespace(), lambda: file, others=Owners())  # type: ignore[arg-type]
-    await receiver.take(InputMessage("plant/boiler/setpoint", b"7"))
-    assert [role for _, role in passed] == ["operate"]
     async with commanded(tmp_path) as plant:
+        receiver = CommandReceiver(
+            "broker", HandedInput("mqtt", rights), plant.commands, lambda: plant.configuration, others=Owners()
+        )
+        await receiver.take(InputMessage("plant/boiler/setpoint", b"7"))
+        assert [role for _, role in passed] == ["operate"]
         await plant.reload([replace(SETPOINT, writing=WriteRule(6, role="configure"))])
         answer = await plant.fleet(body("setpoint", 7, key="a", role="operate"))
         assert (answer["state"], "needs the role configure" in answer["reason"]) == ("refused", True)

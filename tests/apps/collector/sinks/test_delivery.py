@@ -14,7 +14,7 @@ from waiting import until, wait_until
 
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import Reason, StateInterval
-from busway.apps.collector.sinks.delivery import ASIDE, DeliveryOptions
+from busway.apps.collector.sinks.delivery import ASIDE, Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.sink_thread import SinkThread
 from busway.apps.collector.store.committed_samples import CommittedSample
@@ -142,15 +142,25 @@ async def test_commits_that_are_old_by_a_wrong_clock_take_none_of_before_with_th
 
 
 def test_a_sink_that_is_removed_finishes_what_it_sends_so_that_its_successor_does_not_send_it_again(
-    tmp_path: Path,
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    arrived, taken = threading.Event(), list[CommittedSample]()
+    arrived, is_removed, taken = threading.Event(), asyncio.Event(), list[CommittedSample]()
+    finish = Delivery.finish
+
+    async def note_and_finish(delivery: Delivery, seconds: float) -> None:
+        is_removed.set()  # `send` goes on in a later turn of the loop: it is under way when `finish` looks
+        await finish(delivery, seconds)
+
+    monkeypatch.setattr(Delivery, "finish", note_and_finish)
 
     class Slow(RecordingSink):
+        """Sends until it is removed."""
+
         async def send(self, samples: Sequence[CommittedSample]) -> None:
             taken.extend(samples)
+            is_removed.clear()
             arrived.set()
-            await asyncio.sleep(0.2)
+            await is_removed.wait()
 
     with filled(tmp_path, 10) as writer:
         options = DeliveryOptions(age=0, most=9)

@@ -314,7 +314,7 @@ def test_last_values_that_were_not_read_again_when_due_are_held_and_uncertain_fo
         assert 'busway_point_uncertain{device="meter-7",point="load"}' not in text
     finally:
         page.close()
-    values.update(Commit(2, 0, [SampleBatch(group, 6, 0, [1.5, 2, 3], 0)], []))
+    values.update(Commit(2, 0, [SampleBatch(group, 6, 0, [1.5, 2, 3], 0)], [], moment=moment[0]))
     assert values.last("meter-7", "power") == (1.5, 0, 6)
 
 
@@ -322,7 +322,7 @@ def test_a_value_whose_commit_had_to_wait_is_held_by_the_time_of_its_read() -> N
     moment = [100.0]
     values = LastValues(limits={("meter-7", "power"): 3.0}, moment=lambda: moment[0])
     late = SampleBatch(PointGroup("meter-7", ("power",)), NOON, SECOND, [1.5])
-    values.update(Commit(1, NOON + 4 * SECOND, [late], []))
+    values.update(Commit(1, NOON + 4 * SECOND, [late], [], moment=100.0))
     assert values.last("meter-7", "power") == (1.5, 0, NOON), "its transaction ended 3 s ago"
     moment[0] += 0.1
     assert values.last("meter-7", "power") == (1.5, Reason.HELD, NOON)

@@ -103,6 +103,34 @@ async def test_a_device_that_is_gone_is_not_born_because_a_host_asks_or_the_conn
         assert plant.shown() == {"speed": (2, 192)}
 
 
+async def test_births_and_data_are_of_qos_0_and_one_more_message_of_qos_1_ends_a_batch(plant: Plant) -> None:
+    """What the standard wants; the broker answers none of them, so the answer to that message stands for all."""
+    async with plant.sink() as sink:
+        await sink.open()
+        assert plant.broker.qualities == [("NBIRTH", 0)]
+        plant.broker.qualities.clear()
+        await sink.send([plant.sample("speed", 1)])
+        await sink.send([plant.sample("speed", 2), plant.sample("level", 0.5), plant.sample("level", None, 33)])
+        assert plant.broker.qualities == [
+            ("DBIRTH", 0), ("DDATA", 0), ("plant", 1),
+            ("DBIRTH", 0), ("DDATA", 0), ("DDEATH", 0), ("plant", 1),
+        ]  # fmt: skip
+        plant.broker.qualities.clear()
+    assert plant.broker.qualities == [("NDEATH", 1)]
+
+
+async def test_a_batch_is_not_taken_before_the_broker_has_answered_the_message_after_it(plant: Plant) -> None:
+    async with plant.sink() as sink:
+        await sink.open()
+        plant.broker.is_mute = True
+        sending = asyncio.create_task(sink.send([plant.sample("speed", 1)]))
+        await turns()
+        assert plant.shown() == {"speed": (1, 192)}, "the host has it, but the broker has said nothing"
+        assert not sending.done()
+        plant.broker.answer()
+        await sending
+
+
 async def test_births_show_what_is_bad_as_bad(plant: Plant) -> None:
     async with plant.sink() as sink:
         await sink.open()

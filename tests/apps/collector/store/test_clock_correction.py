@@ -25,6 +25,7 @@ from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 SHIFT = NOON - 100 * SECOND
 """The clock was set at `NOON`, when it showed 100 s after 1970."""
+CORRECTION = ClockCorrection(SHIFT)
 
 
 def early(second: float, *, is_right: bool = False) -> SampleBatch:
@@ -66,7 +67,7 @@ def voltages(folder: Path) -> list[tuple[int, object, int]]:
 
 def test_nothing_waits_for_a_segment_that_is_being_sealed(tmp_path: Path) -> None:
     writer = written(tmp_path)
-    writer.begin_mending(SHIFT)
+    writer.begin_mending(CORRECTION)
     found: list[bool] = []
     with writer._files:
         thread = threading.Thread(target=lambda: found.append(writer.mend_next()), daemon=True)
@@ -80,7 +81,7 @@ def test_nothing_waits_for_a_segment_that_is_being_sealed(tmp_path: Path) -> Non
 
 def test_what_was_mended_is_durable_before_it_is_noted_as_done(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     writer = written(tmp_path)
-    writer.begin_mending(SHIFT)
+    writer.begin_mending(CORRECTION)
     assert writer._segment is not None
     order: list[str] = []
     monkeypatch.setattr(Segment, "mend", lambda segment, correction: order.append("mended"))
@@ -95,7 +96,7 @@ def test_what_was_mended_is_durable_before_it_is_noted_as_done(tmp_path: Path, m
 def test_times_move_by_the_difference_and_are_good(tmp_path: Path) -> None:
     with written(tmp_path) as writer:
         assert voltages(tmp_path)[0] == (11 * SECOND, 11, Reason.CLOCK)
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         assert voltages(tmp_path) == wanted()
         assert set(Store(tmp_path).read("meter-7/current").reason) == {Reason.TIMEOUT, Reason.SUSPENDED}
@@ -110,7 +111,7 @@ def test_a_crash_while_samples_are_mended_is_made_good_at_the_next_start(tmp_pat
     for segments in range(4):
         folder = tmp_path / str(segments)
         with written(folder) as writer:
-            writer.begin_mending(SHIFT)
+            writer.begin_mending(CORRECTION)
             for _ in range(segments):
                 assert writer.mend_next()
         StoreWriter(folder, now=at(500)).close(at(500))
@@ -125,7 +126,7 @@ def test_nothing_is_sealed_or_dropped_for_its_age_before_it_is_mended(tmp_path: 
     with written(tmp_path, options) as writer:
         assert writer.apply_retention(at(1)) == []
         assert writer.seal_closed() == 0
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         assert writer.seal_closed() == 3
         assert voltages(tmp_path) == wanted()
@@ -134,7 +135,7 @@ def test_nothing_is_sealed_or_dropped_for_its_age_before_it_is_mended(tmp_path: 
 def test_the_gap_before_a_start_without_the_time_ends_where_that_start_was(tmp_path: Path) -> None:
     StoreWriter(tmp_path, now=NOON - 5000 * SECOND).close(NOON - 4000 * SECOND)
     with written(tmp_path) as writer:
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         (gap,) = Store(tmp_path).read().gaps
         assert (gap.begin, gap.end) == (NOON - 5000 * SECOND, SHIFT + 10 * SECOND)
@@ -145,7 +146,7 @@ def test_samples_of_an_earlier_process_stay_as_they_are(tmp_path: Path) -> None:
     first.commit([early(5)], [], 5 * SECOND)
     first.close(6 * SECOND)
     with written(tmp_path) as writer:
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         assert voltages(tmp_path) == [(5 * SECOND, 5, Reason.CLOCK), *wanted()]
 
@@ -175,7 +176,7 @@ def test_segments_without_samples_are_mended_too(tmp_path: Path) -> None:
         writer.commit([], [], 51 * SECOND, [raised])
         writer.roll()
         assert writer.seal_closed() == 0
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         assert [each.at for each in Store(tmp_path).alarms()] == [SHIFT + 50 * SECOND]
         mended = [(each.begin, each.end) for each in Store(tmp_path).read("meter-7").intervals]
@@ -190,7 +191,7 @@ def test_an_interval_that_an_earlier_process_left_open_is_not_moved_by_the_clock
     first.commit([early(5)], [StateInterval("meter-7", 7 * SECOND, None, reason)], 8 * SECOND)
     first.close(9 * SECOND)
     with written(tmp_path) as writer:
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         left = [each for each in Store(tmp_path).read("meter-7").intervals if each.begin == 7 * SECOND]
         assert [(each.begin, each.end) for each in left] == [(7 * SECOND, 8 * SECOND)], "it ended when that process did"
@@ -200,7 +201,7 @@ def test_an_interval_that_an_earlier_process_left_open_is_not_moved_by_the_clock
 def test_maintenance_that_was_noted_without_the_time_moves_with_the_samples_or_begins_anew(tmp_path: Path) -> None:
     with StoreWriter(tmp_path, now=10 * SECOND) as writer:
         writer.manifest.begin_maintenance(MaintenanceRow("meter-7", 20 * SECOND, "anna", "new sensor"))
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         assert [row.begin for row in writer.manifest.maintenance()] == [SHIFT + 20 * SECOND]
         mend(writer)
         writer.manifest.begin_maintenance(MaintenanceRow("pump-1", 30 * SECOND, "anna", "new seal"))
@@ -253,7 +254,7 @@ async def test_a_sink_gets_them_once_with_their_right_time(tmp_path: Path) -> No
         for waits[0] in (0.0, 300.0, CLOCK_WAIT - 1):
             assert await delivery.step() is False
         assert sink.taken == []
-        writer.begin_mending(SHIFT)
+        writer.begin_mending(CORRECTION)
         mend(writer)
         await run_until(delivery, lambda: voltage_times(sink) == [time for time, _, _ in wanted()])
         assert delivery.status().lost == 0

@@ -11,6 +11,7 @@ from waiting import wait_until
 
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
+from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store import commit_thread
 from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, SYNC, Committer
 from busway.apps.collector.store.committed_samples import CommitReader
@@ -105,6 +106,29 @@ def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
     committer.close()
     assert len(Store(tmp_path).read("meter-7/voltage")) == 1
     assert "in an unexpected way" in caplog.text
+
+
+def test_a_commit_tells_the_moment_before_the_disk_made_it_wait(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    moment, told = [100.0], list[Commit]()
+    writer = StoreWriter(tmp_path, now=NOON)
+    commit_really = writer.commit
+
+    def commit(*arguments: Any) -> Commit:  # Any: those of `StoreWriter.commit`
+        moment[0] += 4.0
+        return commit_really(*arguments)
+
+    monkeypatch.setattr(writer, "commit", commit)
+    committer = Committer(writer, now=lambda: at(100), interval=0.0, clock=lambda: moment[0])
+    values = LastValues(limits={("meter-7", "voltage"): 3.0}, moment=lambda: moment[0])
+    committer.subscribe(values.update)
+    committer.subscribe(told.append)
+    committer.add(meter_read(100))
+    assert committer.flush()
+    committer.close()
+    assert [(each.at, each.moment) for each in told] == [(at(100), 100.0)]
+    assert values.last("meter-7", "voltage") == (230.0, Reason.HELD, at(100)), "the disk took longer than the limit"
 
 
 @pytest.mark.parametrize("what", ["samples", "interval"])

@@ -1,5 +1,6 @@
 """A store is written and read again: keys, kinds of values, segments, late rows, names, gaps, retention, the lock."""
 
+import contextlib
 import errno
 import math
 import os
@@ -97,6 +98,31 @@ def test_commit_numbers_rise_also_over_a_start(tmp_path: Path) -> None:
     writer.close(at(6))
     with StoreWriter(tmp_path, now=at(7)) as again:
         assert again.commit([], [], at(8)).number > last
+
+
+def test_samples_of_a_segment_are_in_the_order_of_time_and_then_of_the_point(tmp_path: Path) -> None:
+    """By point first, SQLite writes an eighth as many: each commit touches a page of each point."""
+    names = ("c", "a", "b")
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        for number in (3, 1, 2):
+            writer.commit([read_of(PointGroup("d", names), number, 1, 2, 3)], [], at(number))
+        assert writer._segment is not None
+        with contextlib.closing(sqlite3.connect(writer._segment.path)) as database:
+            columns = database.execute("SELECT name FROM pragma_table_info('samples') WHERE pk ORDER BY pk").fetchall()
+            stored = database.execute("SELECT time, point FROM samples NOT INDEXED").fetchall()
+    assert columns == [("time",), ("point",)]
+    assert len(stored) == 9
+    assert stored == sorted(stored), "the table is its own index: what is scanned lies in this order"
+
+
+def test_a_segment_ends_above_256_mb_where_no_other_size_is_given(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        for number, size in enumerate((0, 256 * 1024 * 1024, 256 * 1024 * 1024 + 1)):
+            monkeypatch.setattr(segment, "size_of", lambda path, size=size: size)
+            writer.commit([read_of(PUMP, number, 10)], [], at(number))
+            assert kinds(writer) == (["open"] if number < 2 else ["closed", "open"])
 
 
 @pytest.mark.parametrize("sealed", [False, True])

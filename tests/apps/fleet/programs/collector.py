@@ -127,7 +127,7 @@ class Worker:
             await make_stream(
                 inner.client, settings["zone"], StreamOptions(replicas=settings["options"].get("replicas", 1))
             )  # type: ignore[attr-defined]
-            stream = NatsStream(inner.client, settings["zone"], lambda link: "all", timeout=2.0)  # type: ignore[attr-defined]
+            stream = NatsStream(inner.client, settings["zone"], timeout=2.0)  # type: ignore[attr-defined]
             tasks.append(asyncio.create_task(stream.watch_cursors(coordinator)))
         fleet = FleetCollector(
             load_collector(settings["file"]),

@@ -184,7 +184,9 @@ class CollectorAlarms:
         self._tell(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]], moved: Mapping[PointKey, str] | None = None) -> None:
-        """Continue with the alarm limits of a configuration that was read again.
+        """Continue with the alarm limits of a configuration that was read again; alarms that remain keep their state.
+
+        An active or unacknowledged alarm whose limit is gone ends with an event `AlarmEventKind.REMOVED`.
 
         Args:
             devices: the points of each device.

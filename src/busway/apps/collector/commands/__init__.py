@@ -20,9 +20,9 @@
 ===============  =======================================================================================================
 
 Where it is decided: whether a writer may write a point: `rights`. Which points the commands of one server may write,
-and whether a message came too late: `inputs`.
-Whether a command was given before (also before a crash), and what it gets then: `journal`, in a fleet `claims` too. The
-order of check, record, write and report: `runner`. Which values a point takes, and whether the device shows them
-afterwards: `point_write`. How many messages wait at once: `message_tasks`. What the audit log says: `audit`.
-Which collector of a fleet executes and answers a message: `inputs`, by what `other_owners` says.
+and whether a message came too late: `inputs`. Whether a command was given before (also before a crash), and what it
+gets then: `journal`, in a fleet `claims` too. The order of check, record, write and report: `runner`. Which values a
+point takes, and whether the device shows them afterwards: `point_write`. How many messages wait at once:
+`message_tasks`. What the audit log says: `audit`. Which collector of a fleet executes and answers a message: `inputs`,
+by what `other_owners` says.
 """

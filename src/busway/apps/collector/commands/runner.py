@@ -62,6 +62,7 @@ MOST_OPEN_IN_ALL: Final = 1000
 MOST_ARMED: Final = 256
 ARMED_SECONDS: Final = 60.0
 """How long an armed command waits to be confirmed."""
+_NOT_ARMED: Final = "there is no command with this key; arm it anew"
 SHOWN_AFTER: Final = (0.0, 0.5, 2.0)
 """Seconds before each of the reads that look whether the device shows the value."""
 
@@ -368,7 +369,9 @@ class CommandRunner:
                 was begun anew since, so that the point may be another. Nothing was sent.
             OSError: the journal cannot be read; nothing was sent.
         """
-        armed = self._armed.get(key) if is_key(key) else None
+        if not is_key(key):
+            raise NoSuchCommand(_NOT_ARMED)
+        armed = self._armed.get(key)
         if armed is not None:
             command = armed.command
             if command.by != by:
@@ -381,13 +384,13 @@ class CommandRunner:
                 raise InvalidRequest(_begun_anew(command))
             left = min(seconds, armed.until - self._moment())
             return await self._submit(command, replace(rights, has_armed=True), left, armed.poller)
-        running = self._running.get(key) if is_key(key) else None
+        running = self._running.get(key)
         if running is not None:
             _check_place(running.command, point)
             return await asyncio.shield(running.task)
-        found = await self._in_thread(self._journal.find, key) if is_key(key) else None
+        found = await self._in_thread(self._journal.find, key)
         if found is None:
-            raise NoSuchCommand("there is no command with this key; arm it anew")
+            raise NoSuchCommand(_NOT_ARMED)
         _check_place(found.command, point)
         return self._unrecorded.get(key, found)
 

@@ -21,10 +21,10 @@
 ===================  ===================================================================================================
 
 Where it is decided: what is sent to a sink, in what order, again or never: `delivery`. When a sink that is down is
-tried again, and how long samples wait for it: `delivery` (`Delivery.run`, `Delivery._drop_old`); `sink_thread` begins a
-delivery again only after an unexpected error. Whether an error means "later" or "refused for good": the file of the
-sink, by the errors of `interface`. By which key a receiver knows a sample that comes twice: `documents`. Secrets, TLS
-and options: `options`; what an error of a server may show: `hidden_secrets`. Which points there are after a file was
-read again: `delivery`. Topics and subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point:
-`home_assistant`.
+tried again, and how long samples wait for it: `delivery` (`Delivery.run`, `Delivery._drop_old`); after an unexpected
+error `sink_thread` runs a delivery again. Which sinks begin and end with a file that was read again:
+`busway.apps.collector.connected_systems`; which points there are then: `delivery`. Whether an error means "later" or
+"refused for good": the file of the sink, by the errors of `interface`. Which key a sample has when it comes twice:
+`documents`. Secrets, TLS and options: `options`; what an error of a server may show: `hidden_secrets`. Topics and
+subjects: `mqtt`, `nats`, `sparkplug`. What Home Assistant makes of a point: `home_assistant`.
 """

@@ -95,7 +95,7 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def sample_key(sample: CommittedSample) -> str:
-    """Return a key that only this sample has, by which a receiver recognises a repeated sample."""
+    """Return a key that only this sample has, so that a receiver recognises a repeated sample."""
     return f"{sample.commit}-{sample.device}/{sample.point}-{_digest(sample_document(sample))}"
 
 

@@ -123,7 +123,7 @@ class TopicSink(Protocol):
     """Interface of a sink that replaces some characters of names in topics, so that two names may become one."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names by which the receiver knows a device and a point.
+        """Return the names that the receiver uses for a device and a point.
 
         Returns:
             The name of the device, and the name of the point within the device. The receiver could not tell two points

@@ -12,7 +12,7 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
    overloaded or waits for a reply, or polling has ended by a defect. It was read when its transaction ended, however
    long its commit had to wait.
 6. A point that is no longer in the configuration has no last value.
-7. When the clock is set, last values of before move with the samples of the store, so that later ones replace them.
+7. When the clock is set, earlier last values move with the samples of the store, so that later ones replace them.
 """
 
 import math
@@ -80,9 +80,8 @@ class LastValues:
     def update(self, commit: Commit) -> None:
         """Take over the samples of a commit that the store has just made, and its intervals, skipped rounds apart.
 
-        If the commit corrects times of before, those of the known samples and intervals are corrected too (rule 7).
+        If the commit corrects earlier times, those of the known samples and intervals are corrected too (rule 7).
         """
-        now = self._moment()
         with self._lock:
             correction = commit.correction
             if correction is not None:
@@ -90,7 +89,7 @@ class LastValues:
                 self._intervals = {name: mended_interval(each, correction) for name, each in self._intervals.items()}
             for batch in commit.last_values:
                 self._batches[batch.group] = batch
-                self._taken_at[batch.group] = now - age_of(batch, commit.at)
+                self._taken_at[batch.group] = commit.moment - age_of(batch, commit.at)
             for each in commit.intervals:
                 if isinstance(each, StateInterval) and each.reason != Reason.SKIPPED:
                     self._intervals[each.device] = each

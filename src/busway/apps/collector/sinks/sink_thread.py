@@ -25,6 +25,15 @@ FINISH: Final = 2.0
 _log = logging.getLogger("busway.sinks")
 
 
+@dataclass(slots=True, eq=False)
+class _RunningSink:
+    """A sink with the delivery to it, and the task of that; None until the task has begun."""
+
+    sink: Sink
+    delivery: Delivery
+    task: asyncio.Task[None] | None = None
+
+
 class SinkThread:
     """The thread that sends the samples of a store to all its sinks, from its creation until `close`.
 
@@ -51,7 +60,7 @@ class SinkThread:
             sqlite3.Error: the manifest cannot be written.
         """
         for name in sinks:
-            check_name(name)
+            _check_name(name)
         self._writer, self._rules, self._points = writer, point_rules or {}, points
         self._running: dict[str, _RunningSink] = {}
         self._loop = asyncio.new_event_loop()
@@ -76,7 +85,7 @@ class SinkThread:
             ConfigError: the name is empty or has a character that a file's name cannot have.
             sqlite3.Error: the manifest cannot be written; nothing has begun.
         """
-        check_name(name)
+        _check_name(name)
         if self._points is not None and isinstance(sink, DescribedSink):
             sink.describe(self._points)
         writer = self._writer
@@ -132,7 +141,7 @@ class SinkThread:
 
     # In the thread.
 
-    def _begin(self, running: "_RunningSink") -> None:
+    def _begin(self, running: _RunningSink) -> None:
         running.task = asyncio.create_task(_guarded(running.delivery))
 
     def _run(self) -> None:
@@ -145,16 +154,7 @@ class SinkThread:
         await asyncio.gather(*(_end(each) for each in list(self._running.values())))
 
 
-@dataclass(slots=True, eq=False)
-class _RunningSink:
-    """A sink with the delivery to it, and the task of that; None until the task has begun."""
-
-    sink: Sink
-    delivery: Delivery
-    task: "asyncio.Task[None] | None" = None
-
-
-def check_name(name: str) -> None:
+def _check_name(name: str) -> None:
     """Raise `ConfigError` for a name that no sink can have: it is part of the name of a file."""
     if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
         raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")

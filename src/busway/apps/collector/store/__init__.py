@@ -27,9 +27,8 @@
 ====================  ==========================================================================================
 
 Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
-Which samples are kept: `kept_samples`. What
-is deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which
-samples get another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start
-by `recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
-store: `busway.apps.collector.commands.journal`.
+Which samples are kept: `kept_samples`. What is deleted: `retention`. When a commit is made, and what is dropped when
+the disk is full: `commit_thread`. Which samples get another time when the clock is set: `clock_correction`. What a
+crash leaves is put right at the next start by `recovery`; a half-written commit is undone by SQLite itself. Whether a
+command was sent before the crash is not in a store: `busway.apps.collector.commands.journal`.
 """

@@ -97,9 +97,9 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
 
 def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
-    """Return the positions in ``journal`` of all events since the last raising of each alarm that needs attention.
+    """Return the positions in ``journal`` of the events that explain the alarms active or not acknowledged at its end.
 
-    These are the alarms that are active or not acknowledged.
+    For each of these alarms they are its last raising and its own later events.
     """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     places: dict[AlarmKey, list[int]] = {}

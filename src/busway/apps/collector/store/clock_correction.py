@@ -81,7 +81,7 @@ def mend_segment(database: sqlite3.Connection, correction: CommitCorrection) -> 
             moved = database.execute(f"UPDATE samples SET time = -1 - time, {good} WHERE {here}", known).rowcount
             database.execute("UPDATE OR REPLACE samples SET time = -1 - time + :shift WHERE time < 0", known)
         columns = ", ".join(f"{name} = {_MOVED.format(name)}" for name in ("begin", '"end"'))
-        database.execute(  # the first commit has times of an earlier process too, by the clock of then
+        database.execute(  # the first commit has times of an earlier process too, by its clock
             f"UPDATE intervals SET {columns} WHERE {_OF_CLOCK} AND (commit_number > :first OR {_OWN_GAP})",
             known,
         )

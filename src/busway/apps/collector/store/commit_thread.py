@@ -86,13 +86,14 @@ class _Correction:
     Attributes:
         clock: the correction.
         before: how many batches, of all ever queued, were queued before it.
-        others: the identities of the intervals and alarm events that were queued before it and are not stored.
+        others: the intervals and alarm events that were queued before it and are not stored, by identity. They are kept
+            although the queue may drop them: a later one could get the identity of one that is gone.
         last: the number of the last commit with times to be corrected; None while such times are queued.
     """
 
     clock: ClockCorrection
     before: int
-    others: set[int]
+    others: dict[int, StateInterval | Gap | AlarmEvent]
     last: int | None = None
 
 
@@ -123,7 +124,8 @@ class Committer:
             most_waiting: values that wait at most while the store cannot be written; beyond it the oldest are dropped.
             retry: seconds between two attempts while the store cannot be written.
             rules: report rules of points of which not every sample is kept; None if every sample is.
-            clock: returns seconds of the monotonic clock, for `is_behind` and for when the log is synced.
+            clock: returns seconds of the monotonic clock, for `is_behind`, for when the log is synced, and for
+                `Commit.moment`.
         """
         self.writer = writer
         self._kept = KeptSamples(rules)
@@ -289,7 +291,7 @@ class Committer:
         stored, in commits without later samples. What is added from now on has the right time.
         """
         with self._changed:
-            others = {id(each) for each in self._intervals} | {id(each) for _, each in self._alarms}
+            others = {id(each): each for each in (*self._intervals, *(each for _, each in self._alarms))}
             self._correction = _Correction(correction, self._taken + len(self._batches), others)
             self._note_corrected(self.writer.newest_commit)
             self._changed.notify_all()
@@ -304,7 +306,7 @@ class Committer:
         if correction is None or correction.last is not None or self._committing or correction.before > self._taken:
             return
         queued = (*map(id, self._intervals), *(id(each) for _, each in self._alarms))
-        if correction.others.isdisjoint(queued):
+        if correction.others.keys().isdisjoint(queued):
             correction.last = newest
             self._untold = correction.clock
 
@@ -457,7 +459,8 @@ class Committer:
             self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False
             if self._correction is not None:
-                self._correction.others -= {*map(id, intervals), *(id(each) for _, each in alarms)}
+                for stored in (*intervals, *(each for _, each in alarms)):
+                    self._correction.others.pop(id(stored), None)
             self._note_corrected(commit.number)
             self._changed.notify_all()
         return True
@@ -472,12 +475,14 @@ class Committer:
         """
         choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
         is_empty = not (choice.batches or choice.counters or told or alarms)
+        at, moment = self._now(), self._clock()  # together, and before the disk makes this thread wait
         if is_empty and batches and self._error is None and now - self._committed_at < ALIVE:
-            return Commit(self._number, self._now(), [], [], [], choice.shown), choice.passed_over
-        commit = self.writer.commit(choice.batches, told, self._now(), alarms, choice.counters)
+            return Commit(self._number, at, [], [], [], choice.shown, moment=moment), choice.passed_over
+        commit = self.writer.commit(choice.batches, told, at, alarms, choice.counters)
         self._kept.committed(choice)
         self._number, self._committed_at = commit.number, now
-        return replace(commit, shown=choice.shown) if choice.passed_over else commit, choice.passed_over
+        shown = choice.shown if choice.passed_over else None
+        return replace(commit, shown=shown, moment=moment), choice.passed_over
 
     def _seconds_to_sync(self) -> float:
         """Return the seconds until the log has to be synced (rule 5); infinite if nothing was committed since."""
@@ -525,7 +530,7 @@ class Committer:
             if gap is not None:
                 self._note_loss(gap)
             if self._correction is not None and self._correction.last is None:
-                self._correction.others |= {*map(id, intervals), *(id(each) for _, each in alarms)}
+                self._correction.others.update((id(each), each) for each in (*intervals, *(each for _, each in alarms)))
             if self._error is None:
                 _log.error("the store %s cannot be written: %s; samples wait in memory", self.writer.folder, error)
             self._error = error

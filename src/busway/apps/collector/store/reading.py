@@ -352,7 +352,7 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
 
 
 def runs_of(pieces: Iterator[TimePiece], most: int) -> Iterator[TimePiece]:
-    """Yield pieces, with those put together to runs that follow one another and have one sealed part each.
+    """Yield pieces; neighbours with one sealed part each are joined to runs.
 
     Args:
         pieces: pieces of a period, in order.

@@ -76,6 +76,8 @@ class Commit:
         shown: all reads of the commit, to show last values; None if ``batches`` has them all. In place of a sample that
             the report rules do not keep, a read has the last kept sample of the point.
         correction: the correction of all times in commits before this one, since the start; None for no correction.
+        moment: seconds of the monotonic clock at ``at``, before the store was written, so that the age of a read counts
+            from its end however long the disk took and however the clock was set meanwhile.
     """
 
     number: int
@@ -85,6 +87,7 @@ class Commit:
     alarms: Sequence[AlarmEvent] = ()
     shown: Sequence[SampleBatch] | None = None
     correction: ClockCorrection | None = None
+    moment: float = 0.0
 
     @property
     def last_values(self) -> Sequence[SampleBatch]:
@@ -234,14 +237,13 @@ class StoreWriter:
         self._step("after-commit")
         return Commit(number, now, batches, intervals, alarms)
 
-    def begin_mending(self, clock: ClockCorrection | int, last: int = EVERY) -> None:
+    def begin_mending(self, clock: ClockCorrection, last: int = EVERY) -> None:
         """Record that times stored since this start before the clock was right are to be corrected by `mend_next`.
 
         Args:
-            clock: the correction; a number of nanoseconds for the times before `EARLIEST`.
+            clock: the correction.
             last: the number of the last commit that has such times.
         """
-        clock = ClockCorrection(clock) if isinstance(clock, int) else clock
         self.manifest.begin_mending(CommitCorrection(self._first, last, clock))
 
     def mend_next(self) -> bool:

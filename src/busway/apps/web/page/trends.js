@@ -174,16 +174,17 @@ export class Trends {
       height: Math.max(place.clientHeight - 40, 160),
       scales: { x: { time: true } },
       axes: [
-        { ...axis(), values: (_, moments) => moments.map(clockSeconds), space: 80 },
-        ...measures.slice(0, most).map((measure, at) => ({
-          ...axis(),
-          scale: `y-${measure}`,
-          label: measure || (measures.length > 1 ? "no unit" : undefined),
-          labelSize: AXIS - TICKS,
-          size: TICKS + spare,
-          side: at ? 1 : 3,
-          ...(at && { grid: { show: false } }),
-        })),
+        axis({ values: (_, moments) => moments.map(clockSeconds), space: 80 }),
+        ...measures.slice(0, most).map((measure, at) =>
+          axis({
+            scale: `y-${measure}`,
+            label: measure || (measures.length > 1 ? "no unit" : undefined),
+            labelSize: AXIS - TICKS,
+            size: TICKS + spare,
+            side: at ? 1 : 3,
+            ...(at && { grid: { show: false } }),
+          }),
+        ),
       ],
       series: [
         { label: "Time", value: (_, moment) => (moment === null ? "–" : clockSeconds(moment)) },
