@@ -400,6 +400,47 @@ async def test_a_shard_that_is_gone_again_before_it_was_polled_leaves_the_gap_be
         assert second.end is None
 
 
+async def test_a_shard_that_is_gone_again_while_another_one_ends_leaves_the_gap_before_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its end comes with later events, when its begin was not looked at yet."""
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    renewed = time.time() - 100.0
+    for shard in range(LINKS):
+        lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=renewed)
+        await coordinator.create(f"lease.{shard:04d}", lease.encode())
+    await coordinator.close()
+    honest = FleetCollector._apply, FleetCollector._record_ends
+    brief: list[ShardEvent] = []
+
+    async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
+        if not brief:
+            brief.extend(event for event in events if event.step is Step.GAINED)
+            events = [ShardEvent("other", Step.LOST, Epoch(1, 1)), *events] if brief else events
+        await honest[0](one, events)
+
+    async def record_ends(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
+        await honest[1](one, events)
+        for event in brief:
+            if event.shard in one.member.owned and events[0].shard == "other":
+                one.member._lose(event.shard, "it could not be renewed in time")
+        for event in one.member.events():
+            one._told(event)
+
+    monkeypatch.setattr(FleetCollector, "_apply", apply)
+    monkeypatch.setattr(FleetCollector, "_record_ends", record_ends)
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3, 60)
+        await one.collector.flush()
+        found = one.ownership.gaps(0, one.collector.newest_commit)
+        assert found[0].epoch == brief[0].epoch
+        assert found[0].begin == pytest.approx(renewed * 1e9, abs=2e6)
+        first, second = one.ownership.all()
+        assert (first.epoch, second.epoch) == (brief[0].epoch, one._active["link-0"])
+        assert first.end is not None
+        assert second.end is None
+
+
 async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devices(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -517,7 +517,10 @@ class FleetCollector:
                 if event.step is Step.LEAVE:
                     self._release(event.shard, event.epoch)
             self._driver.wake()
-        gained = [event for event in events if self._is_owned(event)]
+        # Also those that have ended since these events were taken: who takes them next does not know of the gap either.
+        gained = [
+            event for event in events if event.step is Step.GAINED and event not in brief and self._is_next(event)
+        ]
         if gained:
             await self.collector.flush()
             await self._begin(gained)
@@ -528,6 +531,11 @@ class FleetCollector:
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
         return event.step is Step.GAINED and is_kept
+
+    def _is_next(self, event: ShardEvent) -> bool:
+        """Whether no later epoch of a shard is recorded than that of an event: epochs are recorded in their order."""
+        begun = self._begun.get(event.shard)
+        return begun is None or event.epoch >= begun
 
     def _owned_by(self, events: Iterable[ShardEvent]) -> list[tuple[str, Epoch]]:
         return [(link, event.epoch) for event in events for link in self._links_of.get(event.shard, ())]
@@ -542,9 +550,9 @@ class FleetCollector:
             _log.error("the end of shards %s cannot be recorded: %s", shards, error)
 
     async def _begin(self, events: Sequence[ShardEvent]) -> None:
-        """Begin to poll the links of gained shards once their epochs are recorded.
+        """Record epochs of gained shards with the gaps before them, then begin to poll the links of those still owned.
 
-        An error of the record is logged; it is tried again while the shards are owned.
+        The others are recorded as ended. An error of the record is logged, and it is tried again.
         """
         rows, commit, now = self._owned_by(events), self.collector.newest_commit, time.time_ns()
         gaps = self._gaps_before(events, commit, now)
@@ -562,6 +570,10 @@ class FleetCollector:
             if self._is_owned(event):  # it may have been lost meanwhile
                 self._activate(links, event.epoch)
             self._note_silence(links, event.silent_since)
+        gone = [replace(event, silent_since=None) for event in events if not self._is_owned(event)]
+        if gone:
+            self._note_ends(gone)
+            await self._record_ends(gone)
 
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
         """Return the times without an owner before shards were gained from owners that fell silent.
