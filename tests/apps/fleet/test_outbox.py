@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from waiting import until
 
+from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import PointGroup, SampleBatch
+from busway.apps.collector.sinks.delivery import CLOCK_WAIT
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
@@ -88,6 +90,38 @@ class Sending:
             for device in devices
         ]
         return self.writer.commit(batches, [], NOW + self.rows * 10**9).number
+
+
+async def test_samples_from_before_the_clock_was_set_are_sent_once_with_their_right_time(tmp_path: Path) -> None:
+    def early(second: int) -> SampleBatch:
+        return SampleBatch(PointGroup("meter", ("power",)), second * 10**9, 5, (float(second),))
+
+    sending = Sending(tmp_path / "mended")
+    sending.writer.close(NOW)
+    with StoreWriter(tmp_path / "mended", now=60 * 10**9) as sending.writer:
+        sending.outbox = sending.opened()
+        for second in (61, 62):
+            sending.writer.commit([early(second)], [], second * 10**9)
+        for sending.time in (0.0, 1.0, CLOCK_WAIT):
+            assert not await sending.outbox.step()
+            assert sending.stream.commits() == []
+        sending.writer.begin_mending(ClockCorrection(NOW), sending.writer.newest_commit)
+        while sending.writer.mend_next():
+            pass
+        await sending.outbox.step()
+        times = [each.time for message in sending.stream.messages for each in message.samples]
+        assert times == [NOW + 61 * 10**9, NOW + 62 * 10**9]
+    sending = Sending(tmp_path / "never")
+    sending.writer.close(NOW)
+    with StoreWriter(tmp_path / "never", now=60 * 10**9) as sending.writer:
+        sending.outbox = sending.opened()
+        sending.writer.commit([early(61)], [], 61 * 10**9)
+        for _ in range(2):  # the gap since the end of the store comes first
+            await sending.outbox.step()
+        assert sending.stream.commits() == []
+        sending.time += CLOCK_WAIT
+        await sending.outbox.step()
+        assert len(sending.stream.commits()) == 1, "it does not wait for ever"
 
 
 async def test_commits_are_sent_once_by_link_and_epoch(tmp_path: Path) -> None:

@@ -20,6 +20,8 @@ Knows commits and cursors; `streams` knows the engine.
    store, no sink gets it, and the status counts it.
 9. What a commit has of a link is in one message. If it is too long for one, it begins a message, and is cut at the same
    places whenever it is sent again: sinks make a document with a key of what a commit has of a device.
+10. Samples from before the wall clock was set wait until they are mended, as they do for a sink beside the store
+    (`ClockWait`): sent before, they would have another time when they are sent again.
 """
 
 import asyncio
@@ -32,6 +34,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from ...errors import ModbusError
+from ..collector.sinks.delivery import ClockWait
 from ..collector.store.committed_samples import CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
 from .lease_times import Epoch
@@ -165,6 +168,7 @@ class Outbox:
         self._shard_of = shard_of
         self._gaps_of = gaps_of
         self._reader = CommitReader(folder, manifest)
+        self._clock = ClockWait(now)
         self._kept, self._lost = manifest.cursors().get(OUTBOX, (0, 0))
         manifest.set_cursor(OUTBOX, self._kept, self._lost)
         self._sent = self._kept
@@ -218,7 +222,7 @@ class Outbox:
         """
         await self._take_kept()
         found = await asyncio.to_thread(self._reader.read, self._sent, MOST)
-        if found is None:
+        if found is None or self._clock.must_wait(found):
             await self._tell_complete()
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.

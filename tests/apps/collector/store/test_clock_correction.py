@@ -250,7 +250,7 @@ async def test_a_sink_gets_them_once_with_their_right_time(tmp_path: Path) -> No
     with written(tmp_path) as writer:
         sink, waits = RecordingSink(), [0.0]
         delivery = delivery_to(sink, writer)
-        delivery._monotonic = lambda: waits[0]
+        delivery._clock._now = lambda: waits[0]
         for waits[0] in (0.0, 300.0, CLOCK_WAIT - 1):
             assert await delivery.step() is False
         assert sink.taken == []
@@ -264,7 +264,7 @@ async def test_a_sink_does_not_wait_for_ever_where_nobody_sets_the_clock(tmp_pat
     with written(tmp_path) as writer:
         sink, seconds = RecordingSink(), [0.0]
         delivery = delivery_to(sink, writer)
-        delivery._monotonic = lambda: seconds[0]
+        delivery._clock._now = lambda: seconds[0]
         assert await delivery.step() is False
         seconds[0] = CLOCK_WAIT + 1
         await run_until(delivery, lambda: len(voltage_times(sink)) == 90)

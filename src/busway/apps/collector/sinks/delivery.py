@@ -72,6 +72,32 @@ class SinkStatus:
     error: str | None
 
 
+class ClockWait:
+    """Decides whether commits wait because their times are from before the wall clock was set (rule 6).
+
+    Args:
+        now: returns the time in seconds, by a clock that is never set.
+    """
+
+    def __init__(self, now: Callable[[], float]) -> None:
+        self._now = now
+        self._since: float | None = None
+
+    def must_wait(self, found: CommitRange) -> bool:
+        """Whether these commits, the next to be sent, must wait until their times are corrected.
+
+        They wait for at most `CLOCK_WAIT` seconds from the first call with such times on.
+        """
+        if all(sample.time >= EARLIEST for sample in found.samples) and all(
+            alarm.event.at >= EARLIEST for alarm in found.alarms
+        ):
+            self._since = None
+            return False
+        if self._since is None:
+            self._since = self._now()
+        return self._now() - self._since < CLOCK_WAIT
+
+
 class Delivery:
     """Sends the samples of a store to one sink, from the sink's cursor on, until `run` is cancelled.
 
@@ -114,8 +140,8 @@ class Delivery:
         self.name = name
         self._sink, self._folder, self._manifest = sink, folder, manifest
         self.options: DeliveryOptions = options or DeliveryOptions()
-        self._now, self._pause, self._monotonic = now, pause, monotonic
-        self._unset_since: float | None = None
+        self._now, self._pause = now, pause
+        self._clock = ClockWait(monotonic)
         self._reader = CommitReader(folder, manifest)
         known = manifest.cursors().get(name)
         self._cursor, self._lost = known or (0, 0)
@@ -219,7 +245,7 @@ class Delivery:
             SinkDown: some samples may have arrived; the cursor stays, so that all of them are sent again.
         """
         found = await asyncio.to_thread(self._next)
-        if found is None or self._waits_for_the_clock(found):
+        if found is None or self._clock.must_wait(found):
             await self._show_current()
             return False
         wanted, reported = self._wanted(found.samples)
@@ -274,20 +300,6 @@ class Delivery:
             for each in ends:
                 each.cancel()
             await asyncio.gather(*ends, return_exceptions=True)
-
-    def _waits_for_the_clock(self, found: CommitRange) -> bool:
-        """Whether commits must wait because their times are from before the wall clock was set (rule 6).
-
-        They wait until the times are corrected, at most `CLOCK_WAIT` seconds.
-        """
-        if all(sample.time >= EARLIEST for sample in found.samples) and all(
-            alarm.event.at >= EARLIEST for alarm in found.alarms
-        ):
-            self._unset_since = None
-            return False
-        if self._unset_since is None:
-            self._unset_since = self._monotonic()
-        return self._monotonic() - self._unset_since < CLOCK_WAIT
 
     def _next(self) -> CommitRange | None:
         """Drop samples that have waited too long, and return the next commits after the sink's cursor.
