@@ -8,6 +8,7 @@ import time
 from collections.abc import AsyncGenerator, AsyncIterator, Callable, Sequence
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
@@ -15,6 +16,7 @@ from fleet_devices import LONG_TIMES, TIMES, FleetDevice, devices_of, parsed, pl
 from waiting import until
 
 import busway
+from busway.apps.collector.collector import Collector
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import Reason
 from busway.apps.collector.store.committed_samples import CommitReader
@@ -466,6 +468,45 @@ async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devi
         assert any(at > gap.end for at in good)
         (recorded,) = one.ownership.gaps(0, one.collector.newest_commit)
         assert recorded.begin == gap.begin, "no other has polled it, and all its samples are older"
+        assert one.unowned_seconds == pytest.approx((gap.end - gap.begin) / 1e9, abs=0.2)
+
+
+async def test_the_time_without_an_owner_is_as_long_as_it_was_where_the_clock_was_set_in_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The machine began with the time at which it ended last; a time service sets its clock an hour forward."""
+    hour, state = 3600.0, SimpleNamespace(ahead=0.0, known=False)
+    seconds, nanoseconds = time.time, time.time_ns
+    monkeypatch.setattr(time, "time", lambda: seconds() + state.ahead)
+    monkeypatch.setattr(time, "time_ns", lambda: nanoseconds() + int(state.ahead * 1e9))
+    monkeypatch.setattr(Collector, "_clock_is_known", lambda _: state.known)
+    monkeypatch.setattr("busway.apps.collector.collector.CLOCK_EVERY", 0.1)
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3)
+        honest = one._driver._coordinator.replace
+
+        async def away(*_: object) -> int:
+            raise CoordinatorDown("it is away")
+
+        monkeypatch.setattr(one._driver._coordinator, "replace", away)
+        await until(lambda: not one.collector.loads() and one._unowned_since, 30)
+        stopped = time.monotonic()
+        await one.collector.flush()
+        state.ahead, state.known = hour, True
+        await until(lambda: one.collector._clock.is_right)
+        monkeypatch.setattr(one._driver._coordinator, "replace", honest)
+        reads = devices[0].reads
+        await until(lambda: devices[0].reads > reads + 3, 30)
+        paused = time.monotonic() - stopped
+        await one.collector.flush()
+        found = await asyncio.to_thread(busway.Store(tmp_path / "one").read, "*/count")
+        (gap,) = [each for each in found.intervals if each.reason == Reason.OWNERSHIP]
+        assert gap.end is not None
+        assert 0 < gap.end - gap.begin < (paused + 10) * 1e9
+        good = [at for at, reason in zip(found.time, found.reason, strict=True) if not reason]
+        assert max(at for at in good if at < gap.end) <= gap.begin < max(good)
+        (recorded,) = one.ownership.gaps(0, one.collector.newest_commit)
+        assert recorded.begin == gap.begin
         assert one.unowned_seconds == pytest.approx((gap.end - gap.begin) / 1e9, abs=0.2)
 
 

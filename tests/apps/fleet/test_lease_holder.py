@@ -589,3 +589,20 @@ def test_a_shard_that_was_owned_and_lapsed_has_a_gap_since_its_own_last_renewal(
     lost, gained = member.events()
     assert (lost.step, gained.step) == (Step.LOST, Step.GAINED)
     assert lost.silent_since == gained.silent_since == 1017.5
+
+
+@pytest.mark.parametrize(("wall_ahead", "begin"), [(1.8e9, 1.8e9 + 1.0), (1000.0, 61.0)])
+def test_a_gap_after_an_owner_whose_clock_was_not_set_begins_when_its_lease_was_seen_last(
+    wall_ahead: float, begin: float
+) -> None:
+    """Both collectors began in 1970. Where the clock is set now, the time in the lease says nothing."""
+    member = alone()
+    first = proposed(member, 0.0)
+    member.entry(Entry("member.west", first["member.west"].value, 1), 0.0)
+    member.outcome(first["member.west"], 1, 0.0)
+    member.outcome(first["zone"], 2, 0.0)
+    member.entry(Entry("lease.0001", LeaseRecord("east", "r", True, 3, 0.1, Epoch(1, 5), at=61.0).encode(), 8), 1.0)
+    member.wall_ahead = wall_ahead
+    member.outcome(proposed(member, 17.5)["lease.0001"], 9, 17.5)
+    (event,) = member.events()
+    assert event.silent_since == begin

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.ownership_log import OwnershipLog
@@ -88,3 +89,15 @@ def test_a_link_that_goes_on_in_its_epoch_is_owned_until_that_ends(log: Ownershi
     opened.begin([("hall", THIRD)], 13, 250)
     assert opened.unended() == {"hall": THIRD}
     opened.close()
+
+
+@pytest.mark.parametrize(("of_one_clock", "begin"), [(True, 51_000), (False, 1000)])
+def test_times_from_before_the_clock_was_set_are_corrected_where_this_start_recorded_them(
+    log: OwnershipLog, tmp_path: Path, of_one_clock: bool, begin: int
+) -> None:
+    for number, (after, epoch) in enumerate([(9, FIRST), (10, SECOND)]):
+        log.begin([("hall", epoch)], after, 2000 + number, [OwnershipGap("hall", epoch, 0, ("meter",), 1000, 2000)])
+    log.end([("hall", SECOND)], 12, 3000)
+    log.mend(ClockCorrection(50_000, 0, 3000), 10, of_one_clock=of_one_clock)
+    assert [(each.begin, each.end) for each in log.gaps(0, 20)] == [(1000, 2000), (begin, 52_000)]
+    assert [(each.begin, each.end) for each in log.all()] == [(2000, None), (52_001, 3000)], "that end is later"

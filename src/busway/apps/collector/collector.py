@@ -105,6 +105,8 @@ class Collector:
         configuration: the configuration in use.
         knowledge: what was learnt about the devices.
         more_metrics: functions that return further families of metrics for the pages for Prometheus.
+        on_mending: functions that are called in the event loop with the correction of all times that were given so far,
+            when the wall clock is found right after a start with a wrong one; before the store is corrected.
         values: the last stored sample of each point.
         alarms: the alarms of the points; there once the block was entered.
     """
@@ -153,6 +155,7 @@ class Collector:
         self._systems = ConnectedSystems(self._made_page, self._made_receiver)
         # Families of prometheus-client, whose types are not there without its extra.
         self.more_metrics: list[Callable[[], Iterable[Any]]] = []
+        self.on_mending: list[Callable[[ClockCorrection], None]] = []
         self._counters: dict[str, dict[str, CounterState]] = {}
         self._started = 0.0
         self.values: LastValues = LastValues(self._is_behind, configuration.hold_limits())
@@ -760,6 +763,8 @@ class Collector:
         if correction is None:
             return
         assert self._committer is not None
+        for told in self.on_mending:
+            told(correction)
         self._committer.mend(correction)
         self.alarms.mend(correction)
         for running in self._links.values():

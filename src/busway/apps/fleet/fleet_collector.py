@@ -14,6 +14,7 @@ Knows the collector, the member and the log of ownership; what is owned is decid
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
    renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
    (`ownership_gaps`). One that was killed records at its next start that its ownership ended with its last commit.
+   Such times that were noted before the wall clock was right are corrected with those of the samples.
 5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
    the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
    with `zone` a server gives it to one collector, which passes it on.
@@ -41,7 +42,7 @@ from ...errors import ConfigError, LinkDown
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandState, PointCommand
 from ..collector.configuration import CollectorConfiguration
-from ..collector.sample_clock import EARLIEST
+from ..collector.sample_clock import EARLIEST, ClockCorrection
 from ..collector.samples import NANOSECONDS, Reason, StateInterval
 from .chosen_samples import refuse_what_needs_a_store
 from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configuration, refuse_other_figures
@@ -49,7 +50,7 @@ from .coordinator import Coordinator, Entry
 from .coordinators.local import LocalCoordinator
 from .key_table import KeyTable
 from .lease_driver import MemberDriver, boot_time, end_tasks
-from .lease_holder import FleetMember, ShardEvent, Step
+from .lease_holder import CLOCK_LIMIT, FleetMember, ShardEvent, Step
 from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_gaps import OwnershipGap
@@ -170,6 +171,7 @@ class FleetCollector:
         self._begun: dict[str, Epoch] = {}
         """By shard, the last epoch that is recorded with the gaps before it."""
         self._link_followers: list[Callable[[], None]] = []
+        self._first_commit = 0
         self._unowned_since: dict[str, int] = {}
         self._permitted: dict[str, int] = {}
         self._held_until: dict[str, float] = {}
@@ -201,10 +203,12 @@ class FleetCollector:
                 others=self._others,
             )
             self.collector = await unless_started.enter_async_context(collector)
+            self._first_commit = collector.newest_commit
             self._tell_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
             self.ownership.set_configuration(self.revision, collector.newest_commit)
+            collector.on_mending.append(self._mend)
             self._end_what_was_owned()
             self.outbox = self._opened_outbox()
             self._tasks = [
@@ -672,6 +676,16 @@ class FleetCollector:
     def _note_unowned(self, link: str, begin: int, end: int | None) -> None:
         for device in self._configuration.devices_of(link):
             self.collector.note_interval(StateInterval(device.name, begin, end, Reason.OWNERSHIP))
+
+    def _mend(self, correction: ClockCorrection) -> None:
+        """Correct the times without an owner that were noted before the wall clock was right (rule 4)."""
+        self._unowned_since = {link: correction.corrected(begin) for link, begin in self._unowned_since.items()}
+        self._permitted = {link: correction.corrected(at) for link, at in self._permitted.items()}
+        is_one_clock = abs(correction.shift) > CLOCK_LIMIT * NANOSECONDS  # else the one before may have had a right one
+        try:
+            self.ownership.mend(correction, self._first_commit, of_one_clock=is_one_clock)
+        except sqlite3.Error as error:
+            _log.error("times without an owner from before the clock was set keep their wrong time: %s", error)
 
     async def _poll_active(self) -> None:
         await self.collector.reload(restricted(self._configuration, self._active), by=self.member.name, origin="fleet")

@@ -28,6 +28,7 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
+from ..collector.sample_clock import EARLIEST, NANOSECONDS
 from .balance import Share, moves, takers
 from .coordinator import Entry
 from .lease_times import Epoch, LeaseTimes
@@ -259,7 +260,7 @@ class FleetMember:
         self._gained: dict[str, Epoch] = {}
         """By shard, the last epoch in which this collector has owned it."""
         self._lapsed: dict[str, float] = {}
-        """By shard, when the lease that lapsed here was last renewed with an answer, seconds since 1970 UTC."""
+        """By shard, when the lease that lapsed here was last renewed with an answer, in the clock of leases."""
         self._off_since: float | None = None
         self._ends = False
 
@@ -584,8 +585,8 @@ class FleetMember:
         """
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
-            self._lapsed[shard] = self.owned[shard].asked + self.wall_ahead
-            self._lose(shard, "it could not be renewed in time", self._lapsed[shard])
+            self._lapsed[shard] = self.owned[shard].asked
+            self._lose(shard, "it could not be renewed in time", self._lapsed[shard] + self.wall_ahead)
         self._look_for_problems(now)
         found: list[Proposal] = []
         self._propose_member(now, found)
@@ -670,7 +671,7 @@ class FleetMember:
             is_mine = taker == self.name or is_for_me or (is_late and self._may_own(shard))
             if is_mine and f"{LEASES}{shard}" not in self._open:
                 hole = self._hole_before(shard, seen, now + self.wall_ahead)
-                self._note_silence(shard, seen)
+                self._note_silence(shard, seen, now + self.wall_ahead)
                 record = LeaseRecord(
                     self.name,
                     self._me.run,
@@ -693,24 +694,26 @@ class FleetMember:
             return None if record.hole is None else replace(record.hole, end=end)
         return LeaseHole(record.owner, record.held, record.at, end)
 
-    def _note_silence(self, shard: str, seen: _SeenLease | None) -> None:
+    def _note_silence(self, shard: str, seen: _SeenLease | None, end: float) -> None:
         """Note since when the owner of a shard is silent that is about to be taken; nothing if it was released.
 
         A lease that this collector has taken without an answer was never owned: what was noted before holds. One that
-        another has taken and never renewed may have had no answer either: the time before it counts too.
+        another has taken and never renewed may have had no answer either: the time before it counts too. The clock of
+        an owner that was not set tells nothing once it is set: the silence then begins when its lease was seen last.
         """
         record = None if seen is None else seen.record
         if seen is not None and record is not None and self._had_no_answer(shard, record, seen.revision):
             return
         self._silent_since.pop(shard, None)
-        if record is None or not record.held:
+        if seen is None or record is None or not record.held:
             return
-        if record.run == self._me.run:
-            self._silent_since[shard] = self._lapsed.get(shard, record.at)
-        elif record.count == 0 and record.hole is not None:
-            self._silent_since[shard] = record.hole.begin
-        else:
-            self._silent_since[shard] = record.at
+        since = record.at
+        if record.run == self._me.run and shard in self._lapsed:
+            since = self._lapsed[shard] + self.wall_ahead
+        elif record.run != self._me.run and record.count == 0 and record.hole is not None:
+            since = record.hole.begin
+        is_before_the_clock = since < EARLIEST / NANOSECONDS <= end
+        self._silent_since[shard] = seen.at + self.wall_ahead if is_before_the_clock else since
 
     def _had_no_answer(self, shard: str, record: LeaseRecord, revision: int) -> bool:
         """Whether this start of the collector took a lease, and had no answer: it has not owned the shard by it."""

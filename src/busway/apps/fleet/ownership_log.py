@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import Final
 
 from ...errors import ConfigError
+from ..collector.sample_clock import ClockCorrection
 from .lease_times import Epoch
 from .ownership_gaps import OwnershipGap
 
@@ -51,6 +52,9 @@ ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
 _GAP: Final = "INSERT OR IGNORE INTO gap VALUES (?, ?, ?, ?, ?, ?, ?)"
 _END: Final = """
 UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?
+"""
+_MEND: Final = """
+UPDATE {table} SET {column} = {column} + ? WHERE after_commit >= ? AND {column} >= ? AND {column} < ?
 """
 
 
@@ -158,6 +162,24 @@ class OwnershipLog:
         rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link, epoch in owned]
         with self._lock:
             self._write([(_END, rows)])
+
+    def mend(self, correction: ClockCorrection, after_commit: int, *, of_one_clock: bool) -> None:
+        """Correct times that were recorded before the wall clock was right, of ownerships that begin after a commit.
+
+        Args:
+            correction: the correction.
+            after_commit: the last commit before this start of the collector.
+            of_one_clock: whether the begin of a gap, which is by the clock of the owner before, is corrected too.
+
+        Raises:
+            sqlite3.Error: nothing was corrected.
+        """
+        columns = [("ownership", "begin"), ("ownership", '"end"'), ("gap", '"end"')]
+        if of_one_clock:
+            columns.append(("gap", "begin"))
+        numbers = (correction.shift, after_commit, correction.begin, correction.end)
+        with self._lock:
+            self._write([(_MEND.format(table=table, column=column), [numbers]) for table, column in columns])
 
     def _write(self, steps: Iterable[tuple[str, Sequence[tuple[str | int, ...]]]]) -> None:
         """Execute SQL statements for all their rows in one transaction, to wait for the disk only once."""
