@@ -374,7 +374,7 @@ async def test_a_sink_gets_what_was_in_a_stream_that_was_deleted_although_the_ne
             tasks = [asyncio.create_task(each) for each in (outbox.run(), stream.watch_cursors(coordinator))]
 
             def commit() -> int:
-                now = writer.newest_commit + 1
+                now = NOW + writer.newest_commit + 1
                 return writer.commit([SampleBatch(PointGroup("meter", ("name",)), now, 5, (now,))], [], now).number
 
             try:
@@ -389,7 +389,7 @@ async def test_a_sink_gets_what_was_in_a_stream_that_was_deleted_although_the_ne
                     while not has_kept(outbox, lost):
                         commit()
                         await asyncio.sleep(0.1)
-                assert ("meter", "name", lost) in sink.kept
+                assert ("meter", "name", NOW + lost) in sink.kept
             finally:
                 await end_tasks(tasks)
 
