@@ -21,6 +21,7 @@ from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
+from busway.apps.fleet import streams as streams_module
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
@@ -28,7 +29,7 @@ from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import decode_message
+from busway.apps.fleet.messages import Chain, SampleMessage, decode_message
 from busway.apps.fleet.outbox import Outbox
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.records import LeaseRecord
@@ -354,6 +355,30 @@ async def test_samples_of_a_store_that_was_set_back_reach_a_sink_that_has_later_
                 if start == 1:
                     shutil.rmtree(folder)
                     copy.rename(folder)
+
+
+async def test_a_sink_that_is_slower_than_the_stream_waits_for_it_gets_each_message_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streams_module, "ACK_SECONDS", 0.5)
+
+    class SlowSink(KeepingSink):
+        async def send(self, samples: Sequence[CommittedSample]) -> None:
+            await asyncio.sleep(0.8)
+            await super().send(samples)
+
+    sink = SlowSink()
+    with nats_server(tmp_path) as server:
+        async with connected(server) as coordinator:
+            await make_stream(coordinator.client, "hall")
+            stream = NatsStream(coordinator.client, "hall")
+            for number in range(1, 301):
+                samples = [CommittedSample(number, "meter", "name", NOW + number, 0, number, 0)]
+                chain = Chain(7, number, number - 1)
+                await stream.publish(SampleMessage("one", "s", "hall", None, 0, number - 1, 0, samples, chain), "0000")
+        async with handing_on(server, sink):
+            await until(lambda: len(sink.kept) == 300, 60)
+    assert set(sink.kept.values()) == {1}
 
 
 async def test_a_sink_gets_what_was_in_a_stream_that_was_deleted_although_the_new_one_counts_from_one(

@@ -620,8 +620,10 @@ class StreamSink:
         except BaseException:
             await self._give_back(messages)
             raise
-        for message in ready:
+        for message in ready[:-1]:
             await message.ack()
+        for message in ready[-1:]:  # the next fetch would bring again what the server does not know to be taken
+            await message.ack_sync(timeout=5)
         await self._give_back(messages[len(ready) :])
         await self._client.flush(timeout=5)
 
