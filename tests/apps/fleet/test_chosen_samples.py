@@ -5,9 +5,11 @@ from collections.abc import Mapping, Sequence
 import pytest
 
 from busway.apps.collector.samples import NANOSECONDS, Reason
-from busway.apps.collector.sinks.interface import SinkDown
+from busway.apps.collector.sinks.interface import DeviceGap, SinkDown
 from busway.apps.collector.store.committed_samples import CommittedSample
 from busway.apps.fleet.chosen_samples import ChosenSamples
+from busway.apps.fleet.lease_times import Epoch
+from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.codes import Table
 from busway.options.sinks import DeliveryOptions
 from busway.points.point import Point
@@ -108,3 +110,22 @@ async def test_the_end_of_an_ownership_that_comes_late_is_passed_on_and_changes_
     await chosen.send([late._replace(value=None, reason=int(Reason.OWNERSHIP))])
     await chosen.send(samples(1.5, begin=101))
     assert taken.values == [1.0, None]
+
+
+class TakenWithGaps(Taken):
+    async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
+        self.values += [(each.begin // NANOSECONDS, each.end // NANOSECONDS) for each in gaps]
+
+
+@pytest.mark.parametrize(("kind", "told"), [(Taken, None), (TakenWithGaps, (100, 110))])
+async def test_the_first_sample_after_a_gap_of_ownership_passes_every_rule(kind: type[Taken], told: object) -> None:
+    """Without it the receiver would not know whether the value from before the gap still held after it."""
+    taken, points = kind(), {("tank", "level"): Point("level", Table.HOLDING_REGISTERS, 0)}
+    chosen = ChosenSamples(taken, DeliveryOptions(), {("tank", "level"): CHANGE}, points)
+    gap = OwnershipGap("hall", Epoch(1, 7), 7, ("tank",), 95 * NANOSECONDS, 110 * NANOSECONDS)
+    await chosen.send(samples(1.0))
+    await chosen.send(await chosen.send_gap(gap))
+    await chosen.send(samples(1.0, 1.0, begin=111))
+    await chosen.send_gap(gap)  # it comes again, and nothing after it is forgotten
+    await chosen.send(samples(1.0, begin=113))
+    assert taken.values == [1.0, told, 1.0, *([told] if told else [])]

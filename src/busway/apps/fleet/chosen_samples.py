@@ -10,7 +10,8 @@ store is refused by name.
 3. A sink gets for a gap of ownership what it gets for any time without reads: one sample without a value for each
    point, at the begin of the gap, with the reason `Reason.OWNERSHIP`; rules do not hold it back. The gap begins after
    the newest sample of the device that has passed here, and its mark never has the time of that sample, which it would
-   replace. A sink that keeps gaps itself (`GapSink`) gets the gap instead.
+   replace. A sink that keeps gaps itself (`GapSink`) gets the gap instead. Either way the first sample of each point
+   after the gap is passed on: no value holds through a gap.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -104,6 +105,10 @@ class ChosenSamples:
             return [mark for each in gaps for mark in self._marks(each, gap)]
         if gaps:
             await self._sink.send_gaps(gaps)
+        for each in gaps:
+            for key in ((each.device, point) for point in each.points):
+                if key in self._reported and self._reported[key].time < gap.end:
+                    del self._reported[key]
         return []
 
     def _marks(self, each: DeviceGap, gap: OwnershipGap) -> Iterator[CommittedSample]:
