@@ -7,6 +7,8 @@ from pathlib import Path
 import pytest
 
 from busway.apps.collector.sample_clock import ClockCorrection
+from busway.apps.collector.store.backup import back_up, restore
+from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.ownership_log import OwnershipLog
@@ -89,6 +91,20 @@ def test_a_link_that_goes_on_in_its_epoch_is_owned_until_that_ends(log: Ownershi
     opened.begin([("hall", THIRD)], 13, 250)
     assert opened.unended() == {"hall": THIRD}
     opened.close()
+
+
+def test_the_record_is_part_of_a_backup_of_the_store(tmp_path: Path) -> None:
+    gap = OwnershipGap("hall", SECOND, 11, ("meter",), 1000, 2000)
+    with StoreWriter(tmp_path / "store", now=1_800_000_000 * 10**9), closing(OwnershipLog(tmp_path / "store")) as log:
+        log.set_configuration(3, 0)
+        log.begin([("hall", SECOND)], 10, 2000, [gap])
+        back_up(tmp_path / "store", tmp_path / "backup")
+        restore(tmp_path / "backup", tmp_path / "restored")
+        with closing(OwnershipLog(tmp_path / "restored")) as restored:
+            assert restored.store == log.store
+            assert restored.all() == log.all()
+            assert restored.gaps(0, 20) == [gap]
+            assert (restored.epoch_of("hall", 11), restored.revision_of(11)) == (SECOND, 3)
 
 
 @pytest.mark.parametrize(("of_one_clock", "begin"), [(True, 51_000), (False, 1000)])

@@ -27,10 +27,10 @@ from typing import Final
 
 from ...errors import ConfigError
 from ..collector.sample_clock import ClockCorrection
+from ..collector.store.folder import OWNERSHIP
 from .lease_times import Epoch
 from .ownership_gaps import OwnershipGap
 
-OWNERSHIP: Final = "fleet.sqlite"
 _SCHEMA: Final = """
 CREATE TABLE IF NOT EXISTS identity (store TEXT NOT NULL);
 CREATE TABLE IF NOT EXISTS ownership (

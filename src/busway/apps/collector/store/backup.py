@@ -5,7 +5,8 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
    copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
    before their first sample. Sealed parts come last. If a part was removed meanwhile, all of this is done again.
-2. The journal of commands is copied at the very end. After the backup is restored, a command whose key is in the
+2. The journal of commands and the record of ownership of a fleet are copied at the very end: what the record says of
+   later commits is true of none in the copy. After the backup is restored, a command whose key is in the
    journal is not sent again, and a command that is open in it ends as unknown.
 3. A backup that was interrupted is a folder whose name ends with ``.unfinished``, and is no store.
 """
@@ -18,7 +19,18 @@ from typing import Final
 
 from ....errors import ConfigError
 from .check import check_store_files
-from .folder import COMMANDS, LOCK, MANIFEST, SEGMENTS, UNFINISHED, check_store, make_folder, sync_file, sync_folder
+from .folder import (
+    COMMANDS,
+    LOCK,
+    MANIFEST,
+    OWNERSHIP,
+    SEGMENTS,
+    UNFINISHED,
+    check_store,
+    make_folder,
+    sync_file,
+    sync_folder,
+)
 from .manifest import Manifest, StorePart, copy_points
 from .segment import open_for_reading
 
@@ -61,7 +73,7 @@ def back_up(folder: Path, target: Path) -> int:
 
 
 def _copied(folder: Path, target: Path) -> int | None:
-    """Copy the manifest of a store, the files with samples that it lists, and the journal of commands.
+    """Copy the manifest of a store, the files with samples that it lists, and what a collector keeps beside them.
 
     Returns:
         The number of files with samples; None if one was sealed or deleted before it was copied.
@@ -84,8 +96,9 @@ def _copied(folder: Path, target: Path) -> int | None:
     with closing(sqlite3.connect(target / MANIFEST)) as written:
         copy_points(folder / MANIFEST, written)
     sync_file(target / MANIFEST)
-    if (folder / COMMANDS).exists():
-        _copy_database(folder / COMMANDS, target / COMMANDS)
+    for name in (COMMANDS, OWNERSHIP):
+        if (folder / name).exists():
+            _copy_database(folder / name, target / name)
     return len(parts)
 
 
