@@ -80,6 +80,8 @@ def print_stream_status(member: "FleetCollector") -> None:
     print(f"  stream: {newest - status.sent} of {counted(newest, 'commit')} wait to be sent{error}", flush=True)
     if status.set_aside:
         print(f"  {counted(status.set_aside, 'sample')} too long for a message: no sink gets them", flush=True)
+    if status.lost:
+        print(f"  {counted(status.lost, 'sample')} lost: deleted before all sinks of the stream had them", flush=True)
     print(f"  sinks of the stream: {counted(newest - status.kept, 'commit')} behind", flush=True)
 
 

@@ -12,6 +12,7 @@ from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
 from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.lease_driver import end_tasks
@@ -613,3 +614,26 @@ def test_a_message_that_has_exactly_the_most_bytes_is_not_cut(tmp_path: Path) ->
             messages = sending.outbox._messages_of(samples, [])
             assert [len(each.samples) for each in messages] == lengths
             assert (sending.outbox.status().set_aside > 0) == (not lengths)
+
+
+async def test_samples_that_retention_deletes_before_all_sinks_have_them_are_told_as_lost(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer as writer:
+        first = sending.commit("meter", "pump")
+        writer.roll()
+        second = sending.commit("meter", "pump")
+        writer.roll()
+        sending.commit("meter")
+        await sending.outbox.step()
+        sending.stream.sinks = {"history": SinkPlace(second, 9), "broker": SinkPlace(first, 9)}
+        writer.keep(Retention(age=1.0))
+        assert len(writer.apply_retention(NOW + 1000 * 10**9)) == 2
+        for _ in range(2):
+            await sending.outbox.step()
+        assert sending.outbox.status().lost == 4, "both sinks had told nothing when the files went"
+        assert [each.message for each in caplog.records] == [
+            "4 samples were deleted before all sinks of the stream had them"
+        ]
+        assert sending.opened().status().lost == 4

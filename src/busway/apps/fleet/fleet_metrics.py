@@ -45,3 +45,6 @@ def fleet_families(fleet: "FleetCollector") -> Iterator[Any]:
         yield core.CounterMetricFamily(
             "busway_fleet_messages", "Messages with samples that the stream has taken.", value=status.messages
         )
+        yield core.CounterMetricFamily(
+            "busway_fleet_lost_samples", "Samples deleted before all sinks of the stream had them.", value=status.lost
+        )

@@ -4,7 +4,8 @@ Knows commits and cursors; `streams` knows the engine.
 
 1. Samples are sent after their commit, in the order of commits, and again after each start from the cursor on: the
    commit up to which every sink has told that it has all samples. The stream may lose all messages.
-2. The cursor is in the manifest of the store. Retention counts the samples after the cursor that it deletes as lost.
+2. The cursor is in the manifest of the store. Retention counts the samples after the cursor that it deletes as lost;
+   the log and the status say so.
 3. A sink that has taken messages of the stream for `AGAIN_AFTER` seconds without having more samples of this store
    lacks some: all samples are sent again from the commit on that it has. Each time without success the wait is twice as
    long. A sink that takes no messages is away: what is sent to it again would only fill the stream.
@@ -34,6 +35,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from ...errors import ModbusError
+from ...values.counts import counted
 from ..collector.sinks.delivery import ClockWait
 from ..collector.store.committed_samples import CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
@@ -119,6 +121,7 @@ class OutboxStatus:
         messages: number of messages acknowledged since the start.
         set_aside: number of samples since the start that no sink gets, because they are too long for a message.
         error: why the stream does not take more; None while it does.
+        lost: number of samples that retention has deleted before all sinks had them; some sinks may have them.
     """
 
     sent: int
@@ -126,6 +129,7 @@ class OutboxStatus:
     messages: int
     set_aside: int
     error: str | None
+    lost: int = 0
 
 
 class Outbox:
@@ -183,7 +187,7 @@ class Outbox:
 
     def status(self) -> OutboxStatus:
         """Return how far the sending of stored samples to the message stream has come."""
-        return OutboxStatus(self._sent, self._kept, self._messages, len(self._aside), self._error)
+        return OutboxStatus(self._sent, self._kept, self._messages, len(self._aside), self._error, self._lost)
 
     async def run(self) -> None:
         """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
@@ -253,10 +257,15 @@ class Outbox:
             name: place if place.start == self._start else replace(place, commit=0)  # rule 6
             for name, place in self._stream.places(self._collector, self._store).items()
         }
+        lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
+        if lost > self._lost:
+            _log.warning(
+                "%s deleted before all sinks of the stream had them", counted(lost - self._lost, "sample", "was")
+            )
+            self._lost = lost
         kept = min((each.commit for each in places.values()), default=0)
         if kept > self._kept:
             self._kept = min(kept, self._sent)
-            lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
             await asyncio.to_thread(self._manifest.set_cursor, OUTBOX, self._kept, lost)
         self._waiting = {name: each for name, each in self._waiting.items() if name in places}
         lacking = {name: place.commit for name, place in places.items() if self._lacks(name, place)}
