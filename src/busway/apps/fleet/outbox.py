@@ -37,7 +37,7 @@ from typing import Final, Protocol
 from ...errors import ModbusError
 from ...values.counts import counted
 from ..collector.sinks.delivery import ClockWait
-from ..collector.store.committed_samples import CommitReader, CommittedSample
+from ..collector.store.committed_samples import CommitRange, CommitReader, CommittedSample
 from ..collector.store.manifest import Manifest
 from .lease_times import Epoch
 from .messages import Chain, SampleMessage, by_link, longest_head, longest_row
@@ -225,7 +225,7 @@ class Outbox:
             StreamDown: the stream has not taken the whole batch; the next call sends it again.
         """
         await self._take_kept()
-        found = await asyncio.to_thread(self._reader.read, self._sent, MOST)
+        found = await asyncio.to_thread(self._next)
         if found is None or self._clock.must_wait(found):
             await self._tell_complete()
             return False
@@ -237,6 +237,22 @@ class Outbox:
             is_first = False
         self._sent = found.last
         return len(found.samples) >= MOST
+
+    def _next(self) -> CommitRange | None:
+        """Return the next commits to be sent, None if there are none; note what retention has deleted."""
+        self._note_lost()
+        return self._reader.read(self._sent, MOST)
+
+    def _move(self) -> None:
+        self._note_lost()
+        self._manifest.set_cursor(OUTBOX, self._kept, self._lost)
+
+    def _note_lost(self) -> None:
+        lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
+        if lost > self._lost:
+            told = counted(lost - self._lost, "sample", "was")
+            _log.warning("%s deleted before all sinks of the stream had them", told)
+            self._lost = lost
 
     async def _publish(self, message: SampleMessage, *, is_first: bool) -> None:
         self._number += 1
@@ -257,16 +273,10 @@ class Outbox:
             name: place if place.start == self._start else replace(place, commit=0)  # rule 6
             for name, place in self._stream.places(self._collector, self._store).items()
         }
-        lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
-        if lost > self._lost:
-            _log.warning(
-                "%s deleted before all sinks of the stream had them", counted(lost - self._lost, "sample", "was")
-            )
-            self._lost = lost
         kept = min((each.commit for each in places.values()), default=0)
         if kept > self._kept:
             self._kept = min(kept, self._sent)
-            await asyncio.to_thread(self._manifest.set_cursor, OUTBOX, self._kept, lost)
+            await asyncio.to_thread(self._move)
         self._waiting = {name: each for name, each in self._waiting.items() if name in places}
         lacking = {name: place.commit for name, place in places.items() if self._lacks(name, place)}
         if lacking:
