@@ -471,6 +471,38 @@ async def test_the_time_in_which_a_link_was_not_owned_is_an_interval_of_its_devi
         assert one.unowned_seconds == pytest.approx((gap.end - gap.begin) / 1e9, abs=0.2)
 
 
+@pytest.mark.parametrize("ahead", [-30.0, 2.0])
+async def test_times_without_an_owner_are_by_the_clock_of_the_samples(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, ahead: float
+) -> None:
+    """The wall clock is set right before a shard is taken, or while it is polled: samples follow it late or slowly."""
+    state, nanoseconds = SimpleNamespace(ahead=0.0), time.time_ns
+    monkeypatch.setattr(time, "time_ns", lambda: nanoseconds() + int(state.ahead * 1e9))
+    monkeypatch.setattr("busway.apps.collector.collector.CLOCK_EVERY", 60.0)
+    coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
+    lease = LeaseRecord("dead", "run", True, 7, 0.01, Epoch(1, 1), at=time.time() - 100.0)
+    for shard in range(LINKS):
+        await coordinator.create(f"lease.{shard:04d}", lease.encode())
+    await coordinator.close()
+    honest = FleetCollector._begin
+
+    async def begin(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
+        state.ahead = max(ahead, 0.0)
+        await honest(one, events)
+
+    monkeypatch.setattr(FleetCollector, "_begin", begin)
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: devices[0].reads > 3, 60)
+        await one.collector.flush()
+        state.ahead = ahead
+        (recorded,) = one.ownership.gaps(0, one.collector.newest_commit)
+    found = await asyncio.to_thread(busway.Store(tmp_path / "one").read, "*/count")
+    times = [at for at, value in zip(found.time, found.value, strict=True) if value is not None]
+    before, after = [each for each in found.intervals if each.reason == Reason.OWNERSHIP]
+    assert recorded.end <= (before.end or 0) < min(times)
+    assert max(times) <= after.begin
+
+
 async def test_the_time_without_an_owner_is_as_long_as_it_was_where_the_clock_was_set_in_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

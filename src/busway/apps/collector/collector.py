@@ -433,6 +433,15 @@ class Collector:
         assert self._committer is not None
         return await asyncio.to_thread(self._committer.flush)
 
+    def sample_time(self) -> int:
+        """Follow the wall clock, and return the time that a sample taken now gets, in nanoseconds since 1970 UTC.
+
+        It differs from the wall clock for a while after that was set back. To be called in the event loop.
+        """
+        now = asyncio.get_running_loop().time()
+        self._mend(self._clock.adjust(now, time.time_ns(), is_known=self._clock_is_known()))
+        return self._clock.time_ns(now)
+
     def note_interval(self, interval: StateInterval) -> None:
         """Store an interval in which a device was not read for a reason that the poller does not know.
 
@@ -743,8 +752,7 @@ class Collector:
     async def _follow_clock(self) -> None:
         while True:
             await asyncio.sleep(CLOCK_EVERY)
-            now, is_known = asyncio.get_running_loop().time(), self._clock_is_known()
-            self._mend(self._clock.adjust(now, time.time_ns(), is_known=is_known))
+            self.sample_time()
 
     async def _write_files(self) -> None:
         loop = asyncio.get_running_loop()

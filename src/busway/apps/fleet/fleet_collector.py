@@ -14,7 +14,7 @@ Knows the collector, the member and the log of ownership; what is owned is decid
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
    renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
    (`ownership_gaps`). One that was killed records at its next start that its ownership ended with its last commit.
-   Such times that were noted before the wall clock was right are corrected with those of the samples.
+   These times are by the clock of the samples. Those from before the wall clock was right are corrected with theirs.
 5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
    the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
    with `zone` a server gives it to one collector, which passes it on.
@@ -173,7 +173,7 @@ class FleetCollector:
         self._link_followers: list[Callable[[], None]] = []
         self._first_commit = 0
         self._unowned_since: dict[str, int] = {}
-        self._permitted: dict[str, int] = {}
+        self._permitted: dict[str, float] = {}
         self._held_until: dict[str, float] = {}
         self._left_until = -math.inf
         self._waiting: list[ShardEvent] = []
@@ -374,7 +374,7 @@ class FleetCollector:
         self._left_until = max(self._left_until, self._now() + self._held_for(stopped))
         await self.collector.flush()
         commit = self.collector.newest_commit
-        await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, time.time_ns())
+        await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, self.collector.sample_time())
         self._gone.clear()
         await asyncio.to_thread(self.ownership.set_configuration, revision, commit)
         self._set_configuration(newer)
@@ -383,7 +383,7 @@ class FleetCollector:
             fresh = [link for link in self._links_of.get(shard, ()) if link not in self._active]
             if fresh and owned.leaving is None and self._begun.get(shard) == owned.epoch:
                 rows = [(link, owned.epoch) for link in fresh]
-                await asyncio.to_thread(self.ownership.begin, rows, commit, time.time_ns())
+                await asyncio.to_thread(self.ownership.begin, rows, commit, self.collector.sample_time())
                 if self.member.owned.get(shard) is owned:  # it may have been lost meanwhile
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
@@ -420,7 +420,7 @@ class FleetCollector:
             self._shard_of[link], self._now(), self._times_of[link].transaction
         ):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
-        self._permitted[link] = time.time_ns()
+        self._permitted[link] = self._now()
 
     def _may_send(self, link: str) -> bool:
         """Whether a frame sent on a link now can reach the device only before the lease ends (rule 2)."""
@@ -548,7 +548,7 @@ class FleetCollector:
         """Record that links are owned no longer; an error is logged, and the record then has no end."""
         rows, commit = self._owned_by(events), self.collector.newest_commit
         try:
-            await asyncio.to_thread(self.ownership.end, rows, commit, time.time_ns())
+            await asyncio.to_thread(self.ownership.end, rows, commit, self.collector.sample_time())
         except sqlite3.Error as error:
             shards = ", ".join(event.shard for event in events)
             _log.error("the end of shards %s cannot be recorded: %s", shards, error)
@@ -558,7 +558,7 @@ class FleetCollector:
 
         The others are recorded as ended. An error of the record is logged, and it is tried again.
         """
-        rows, commit, now = self._owned_by(events), self.collector.newest_commit, time.time_ns()
+        rows, commit, now = self._owned_by(events), self.collector.newest_commit, self.collector.sample_time()
         gaps = self._gaps_before(events, commit, now)
         try:
             await asyncio.to_thread(self.ownership.begin, rows, commit, now, gaps)
@@ -631,7 +631,7 @@ class FleetCollector:
         The interval without ownership begins now. If the lease has lapsed, it begins at the last transaction: a
         process that was frozen learns only when it wakes that it has lost the lease.
         """
-        now = time.time_ns()
+        now = self.collector.sample_time()
         for event in events:
             for link in self._links_of.get(event.shard, ()):
                 if link not in self._unowned_since and link not in self._active:
@@ -652,7 +652,8 @@ class FleetCollector:
         if renewed is None:
             return now
         times = self._times_of[link]
-        over = self._permitted.get(link, 0) + int((times.connecting + times.exchange) * NANOSECONDS)
+        ago = self._now() - self._permitted.get(link, -math.inf) - times.connecting - times.exchange
+        over = 0 if ago == math.inf else now - int(ago * NANOSECONDS)
         return min(max(int(renewed * NANOSECONDS), over), now)
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
@@ -664,7 +665,7 @@ class FleetCollector:
             links: names of the links.
             silent_since: last renewal by an owner that fell silent, seconds since 1970 UTC; None if that is not known.
         """
-        now = time.time_ns()
+        now = self.collector.sample_time()
         for link in links:
             silent = self._silent_from(link, silent_since)
             begin = self._unowned_since.pop(link, silent)
@@ -680,7 +681,6 @@ class FleetCollector:
     def _mend(self, correction: ClockCorrection) -> None:
         """Correct the times without an owner that were noted before the wall clock was right (rule 4)."""
         self._unowned_since = {link: correction.corrected(begin) for link, begin in self._unowned_since.items()}
-        self._permitted = {link: correction.corrected(at) for link, at in self._permitted.items()}
         is_one_clock = abs(correction.shift) > CLOCK_LIMIT * NANOSECONDS  # else the one before may have had a right one
         try:
             self.ownership.mend(correction, self._first_commit, of_one_clock=is_one_clock)
