@@ -135,6 +135,19 @@ def test_a_sink_whose_entry_cannot_be_decoded_counts_as_one_that_has_nothing() -
     assert book.places("one", "s") == {"broker": SinkPlace(0, 0)}
 
 
+def test_what_was_known_of_a_sink_holds_where_the_table_has_lost_its_entry_which_is_made_anew() -> None:
+    book = CursorBook()
+    book.take(Entry("cursor.broker", SinkCursors(7, {"one/s": 5}, {"one/s": (3, 9)}).encode(), 65))
+    book.end_snapshot()
+    book.begin_snapshot()
+    assert book.of("broker")[1] == 65
+    book.end_snapshot()
+    assert book.of("broker") == (SinkCursors(7, {"one/s": 5}, {"one/s": (3, 9)}), 0)
+    assert book.places("one", "s") == {"broker": SinkPlace(5, 7, 3)}
+    book.take(Entry("cursor.broker", SinkCursors(2, {"one/s": 6}, {"one/s": (3, 9)}).encode(), 1))
+    assert book.of("broker")[1] == 1
+
+
 async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_time_and_proves_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -30,11 +30,11 @@ from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import end_tasks
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage, decode_message
-from busway.apps.fleet.outbox import Outbox
+from busway.apps.fleet.outbox import Outbox, SinkPlace
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.records import LeaseRecord
 from busway.apps.fleet.shards import shard_of
-from busway.apps.fleet.streams import NatsStream, StreamSink, make_stream
+from busway.apps.fleet.streams import CursorBook, NatsStream, StreamSink, make_stream
 from busway.errors import ConfigError
 
 pytest.importorskip("nats")
@@ -379,6 +379,39 @@ async def test_a_sink_that_is_slower_than_the_stream_waits_for_it_gets_each_mess
         async with handing_on(server, sink):
             await until(lambda: len(sink.kept) == 300, 60)
     assert set(sink.kept.values()) == {1}
+
+
+async def test_a_sink_that_runs_while_the_servers_lose_their_disks_goes_over_to_the_new_stream(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(streams_module, "LOOK_EVERY", 0.1)
+    sink = KeepingSink()
+
+    async def send(first: int, last: int, start: int, coordinator: NatsCoordinator) -> None:
+        await make_stream(coordinator.client, "hall")
+        stream = NatsStream(coordinator.client, "hall")
+        for commit in range(first, last + 1):
+            samples = [CommittedSample(commit, "meter", "name", NOW + commit, 0, commit, 0)]
+            chain = Chain(start, commit - first + 1, commit - first)
+            message = SampleMessage("one", "s", "hall", None, 0, commit - 1, first - 1, samples, chain)
+            await stream.publish(message, "0000")
+
+    with nats_server(tmp_path) as server:
+        async with connected(server) as coordinator:
+            await send(1, 50, 7, coordinator)
+        async with handing_on(server, sink) as handed:
+            await until(lambda: len(sink.kept) == 50, 60)
+            server.stop()
+            shutil.rmtree(tmp_path / "nats")
+            server.start()
+            async with connected(server) as coordinator:
+                await send(51, 60, 8, coordinator)
+                await until(lambda: len(sink.kept) == 60, 60)
+                book = CursorBook()
+                watch = asyncio.create_task(book.watch(coordinator))
+                wanted = {"keeping": SinkPlace(59, 10, 8)}  # collectors know it again
+                await until(lambda: book.places("one", "s") == wanted and handed.error is None, 60)
+                await end_tasks([watch])
 
 
 async def test_a_sink_gets_what_was_in_a_stream_that_was_deleted_although_the_new_one_counts_from_one(

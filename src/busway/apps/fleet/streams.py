@@ -47,6 +47,11 @@ FETCH: Final = 64
 AUDIT_AGE: Final = 366 * 86_400.0
 ACK_SECONDS: Final = 10.0
 """Seconds after which a message that a sink has not acknowledged is given to it again."""
+LOOK_EVERY: Final = 5.0
+"""Seconds without messages after which a sink looks whether the stream still has its consumer.
+
+A server that has lost its disk does not answer a request for messages of a consumer that it does not know.
+"""
 MISSING_SECONDS: Final = 4 * ACK_SECONDS
 """Seconds for which a sink waits for the next message while the stream gives it later ones."""
 _log = logging.getLogger("busway.fleet")
@@ -292,7 +297,13 @@ class CursorBook:
         self._shown_again = set(self._revisions)
 
     def end_snapshot(self) -> None:
-        """Note that all existing entries of the shared table are known."""
+        """Note that all existing entries of the shared table are known.
+
+        What was known of a sink whose entry the table has lost holds, but the entry has no revision any more.
+        """
+        for sink in self._shown_again:
+            del self._revisions[sink]
+        self._shown_again = set()
         self._is_complete = True
 
     def take(self, entry: Entry) -> None:
@@ -329,7 +340,10 @@ class CursorBook:
         }
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
-        """Return the position of one sink and the revision of its table entry; None and 0 if the sink has no entry."""
+        """Return the position of one sink and the revision of its table entry; None and 0 if none is known.
+
+        The revision is 0 too if the table has lost the entry.
+        """
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
     def positions(self) -> dict[str, int]:
@@ -591,12 +605,17 @@ class StreamSink:
                 ack_policy=api.AckPolicy.EXPLICIT, ack_wait=ACK_SECONDS, max_ack_pending=4 * FETCH
             ),
         )
+        looked = time.monotonic()
         try:
             while True:
                 end_if_cancelled()
                 try:
                     found = await subscription.fetch(FETCH, timeout=1.0)
                 except (TimeoutError, errors.TimeoutError):
+                    if time.monotonic() > looked + LOOK_EVERY:
+                        looked = time.monotonic()
+                        await subscription.consumer_info()  # an error if it is gone
+                        self.error = None
                     continue
                 await self._take(jetstream, stream, found)
                 self.error = None
@@ -744,7 +763,7 @@ class StreamSink:
     async def _write_cursors(self) -> None:
         key, value = f"{CURSORS}{self._name}", self._progress.cursors.encode()
         known, revision = self._book.of(self._name)
-        if known is not None and known.encode() == value:
+        if revision and known is not None and known.encode() == value:
             return
         if revision:
             made = await self._coordinator.replace(key, value, revision)
