@@ -25,6 +25,7 @@ from busway.apps.fleet.coordinator import CoordinatorDown, Entry
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
+from busway.apps.fleet.lease_driver import boot_time
 from busway.apps.fleet.lease_holder import OwnedShard, ShardEvent, Step
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
@@ -229,12 +230,12 @@ async def test_the_connection_of_a_link_that_is_lost_ends_before_anything_else_i
 async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has_lapsed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    frames: list[int] = []
+    frames: list[float] = []
 
     async def silent(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         with contextlib.suppress(ConnectionError):
             while await reader.read(300):
-                frames.append(time.time_ns())
+                frames.append(boot_time())
         writer.close()
 
     server = await asyncio.start_server(silent, "127.0.0.1", 0)
