@@ -64,6 +64,23 @@ def test_links_to_one_endpoint_have_one_owner_whatever_their_names(tmp_path: Pat
     refuse_two_owners(made(tmp_path, ("a", url, ["box-1"]), ("zz", url, ["box-1"])))
 
 
+@pytest.mark.parametrize(
+    ("one", "other"),
+    [
+        ("tcp://[fd00::5]", "tcp://[FD00:0:0:0:0:0:0:5]:502"),
+        ("tcp://[fe80::5%25eth0]", "udp://[FE80:0::5%25eth0]"),
+        ("tcp://10.0.0.5", "tcp://[::ffff:10.0.0.5]"),
+        ("tcp://gateway.hall.", "tcp://Gateway.hall"),
+        ("rtu:///dev/ttyUSB0", "rtu:///dev//./ttyUSB0"),
+    ],
+)
+def test_an_endpoint_that_is_spelt_in_two_ways_has_one_owner(tmp_path: Path, one: str, other: str) -> None:
+    found = links_of_shards(made(tmp_path, ("a", one, []), ("zz", other, [])), 256)
+    assert found == {shard_of("a", 256): ["a", "zz"]}
+    with pytest.raises(ConfigError, match=r"is that of link a, .* link zz:"):
+        refuse_moved_endpoints(made(tmp_path, ("a", one, [])), made(tmp_path, ("zz", other, [])))
+
+
 def test_a_serial_port_belongs_to_the_hosts_that_it_names_and_another_host_has_another_line(tmp_path: Path) -> None:
     plain = made(tmp_path, ("bus", PORT, ["box-1", "box-2"]), ("far", PORT, ["box-3"]), ("net", "tcp://10.0.0.5", []))
     refuse_ports_of_any_host(plain)

@@ -1,7 +1,7 @@
 """The part of a plant's configuration that one collector of a fleet works on, and what its links need.
 
-1. What has one owner is the endpoint, however many links name it: a line has one master. Links to one endpoint are in
-   one shard, that of the first of their names.
+1. What has one owner is the endpoint, however many links name it, and however they spell it: a line has one master.
+   Links to one endpoint are in one shard, that of the first of their names.
 2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
    name their hosts, unless all collectors are on one machine.
 3. A gateway may hold a request in a queue and send it to the device later, also when its client has gone. The plant
@@ -13,7 +13,9 @@
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
+from ipaddress import IPv6Address, ip_address
 from math import ceil, inf
+from posixpath import normpath
 
 from ...client.settings import link_settings, options_of
 from ...config.links import NamedLink
@@ -245,5 +247,17 @@ def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str
     """Return what a link leads to: one address in the network, or a serial port on each of its hosts."""
     endpoint = configuration.links[link].settings.endpoint
     if endpoint.carrier == "serial":
-        return [f"{endpoint.path} of {host}" for host in hosts.get(link, ())] or [endpoint.path]
-    return [f"{endpoint.host.lower() or '127.0.0.1'}:{endpoint.port}"]
+        path = normpath(endpoint.path)
+        return [f"{path} of {host}" for host in hosts.get(link, ())] or [path]
+    return [f"{_one_spelling(endpoint.host)}:{endpoint.port}"]
+
+
+def _one_spelling(host: str) -> str:
+    """Return a host in one spelling: without a dot at the end, and an IPv6 address in its shortest form."""
+    name = host.lower().removesuffix(".") or "127.0.0.1"
+    try:
+        address = ip_address(name.replace("%25", "%"))
+    except ValueError:
+        return name
+    mapped = address.ipv4_mapped if isinstance(address, IPv6Address) else None
+    return (mapped or address).compressed
