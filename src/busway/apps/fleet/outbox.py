@@ -241,6 +241,10 @@ class Outbox:
     def _next(self) -> CommitRange | None:
         """Return the next commits to be sent, None if there are none; note what retention has deleted."""
         self._note_lost()
+        if self._clock.waits:  # to look again costs little
+            found = self._reader.read(self._sent, 1)
+            if found is None or self._clock.must_wait(found):
+                return found
         return self._reader.read(self._sent, MOST)
 
     def _move(self) -> None:

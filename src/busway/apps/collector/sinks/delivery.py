@@ -95,7 +95,12 @@ class ClockWait:
             return False
         if self._since is None:
             self._since = self._now()
-        return self._now() - self._since < CLOCK_WAIT
+        return self.waits
+
+    @property
+    def waits(self) -> bool:
+        """Whether the commits of the last call of `must_wait` still have to wait."""
+        return self._since is not None and self._now() - self._since < CLOCK_WAIT
 
 
 class Delivery:
