@@ -174,12 +174,13 @@ class Outbox:
         self._messages = 0
         self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
-        self._aside: set[tuple[str, str, int, int]] = set()
-        self._too_long: set[tuple[str, str]] = set()
+        self._aside = 0
+        self._last_aside: dict[tuple[str, str], tuple[int, int]] = {}
+        """By device and point, commit and time of the last sample set aside; up to it all are counted."""
 
     def status(self) -> OutboxStatus:
         """Return how far the sending of stored samples to the message stream has come."""
-        return OutboxStatus(self._sent, self._kept, self._messages, len(self._aside), self._error)
+        return OutboxStatus(self._sent, self._kept, self._messages, self._aside, self._error)
 
     async def run(self) -> None:
         """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
@@ -376,10 +377,13 @@ class Outbox:
 
     def _set_aside(self, sample: CommittedSample, length: int, most: int) -> None:
         """Note that a sample is too long for a message: no sink gets it. Logged once for each point."""
-        point = sample.device, sample.point
-        self._aside.add((*point, sample.commit, sample.time))
-        if point not in self._too_long:
-            self._too_long.add(point)
+        point, place = (sample.device, sample.point), (sample.commit, sample.time)
+        last = self._last_aside.get(point)
+        if last is not None and place <= last:
+            return  # counted before: this is sent again
+        self._aside += 1
+        self._last_aside[point] = place
+        if last is None:
             _log.error(
                 "a sample of %s/%s has %d bytes, and a message at most %d: it stays in the store, and no sink gets it",
                 *point,
