@@ -49,6 +49,8 @@ AGAIN_LIMIT: Final = 600.0
 """Most seconds before it is sent again; also where nothing moves because nothing is sent."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 15.0
+MOST_COUNTED: Final = 10_000
+"""Most samples set aside that are remembered; if more are sent again, the status counts some of them again."""
 
 _log = logging.getLogger("busway.fleet")
 
@@ -175,8 +177,9 @@ class Outbox:
         self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
         self._aside = 0
-        self._last_aside: dict[tuple[str, str], tuple[int, int]] = {}
-        """By device and point, commit and time of the last sample set aside; up to it all are counted."""
+        self._counted: dict[tuple[str, str, int, int], None] = {}
+        """The samples set aside that were counted last, at most `MOST_COUNTED`, so that none counts twice."""
+        self._too_long: set[tuple[str, str]] = set()
 
     def status(self) -> OutboxStatus:
         """Return how far the sending of stored samples to the message stream has come."""
@@ -377,13 +380,15 @@ class Outbox:
 
     def _set_aside(self, sample: CommittedSample, length: int, most: int) -> None:
         """Note that a sample is too long for a message: no sink gets it. Logged once for each point."""
-        point, place = (sample.device, sample.point), (sample.commit, sample.time)
-        last = self._last_aside.get(point)
-        if last is not None and place <= last:
-            return  # counted before: this is sent again
-        self._aside += 1
-        self._last_aside[point] = place
-        if last is None:
+        point = sample.device, sample.point
+        counted = (*point, sample.commit, sample.time)
+        if counted not in self._counted:
+            self._aside += 1
+            self._counted[counted] = None
+            if len(self._counted) > MOST_COUNTED:
+                del self._counted[next(iter(self._counted))]
+        if point not in self._too_long:
+            self._too_long.add(point)
             _log.error(
                 "a sample of %s/%s has %d bytes, and a message at most %d: it stays in the store, and no sink gets it",
                 *point,
