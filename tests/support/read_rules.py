@@ -14,25 +14,23 @@ Reads = list[tuple[Table, int, int]]
 
 
 def allowed(table: Table, start: int, end: int, members: Iterable[PlainItem], rules: ReadRules) -> bool:
-    """Whether one read of ``start``…``end`` may be made to fetch some items, register by register."""
+    """Whether one read of ``start``…``end`` may be made to fetch some items."""
     if end - start > rules.limit(table):
         return False
-    touched = set(range(start, end))
+    if any(each.start < end and start < each.end for each in rules.forbidden.get(table, ())):
+        return False
+    touched_blocks = [each for each in rules.exact.get(table, ()) if each.start < end and start < each.end]
+    if any((each.start, each.end) != (start, end) for each in touched_blocks):
+        return False
+    ranges = rules.readable.get(table, ())
+    if ranges:
+        return any(each.start <= start and end <= each.end for each in ranges)
+    if rules.bridge or touched_blocks:
+        return True
     declared: set[int] = set()
     for item in members:
         declared.update(range(item.start, item.start + item.width))
-    for span in rules.forbidden.get(table, ()):
-        if touched & set(range(span.start, span.end)):
-            return False
-    for span in rules.exact.get(table, ()):
-        if touched & set(range(span.start, span.end)):
-            if (start, end) != (span.start, span.end):
-                return False
-            declared |= touched
-    ranges = rules.readable.get(table, ())
-    if ranges:
-        return any(touched <= set(range(span.start, span.end)) for span in ranges)
-    return rules.bridge or touched <= declared
+    return declared.issuperset(range(start, end))
 
 
 def by_joining(items: Sequence[PlainItem], rules: ReadRules, joins: Callable[[int], bool]) -> Reads:

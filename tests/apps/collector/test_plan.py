@@ -1,5 +1,6 @@
 """The read plan: what it may touch, what comes for nothing, and that nothing cheaper exists."""
 
+import functools
 import heapq
 import random
 from collections.abc import Iterator, Sequence
@@ -290,11 +291,12 @@ def by_trying_everything(
     units: Sequence[PlainItem], known: Sequence[PlainItem], rules: ReadRules, cost: ReadCost
 ) -> float:
     least = float("inf")
+    can_read = functools.cache(lambda start, end: allowed(H, start, end, known, rules))  # also what no unit fills
     for parts in partitions(units):
         total = 0.0
         for part in parts:
             start, end = min(one.start for one in part), max(one.start + one.width for one in part)
-            if not allowed(H, start, end, known, rules):  # what other items fill is declared as well
+            if not can_read(start, end):
                 break
             total += cost.of(H, end - start)
         else:

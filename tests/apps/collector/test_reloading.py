@@ -60,7 +60,7 @@ async def test_links_that_did_not_change_go_on_and_are_not_held_up_for_a_round(t
             for turn in range(1, 6):
                 other = f'[[link]]\nname = "b"\nurl = "{second.endpoints[0]}"\n' + "".join(
                     f'[[device]]\nname = "d{number}"\nlink = "b"\nunit = 1\nprofile = "valve.toml"\n'
-                    for number in range(20 * (turn % 3))
+                    for number in range(10 * (turn % 3))
                 )
                 text = begun + (other if turn % 3 else "")
                 done = await collector.replace_configuration(text, by="anna")

@@ -484,6 +484,22 @@ async def test_a_sample_that_is_too_long_for_a_message_is_told_and_set_aside_and
         assert sending.outbox.status().set_aside == 3, "it is not sent after a start either"
 
 
+async def test_a_sample_that_is_too_long_is_counted_once_although_its_commit_is_sent_again(tmp_path: Path) -> None:
+    sending = Sending(tmp_path)
+    with sending.writer:
+        last = commit_texts(sending, "one", "x" * MOST_BYTES, "two")
+        sending.stream.sinks = {"broker": SinkPlace(0, 0)}
+        await sending.outbox.step()
+        for wait in (AGAIN_AFTER, 2 * AGAIN_AFTER):
+            sending.stream.sinks = {"broker": SinkPlace(0, sending.stream.sinks["broker"].sequence + 1)}
+            assert await again(sending, 0.0) == []
+            assert last in await again(sending, wait)
+        assert sending.outbox.status().set_aside == 1
+        commit_texts(sending, "x" * MOST_BYTES)
+        await sending.outbox.step()
+        assert sending.outbox.status().set_aside == 2
+
+
 async def test_a_commit_with_nothing_but_a_sample_that_is_too_long_holds_nothing_up(tmp_path: Path) -> None:
     sending = Sending(tmp_path)
     with sending.writer:

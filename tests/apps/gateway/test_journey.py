@@ -134,7 +134,11 @@ async def test_every_request_of_every_listener_goes_the_way_of_the_page_and_come
         gateway = await stack.enter_async_context(Gateway(plan))
         link = await stack.enter_async_context(busway.open(urls[1] if serial else gateway.endpoints[0]))
         for _ in range(2):  # at first the upstream is connected
+            for device in devices.values():
+                device.holding_registers[0] = 7
             await asked(kind, link)
+            if kind == "broadcast":  # no reply shows that the gateway has taken it
+                await until(lambda: any(device.holding_registers[0] == 1 for device in devices.values()))
             await until(lambda: not gateway.open_requests)
         if kind == "remembered read":
             assert len(sent) == 1, "the second one is answered with what is remembered"

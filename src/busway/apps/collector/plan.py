@@ -14,7 +14,7 @@ Knows items, what a device allows, and what a read costs; knows no clock, no soc
    the time is linear in the items.
 """
 
-from bisect import bisect_left
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Hashable, Iterable, Sequence
 from dataclasses import dataclass
@@ -269,7 +269,7 @@ class _Borders:
 
     def __init__(self, table: Table, rules: ReadRules, items: Sequence[ReadItem]) -> None:
         self._items = items
-        self._declared: _Ranges | None = None
+        self._declared: tuple[list[int], list[int]] | None = None
         self._label = table.label
         self._limit = rules.limit(table)
         self._bridge = rules.bridge
@@ -332,8 +332,25 @@ class _Borders:
     def _is_declared(self, start: int, end: int) -> bool:
         """Whether each register or bit from ``start`` to before ``end`` belongs to an item, wanted or not."""
         if self._declared is None:  # made when the first hole is met: most devices have readable ranges, or no hole
-            self._declared = _Ranges([ItemRange(each.start, each.start + each.width) for each in self._items])
-        return self._declared.cover(start, end)
+            self._declared = _runs(self._items)
+        starts, ends = self._declared
+        at = bisect_right(starts, start) - 1
+        return at >= 0 and ends[at] >= end
+
+
+def _runs(items: Iterable[ReadItem]) -> tuple[list[int], list[int]]:
+    """Return where the runs of registers or bits that items fill begin, in order, and where each of them ends."""
+    starts: list[int] = []
+    ends: list[int] = []
+    last = -1
+    for start, end in sorted([(each.start, each.start + each.width) for each in items]):
+        if start > last:
+            starts.append(start)
+            ends.append(end)
+            last = end
+        elif end > last:
+            ends[-1] = last = end
+    return starts, ends
 
 
 class _Ranges:
@@ -357,15 +374,6 @@ class _Ranges:
         if at >= 0 and self._spans[at].end > start:
             return self._spans[at]
         return None
-
-    def cover(self, start: int, end: int) -> bool:
-        """Whether the ranges together have everything from ``start`` to before ``end``."""
-        while start < end:
-            found = self.touched(start, start + 1)
-            if found is None:
-                return False
-            start = found.end
-        return True
 
 
 def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:

@@ -54,6 +54,8 @@ AGAIN_LIMIT: Final = 600.0
 """Most seconds before it is sent again; also where nothing moves because nothing is sent."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 15.0
+MOST_COUNTED: Final = 10_000
+"""Most samples set aside that are remembered; if more are sent again, the status counts some of them again."""
 
 _log = logging.getLogger("busway.fleet")
 
@@ -182,12 +184,14 @@ class Outbox:
         self._messages = 0
         self._start, self._number, self._acknowledged = secrets.randbits(48), 0, 0
         self._error: str | None = None
-        self._aside: set[tuple[str, str, int, int]] = set()
+        self._aside = 0
+        self._counted: dict[tuple[str, str, int, int], None] = {}
+        """The samples set aside that were counted last, at most `MOST_COUNTED`, so that none counts twice."""
         self._too_long: set[tuple[str, str]] = set()
 
     def status(self) -> OutboxStatus:
         """Return how far the sending of stored samples to the message stream has come."""
-        return OutboxStatus(self._sent, self._kept, self._messages, len(self._aside), self._error, self._lost)
+        return OutboxStatus(self._sent, self._kept, self._messages, self._aside, self._error, self._lost)
 
     async def run(self) -> None:
         """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
@@ -404,7 +408,12 @@ class Outbox:
     def _set_aside(self, sample: CommittedSample, length: int, most: int) -> None:
         """Note that a sample is too long for a message: no sink gets it. Logged once for each point."""
         point = sample.device, sample.point
-        self._aside.add((*point, sample.commit, sample.time))
+        counted = (*point, sample.commit, sample.time)
+        if counted not in self._counted:
+            self._aside += 1
+            self._counted[counted] = None
+            if len(self._counted) > MOST_COUNTED:
+                del self._counted[next(iter(self._counted))]
         if point not in self._too_long:
             self._too_long.add(point)
             _log.error(
