@@ -244,6 +244,21 @@ def test_retention_drops_by_age_and_by_size_and_never_the_open_part(tmp_path: Pa
         assert writer.apply_retention(at(3000)) == []
 
 
+def test_retention_leaves_no_begin_of_an_interval_whose_end_it_deletes(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, StoreOptions(retention=Retention(age=600)), now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 1)], [StateInterval("pump-1", at(2), None, Reason.MAINTENANCE)], at(2))
+        writer.commit([read_of(PUMP, 11, 2)], [StateInterval("pump-1", at(2), at(10), Reason.MAINTENANCE)], at(11))
+        writer.commit([read_of(PUMP, 3000, 3)], [], at(3000))
+        writer.seal_closed()
+        assert len(writer.apply_retention(at(3001))) == 1
+        table = Store(tmp_path).read()
+        assert (table.value, table.intervals) == ([3], [])
+        assert Store(tmp_path).read(bucket=60, until=at(3060)).reason == [0]
+    with StoreWriter(tmp_path, now=at(3100)):
+        assert Store(tmp_path).read().intervals == [], "nor does the next start give it an end of its own"
+
+
 @pytest.mark.parametrize(("size", "left"), [(3.0, 3), (2.5, 2), (2.0, 2), (1.9, 1), (1.0, 1)])
 def test_retention_by_size_drops_the_oldest_parts_until_the_rest_fits_and_never_the_open_one(
     size: float, left: int

@@ -403,6 +403,11 @@ class Manifest:
                     "UPDATE cursors SET lost = lost + ? WHERE commit_number < ?",
                     (part.rows or 0, part.last_commit or 0),
                 )
+            database.execute(  # the row of its begin goes with that of its end: alone it has no end
+                'DELETE FROM intervals WHERE "end" IS NULL AND (device, begin, reason) IN'
+                ' (SELECT device, begin, reason FROM intervals WHERE "end" < ?)',
+                (before,),
+            )
             database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
 
     def files_to_unlink(self) -> list[str]:
