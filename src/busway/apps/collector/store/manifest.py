@@ -632,7 +632,9 @@ def _note_float32(database: sqlite3.Connection, described: Sequence[PointDescrip
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Copy the points, with their present and former names, from a manifest into a copy of it, replacing those there.
+    """Copy the points and the reserved commit numbers from a manifest into a copy of it, replacing those there.
+
+    The points have their present and former names. The numbers are above those of all commits before.
 
     Args:
         source: the file of the original manifest.
@@ -643,6 +645,7 @@ def copy_points(source: Path, target: sqlite3.Connection) -> None:
         for table in ("points", "renames", "carried_names"):
             target.execute(f"DELETE FROM main.{table}")
             target.execute(f"INSERT INTO main.{table} SELECT * FROM source.{table}")
+        target.execute("INSERT OR REPLACE INTO main.facts SELECT * FROM source.facts WHERE name = 'reserved'")
 
 
 def _names_of(database: sqlite3.Connection) -> PointNames:
