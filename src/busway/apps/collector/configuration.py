@@ -8,7 +8,6 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Final
@@ -42,6 +41,7 @@ from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .held_values import hold_limits
 from .knowledge import DeviceKnowledge, Knowledge
 from .plan_cache import PlanBook
+from .point_names import is_meant
 from .samples import PointDescription
 from .sinks.interface import Sink, TopicSink
 from .sinks.options import make_sink
@@ -281,7 +281,7 @@ def _shared_places(sink: TopicSink, options: DeliveryOptions, devices: Iterable[
     for device in devices:
         places: dict[str, str] = {}
         for point in device.points:
-            if not any(fnmatchcase(f"{device.name}/{point.name}", pattern) for pattern in options.points):
+            if not any(is_meant(f"{device.name}/{point.name}", pattern) for pattern in options.points):
                 continue
             place, own = sink.place_of(device.name, point.name)
             if others.setdefault(place, device.name) != device.name:

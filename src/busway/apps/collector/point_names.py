@@ -10,11 +10,24 @@ Pure. The manifest of a store, the alarms and the totals of counters all use the
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
 
 from .samples import PointDescription
 
 PointKey = tuple[str, str]
 """Device and name of a point."""
+
+
+def is_meant(name: str, pattern: str) -> bool:
+    """Whether a pattern means a point, given as ``device/point``.
+
+    ``*`` and ``?`` stand for any characters. A bracket stands for itself too: names of PLCs have indices in them.
+    """
+    return (
+        name == pattern
+        or fnmatchcase(name, pattern)
+        or ("[" in pattern and fnmatchcase(name, pattern.replace("[", "[[]")))
+    )
 
 
 @dataclass(slots=True)

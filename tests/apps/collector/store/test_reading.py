@@ -38,6 +38,19 @@ def test_points_are_named_by_patterns(tmp_path: Path) -> None:
             store.read("meter-8")
 
 
+def test_a_name_with_brackets_means_its_point_and_no_other(tmp_path: Path) -> None:
+    names = ("t[1]", "t1", "q*", "qq")
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PointGroup(device, names), 1, 1, 2, 3, 4) for device in ("hall[1]", "hall1")], [], at(1))
+        store = Store(tmp_path)
+        for name, number in zip(names, (1, 2, 3, 4), strict=True):
+            for device in ("hall[1]", "hall1"):
+                table = store.read(f"{device}/{name}")
+                assert (table.device, table.point, table.value) == ([device], [name], [number])
+        assert "hall[1]" in store.read("hall[1]").device
+        assert store.read("hall1/t[*").point == ["t[1]"]
+
+
 def test_times_are_spans_iso_texts_datetimes_and_nanoseconds() -> None:
     assert moment("1h", NOON) == NOON - 3600 * SECOND
     assert moment("250ms", NOON) == NOON - SECOND // 4

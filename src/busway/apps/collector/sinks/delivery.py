@@ -27,12 +27,12 @@ import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
 from ....options.sinks import DeliveryOptions
 from ....points.point_rules import ReportRule
+from ..point_names import is_meant
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommitRange, CommitReader, CommittedAlarm, CommittedSample
@@ -383,7 +383,7 @@ class Delivery:
     def _is_named(self, key: tuple[str, str]) -> bool:
         named = self._named.get(key)
         if named is None:
-            named = any(fnmatchcase("/".join(key), pattern) for pattern in self.options.points)
+            named = any(is_meant("/".join(key), pattern) for pattern in self.options.points)
             self._named[key] = named
         return named
 
