@@ -258,6 +258,19 @@ def test_retention_drops_by_age_and_by_size_and_never_the_open_part(tmp_path: Pa
         assert writer.apply_retention(at(3000)) == []
 
 
+def test_an_interval_ends_where_its_end_is_in_a_segment_that_was_deleted_before_it_was_sealed(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, StoreOptions(retention=Retention(age=600)), now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 1)], [StateInterval("pump-1", at(2), None, Reason.MAINTENANCE)], at(2))
+        writer.roll()
+        writer.seal_closed()
+        writer.commit([read_of(PUMP, 700, 2)], [StateInterval("pump-1", at(2), at(650), Reason.MAINTENANCE)], at(700))
+        writer.roll()
+        writer.commit([read_of(PUMP, 3000, 3)], [], at(3000))
+        assert len(writer.apply_retention(at(3001))) == 2
+        assert Store(tmp_path).read().intervals == []
+
+
 @pytest.mark.parametrize("age", [600, None])
 def test_retention_deletes_what_was_replaced_before_what_replaced_it(tmp_path: Path, age: float | None) -> None:
     pytest.importorskip("pyarrow")

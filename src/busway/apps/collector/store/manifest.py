@@ -128,6 +128,11 @@ class IntervalRow:
     lost: int
     commit_number: int
 
+    @property
+    def key(self) -> tuple[str | None, int, int]:
+        """What the rows of the begin and of the end of one interval have in common."""
+        return self.device, self.begin, self.reason
+
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
@@ -386,7 +391,7 @@ class Manifest:
             )
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
-    def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
+    def drop_parts(self, parts: Iterable[StorePart], before: int, intervals: Iterable[IntervalRow] = ()) -> None:
         """Remove parts, and intervals that ended before a time, from the manifest; the caller then deletes the files.
 
         For a sink that has not got all samples of a part, all samples of that part are counted as lost.
@@ -394,8 +399,13 @@ class Manifest:
         Args:
             parts: the parts.
             before: nanoseconds since 1970 UTC.
+            intervals: intervals of dropped segments that outlive them in the manifest.
         """
         with self.transaction() as database:
+            database.executemany(
+                "INSERT INTO intervals VALUES (?, ?, ?, ?, ?, ?)",
+                [(row.device, row.begin, row.end, row.reason, row.lost, row.commit_number) for row in intervals],
+            )
             for part in parts:
                 database.execute("DELETE FROM parts WHERE id = ?", (part.id,))
                 database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (part.file,))
