@@ -192,7 +192,7 @@ def written_here(source: Path, points: Sequence[StoredPoint], step: Step) -> lis
     return list(sealed_part.write_parts(source, texts, os.getppid()))
 
 
-@pytest.mark.parametrize("seed", [0, 2, 7])
+@pytest.mark.parametrize("seed", [2, 7, 27])
 def test_every_answer_is_true_whatever_is_done_to_a_store(
     seed: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

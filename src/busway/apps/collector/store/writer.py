@@ -25,7 +25,7 @@ from typing import Final, Literal, Self
 from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST, ClockCorrection
-from ..samples import CounterState, Gap, PointDescription, PointGroup, SampleBatch, StateInterval
+from ..samples import CounterState, Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
 from .alarm_events import forget_old_alarms
 from .clock_correction import EVERY, CommitCorrection, mend_segment
 from .database import open_database
@@ -445,12 +445,10 @@ class StoreWriter:
             if part.kind == "closed" and not self._is_to_be_mended(part):
                 with suppress(FileNotFoundError), closing(open_for_reading(self.folder / SEGMENTS / part.file)) as file:
                     rows += intervals_of(file)
-        rows = [row for row in rows if row.device is not None]
-        if not rows:
-            return []
-        begun = {row.key for row in self.manifest.intervals() if row.end is None}
+        rows = [row for row in rows if row.device is not None and row.reason != Reason.SKIPPED]  # which has no begin
+        begun = {row.key for row in rows if row.end is None}
         ended = {row.key for row in rows if row.end is not None}
-        return [row for row in rows if (row.key in begun if row.end is not None else row.key not in ended)]
+        return [row for row in rows if row.key not in (ended if row.end is None else begun)]
 
     def _sized_parts(self) -> list[StorePart]:
         segment = self._segment
