@@ -11,7 +11,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing, suppress
 from dataclasses import dataclass
 from datetime import datetime
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, Final
 
 from ..codes import ExceptionCode
@@ -19,6 +18,7 @@ from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, Link
 from ..points import Point, Quality, Reading, Reason
 from ..points.decoder import ReadDecoder
 from ..points.derived import Derivation
+from ..points.name_patterns import is_meant
 from ..points.quality import exception_reason, reason_text
 from ..values import format_address
 from .arguments import hint_at_unit
@@ -110,10 +110,10 @@ def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
     """
     points = section.described()
     for name in names:
-        if not any(fnmatchcase(point.name, name) for point in points):
+        if not any(is_meant(point.name, name) for point in points):
             there = ", ".join(point.name for point in points[:12]) + (", …" if len(points) > 12 else "")
             raise ConfigError(f"there is no such point; there are {there}", key=name)
-    return [point for point in points if not names or any(fnmatchcase(point.name, name) for name in names)]
+    return [point for point in points if not names or any(is_meant(point.name, name) for name in names)]
 
 
 class PointReader:

@@ -8,7 +8,6 @@ import os
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from functools import partial
 from pathlib import Path as FilePath
 from typing import Any, Final
@@ -32,6 +31,7 @@ from ...errors import ConfigError, InvalidRequest
 from ...framing.timing import Parity, SerialTiming
 from ...options.declaration import Mark
 from ...options.sinks import DeliveryOptions
+from ...points.name_patterns import is_meant
 from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
@@ -281,7 +281,7 @@ def _shared_places(sink: TopicSink, options: DeliveryOptions, devices: Iterable[
     for device in devices:
         places: dict[str, str] = {}
         for point in device.points:
-            if not any(fnmatchcase(f"{device.name}/{point.name}", pattern) for pattern in options.points):
+            if not any(is_meant(f"{device.name}/{point.name}", pattern) for pattern in options.points):
                 continue
             place, own = sink.place_of(device.name, point.name)
             if others.setdefault(place, device.name) != device.name:

@@ -15,11 +15,11 @@ store is refused by name.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
 from typing import Final
 
 from ...errors import ConfigError
 from ...options.sinks import DeliveryOptions
+from ...points.name_patterns import is_meant
 from ...points.point import Point
 from ...points.point_rules import ReportRule
 from ..collector.configuration import CollectorConfiguration
@@ -166,7 +166,7 @@ class ChosenSamples:
     def _is_named(self, point: _Point) -> bool:
         found = self._named.get(point)
         if found is None:
-            found = any(fnmatchcase("/".join(point), pattern) for pattern in self._options.points)
+            found = any(is_meant("/".join(point), pattern) for pattern in self._options.points)
             self._named[point] = found
         return found
 

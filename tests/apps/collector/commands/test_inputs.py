@@ -495,6 +495,14 @@ def receiver_of(names: list[str], permitted: list[str], **clocks: Any) -> tuple[
     return CommandReceiver("broker", made, runner, lambda: plant, **clocks), runner  # type: ignore[arg-type]
 
 
+def test_a_right_for_a_name_with_an_index_is_for_that_name_alone() -> None:
+    rights = InputRights("plant/{device}/{point}", ("plc/T[1]", "plc[2]/*"))
+    assert rights.permits("plc", "T[1]")
+    assert not rights.permits("plc", "T1")
+    assert rights.permits("plc[2]", "speed")
+    assert not rights.permits("plc2", "speed")
+
+
 @pytest.mark.parametrize(
     ("names", "permitted", "asked", "written"),
     [

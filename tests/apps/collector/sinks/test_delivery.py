@@ -13,7 +13,7 @@ from deliveries import RecordingSink, assert_in_order, commit_reads, delivered_o
 from waiting import until, wait_until
 
 from busway.apps.collector.sample_clock import ClockCorrection
-from busway.apps.collector.samples import Reason, StateInterval
+from busway.apps.collector.samples import PointGroup, Reason, StateInterval
 from busway.apps.collector.sinks.delivery import ASIDE, Delivery, DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.sink_thread import SinkThread
@@ -73,6 +73,16 @@ async def test_a_batch_whose_answer_was_lost_comes_again_with_the_same_keys(tmp_
         await run_until(delivery_to(sink, writer), lambda: len(sink.taken) == 24)
     assert sink.taken[:12] == sink.taken[12:]
     assert len(delivered_once(sink.taken)) == 12
+
+
+async def test_a_sink_gets_a_point_that_is_named_with_its_index(tmp_path: Path) -> None:
+    sink = RecordingSink()
+    with StoreWriter(tmp_path, now=at(0)) as writer:
+        writer.commit([read_of(PointGroup("plc", ("t[1]", "t[2]")), 1, 1, 2)], [], at(1))
+        await run_until(
+            delivery_to(sink, writer, DeliveryOptions(age=0, points=("plc/t[1]",))), lambda: bool(sink.taken)
+        )
+    assert [sample.point for sample in sink.taken] == ["t[1]"]
 
 
 @pytest.mark.parametrize("sealed", [False, True])

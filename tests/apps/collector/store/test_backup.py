@@ -7,9 +7,10 @@ from pathlib import Path
 import pytest
 from collected import NOON, PUMP, at, filled, meter_read, parts_of_all_kinds, read_of
 
-from busway.apps.collector.store import backup
+from busway.apps.collector.store import backup, manifest
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
+from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.writer import StoreWriter
@@ -28,6 +29,32 @@ def test_a_backup_is_a_store_and_is_restored_into_a_new_folder(tmp_path: Path) -
     assert list(Store(tmp_path / "again").read()) == list(before)
     with StoreWriter(tmp_path / "again", now=NOON * 2) as again:
         assert again.commit([], [], NOON * 2).number > 10_000
+
+
+def test_a_sink_of_a_restored_store_gets_what_comes_after_however_long_the_backup_took(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(manifest, "RESERVED_NUMBERS", 10)
+    copy_database = backup._copy_database
+    with StoreWriter(tmp_path / "store", now=NOON) as writer:
+
+        def after_more_commits(source: Path, target: Path) -> None:
+            if source.parent.name == SEGMENTS:
+                for number in range(25):
+                    writer.commit([read_of(PUMP, number, number)], [], at(number))
+            copy_database(source, target)
+
+        writer.commit([read_of(PUMP, 0, 0)], [], NOON)
+        with monkeypatch.context() as patched:
+            patched.setattr(backup, "_copy_database", after_more_commits)
+            back_up(tmp_path / "store", tmp_path / "backup")
+        before = writer.newest_commit
+    restore(tmp_path / "backup", tmp_path / "again")
+    with StoreWriter(tmp_path / "again", now=at(30)) as again:
+        again.commit([read_of(PUMP, 31, 31)], [], at(31))
+        found = CommitReader(tmp_path / "again", again.manifest).read(before, 10)
+        assert found is not None
+        assert [each.value for each in found.samples] == [31]
 
 
 def test_a_backup_never_overwrites_and_a_damaged_one_is_not_restored(tmp_path: Path) -> None:

@@ -1,7 +1,9 @@
 """Questions to a store: points, times, buckets, gaps; open, closed and sealed parts as one."""
 
 from collections import defaultdict
+from collections.abc import Iterator
 from datetime import UTC, datetime
+from math import inf
 from pathlib import Path
 from random import Random
 
@@ -12,7 +14,7 @@ import busway
 from busway.apps.collector.samples import Gap, PointGroup, Reason, SampleBatch, StateInterval
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.manifest import StorePart
-from busway.apps.collector.store.reading import Store, pieces_of
+from busway.apps.collector.store.reading import Store, TimePiece, pieces_of
 from busway.apps.collector.store.selection import moment, span
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import InvalidRequest, MissingExtra
@@ -34,6 +36,19 @@ def test_points_are_named_by_patterns(tmp_path: Path) -> None:
         assert sorted(store.read(["pump-1", "meter-7/state"]).point) == ["speed", "state"]
         with pytest.raises(InvalidRequest, match="'meter-8' names no point of this store"):
             store.read("meter-8")
+
+
+def test_a_name_with_brackets_means_its_point_and_no_other(tmp_path: Path) -> None:
+    names = ("t[1]", "t1", "q*", "qq")
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PointGroup(device, names), 1, 1, 2, 3, 4) for device in ("hall[1]", "hall1")], [], at(1))
+        store = Store(tmp_path)
+        for name, number in zip(names, (1, 2, 3, 4), strict=True):
+            for device in ("hall[1]", "hall1"):
+                table = store.read(f"{device}/{name}")
+                assert (table.device, table.point, table.value) == ([device], [name], [number])
+        assert "hall[1]" in store.read("hall[1]").device
+        assert store.read("hall1/t[*").point == ["t[1]"]
 
 
 def test_times_are_spans_iso_texts_datetimes_and_nanoseconds() -> None:
@@ -159,6 +174,36 @@ def test_a_reader_follows_a_part_that_is_sealed_while_it_reads(tmp_path: Path) -
         for table in pieces:
             values += table.value
         assert values == [230.0 + number for number in range(25)]
+
+
+@pytest.mark.parametrize("bucket", [None, 1.0])
+def test_a_point_that_comes_while_a_store_is_read_is_not_in_the_result(
+    tmp_path: Path, bucket: float | None, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with filled(tmp_path, 2) as writer:
+        store, pieces = Store(tmp_path), Store._pieces
+
+        def with_a_new_point(self: Store, low: int, high: int, most: int) -> Iterator[TimePiece]:
+            for piece in pieces(self, low, high, most):
+                writer.commit([read_of(PUMP, 0.5, 9)], [], at(2))
+                yield piece
+
+        monkeypatch.setattr(Store, "_pieces", with_a_new_point)
+        table = store.read(bucket=bucket, until=at(9)) if bucket else store.read(until=at(9))
+        assert set(table.device) == {"meter-7"}
+        assert len(table) == 6
+
+
+@pytest.mark.parametrize("kind", ["open", "sealed"])
+def test_the_mean_of_both_infinities_is_no_number_and_spoils_no_other_bucket(tmp_path: Path, kind: str) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, *each) for each in ((1, inf), (2, -inf), (11, inf), (21, 5.0))], [], at(30))
+        if kind == "sealed":
+            writer.roll()
+            writer.seal_closed()
+        table = Store(tmp_path).read(bucket=10, until=at(40))
+    assert list(map(str, table.mean)) == ["nan", "inf", "5.0"]
+    assert (table.minimum, table.maximum, table.count) == ([-inf, inf, 5.0], [inf, inf, 5.0], [2, 1, 1])
 
 
 def test_pieces_are_small_and_cover_each_nanosecond_once() -> None:

@@ -8,6 +8,7 @@ import shutil
 import sqlite3
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ from busway.apps.collector.samples import (
     exception_reason,
 )
 from busway.apps.collector.store import manifest, segment
+from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.folder import SEGMENTS, half_of_disk
 from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.reading import Store
@@ -60,6 +62,18 @@ def test_every_kind_of_value_comes_back_as_it_was(tmp_path: Path) -> None:
             writer.roll()
             writer.seal_closed()
         assert kinds(writer) == ["sealed"]
+
+
+def test_numbers_of_a_point_that_becomes_a_state_stay_what_they_were(tmp_path: Path) -> None:
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 5)], [], at(1))
+        writer.describe_points([PointDescription("pump-1", "speed", is_state=True)])
+        writer.commit([read_of(PUMP, 2, True), read_of(PUMP, 3, False)], [], at(3))
+        found = Store(tmp_path).read("pump-1").value
+        assert list(map(repr, found)) == ["5", "True", "False"]
+        commits = CommitReader(tmp_path, writer.manifest).read(0, 10)
+        assert commits is not None
+        assert [each.value for each in commits.samples] == found, "sinks get the same"
 
 
 def test_a_nan_stays_a_nan_and_a_bad_value_stays_absent(tmp_path: Path) -> None:
@@ -242,6 +256,52 @@ def test_retention_drops_by_age_and_by_size_and_never_the_open_part(tmp_path: Pa
         tmp_path, 5, options=StoreOptions(seals=False, retention=Retention(size=1_000_000)), first=50
     ) as writer:
         assert writer.apply_retention(at(3000)) == []
+
+
+def test_an_interval_ends_where_its_end_is_in_a_segment_that_was_deleted_before_it_was_sealed(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, StoreOptions(retention=Retention(age=600)), now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 1)], [StateInterval("pump-1", at(2), None, Reason.MAINTENANCE)], at(2))
+        writer.roll()
+        writer.seal_closed()
+        writer.commit([read_of(PUMP, 700, 2)], [StateInterval("pump-1", at(2), at(650), Reason.MAINTENANCE)], at(700))
+        writer.roll()
+        writer.commit([read_of(PUMP, 3000, 3)], [], at(3000))
+        assert len(writer.apply_retention(at(3001))) == 2
+        assert Store(tmp_path).read().intervals == []
+
+
+@pytest.mark.parametrize("age", [600, None])
+def test_retention_deletes_what_was_replaced_before_what_replaced_it(tmp_path: Path, age: float | None) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, now=NOON) as writer:
+        writer.commit([read_of(PUMP, 5, 1), read_of(PUMP, 599, 2)], [], at(599))
+        writer.commit([read_of(PUMP, 5, 9), read_of(PUMP, 1300, 3)], [], at(1300))
+        writer.roll()
+        writer.seal_closed()
+        if age is None:  # by size
+            parts = [replace(part, bytes=1_000_000) for part in writer.manifest.parts()]
+            assert [part.segment for part in parts_to_drop(parts, Retention(size=2_000_000), at(1400))] == [1]
+            return
+        writer.keep(Retention(age=age))
+        for now, left in ((650, [9, 2, 3]), (1190, [9, 2, 3]), (1200, [3])):
+            writer.apply_retention(at(now))
+            assert Store(tmp_path).read().value == left
+
+
+def test_retention_leaves_no_begin_of_an_interval_whose_end_it_deletes(tmp_path: Path) -> None:
+    pytest.importorskip("pyarrow")
+    with StoreWriter(tmp_path, StoreOptions(retention=Retention(age=600)), now=NOON) as writer:
+        writer.commit([read_of(PUMP, 1, 1)], [StateInterval("pump-1", at(2), None, Reason.MAINTENANCE)], at(2))
+        writer.commit([read_of(PUMP, 11, 2)], [StateInterval("pump-1", at(2), at(10), Reason.MAINTENANCE)], at(11))
+        writer.commit([read_of(PUMP, 3000, 3)], [], at(3000))
+        writer.seal_closed()
+        assert len(writer.apply_retention(at(3001))) == 1
+        table = Store(tmp_path).read()
+        assert (table.value, table.intervals) == ([3], [])
+        assert Store(tmp_path).read(bucket=60, until=at(3060)).reason == [0]
+    with StoreWriter(tmp_path, now=at(3100)):
+        assert Store(tmp_path).read().intervals == [], "nor does the next start give it an end of its own"
 
 
 @pytest.mark.parametrize(("size", "left"), [(3.0, 3), (2.5, 2), (2.0, 2), (1.9, 1), (1.0, 1)])

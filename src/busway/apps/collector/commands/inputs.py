@@ -23,11 +23,11 @@ import secrets
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from typing import Any, Final, Protocol
 
 from ....access.repeats import Repeats, so_often
 from ....errors import InvalidRequest, ModbusError, Overloaded
+from ....points.name_patterns import is_meant
 from ....points.point import Point
 from ....points.point_rules import WriteRule
 from ....values.refusal import shown
@@ -70,7 +70,7 @@ class InputRights:
         """Whether commands may write a point, by the patterns; device and point are matched apart from each other."""
         for pattern in self.points:
             devices, _, points = pattern.partition("/")
-            if fnmatchcase(device, devices) and fnmatchcase(point, points):
+            if is_meant(device, devices) and is_meant(point, points):
                 return True
         return False
 

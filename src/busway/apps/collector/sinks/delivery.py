@@ -27,11 +27,11 @@ import sqlite3
 import time
 from collections.abc import Awaitable, Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass
-from fnmatch import fnmatchcase
 from pathlib import Path
 from typing import Any, Final
 
 from ....options.sinks import DeliveryOptions
+from ....points.name_patterns import is_meant
 from ....points.point_rules import ReportRule
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
@@ -400,7 +400,7 @@ class Delivery:
     def _is_named(self, key: tuple[str, str]) -> bool:
         named = self._named.get(key)
         if named is None:
-            named = any(fnmatchcase("/".join(key), pattern) for pattern in self.options.points)
+            named = any(is_meant("/".join(key), pattern) for pattern in self.options.points)
             self._named[key] = named
         return named
 

@@ -19,7 +19,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
-from fnmatch import fnmatchcase
 from typing import Any, Final
 
 from ....errors import ConfigError
@@ -27,6 +26,7 @@ from ....extras import require
 from ....observe.http import HttpService, bind_tcp
 from ....observe.http_messages import HttpRequest, HttpResponse
 from ....options.text import host_and_port
+from ....points.name_patterns import is_meant
 from ..alarms.events import RaisedAlarm
 from ..held_values import age_of
 from ..samples import (
@@ -287,7 +287,7 @@ class PrometheusPage:
         for device, point, found, reason, at in self._values.samples():
             if found is None or isinstance(found, str) or quality_of(reason) is Quality.BAD or at < oldest:
                 continue
-            if any(fnmatchcase(f"{device}/{point}", pattern) for pattern in self._points):
+            if any(is_meant(f"{device}/{point}", pattern) for pattern in self._points):
                 value.add_metric([device, point], float(found))
                 moment.add_metric([device, point], at / NANOSECONDS)
                 if reason:
@@ -307,7 +307,7 @@ class PrometheusPage:
             "busway_alarm_unacknowledged", "1 for each alarm that waits for a person.", labels=names
         )
         for alarm in self._alarms():
-            if any(fnmatchcase(f"{alarm.device}/{alarm.point}", pattern) for pattern in self._points):
+            if any(is_meant(f"{alarm.device}/{alarm.point}", pattern) for pattern in self._points):
                 for family, holds in ((active, alarm.state.is_active), (waiting, alarm.state.is_unacknowledged)):
                     if holds:
                         family.add_metric(list(alarm.key), 1.0)

@@ -4,7 +4,8 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 
 1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
    copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
-   before their first sample. Sealed parts come last. If a part was removed meanwhile, all of this is done again.
+   before their first sample, and the reserved numbers: a commit after the restore has a number that none of the copied
+   ones has. Sealed parts come last. If a part was removed meanwhile, all of this is done again.
 2. The journal of commands and the record of ownership of a fleet are copied at the very end: what the record says of
    later commits is true of none in the copy. After the backup is restored, a command whose key is in the
    journal is not sent again, and a command that is open in it ends as unknown.

@@ -128,6 +128,11 @@ class IntervalRow:
     lost: int
     commit_number: int
 
+    @property
+    def key(self) -> tuple[str | None, int, int]:
+        """What the rows of the begin and of the end of one interval have in common."""
+        return self.device, self.begin, self.reason
+
 
 @dataclass(frozen=True, slots=True)
 class AlarmRow:
@@ -386,7 +391,7 @@ class Manifest:
             )
             database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (old.file,))
 
-    def drop_parts(self, parts: Iterable[StorePart], before: int) -> None:
+    def drop_parts(self, parts: Iterable[StorePart], before: int, intervals: Iterable[IntervalRow] = ()) -> None:
         """Remove parts, and intervals that ended before a time, from the manifest; the caller then deletes the files.
 
         For a sink that has not got all samples of a part, all samples of that part are counted as lost.
@@ -394,8 +399,13 @@ class Manifest:
         Args:
             parts: the parts.
             before: nanoseconds since 1970 UTC.
+            intervals: intervals of dropped segments that outlive them in the manifest.
         """
         with self.transaction() as database:
+            database.executemany(
+                "INSERT INTO intervals VALUES (?, ?, ?, ?, ?, ?)",
+                [(row.device, row.begin, row.end, row.reason, row.lost, row.commit_number) for row in intervals],
+            )
             for part in parts:
                 database.execute("DELETE FROM parts WHERE id = ?", (part.id,))
                 database.execute("INSERT OR REPLACE INTO unlinks VALUES (?)", (part.file,))
@@ -403,6 +413,11 @@ class Manifest:
                     "UPDATE cursors SET lost = lost + ? WHERE commit_number < ?",
                     (part.rows or 0, part.last_commit or 0),
                 )
+            database.execute(  # the row of its begin goes with that of its end: alone it has no end
+                'DELETE FROM intervals WHERE "end" IS NULL AND (device, begin, reason) IN'
+                ' (SELECT device, begin, reason FROM intervals WHERE "end" < ?)',
+                (before,),
+            )
             database.execute('DELETE FROM intervals WHERE "end" < ?', (before,))
 
     def files_to_unlink(self) -> list[str]:
@@ -627,7 +642,9 @@ def _note_float32(database: sqlite3.Connection, described: Sequence[PointDescrip
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Copy the points, with their present and former names, from a manifest into a copy of it, replacing those there.
+    """Copy the points and the reserved commit numbers from a manifest into a copy of it, replacing those there.
+
+    The points have their present and former names. The numbers are above those of all commits before.
 
     Args:
         source: the file of the original manifest.
@@ -638,6 +655,7 @@ def copy_points(source: Path, target: sqlite3.Connection) -> None:
         for table in ("points", "renames", "carried_names"):
             target.execute(f"DELETE FROM main.{table}")
             target.execute(f"INSERT INTO main.{table} SELECT * FROM source.{table}")
+        target.execute("INSERT OR REPLACE INTO main.facts SELECT * FROM source.facts WHERE name = 'reserved'")
 
 
 def _names_of(database: sqlite3.Connection) -> PointNames:

@@ -23,7 +23,8 @@ from .segment import facts_of, intervals_of, is_unmade, open_for_reading
 _ROWS: Final = "SELECT time, point, value, reason, half_width, commit_number FROM samples WHERE time >= ? AND time < ?"
 _CHOSEN: Final = " AND point IN (SELECT value FROM json_each(?))"
 _SUMS: Final = f"""
-SELECT time / ?, point, count(number), min(number), max(number), total(number), count(*), max(reason) FROM (
+SELECT time / ?, point, count(number), min(number), max(number), coalesce(total(number), 'nan'), count(*), max(reason)
+FROM (
     SELECT time, point, reason,
         CASE WHEN reason < {int(Reason.TIMEOUT)} THEN CASE typeof(value)
             WHEN 'integer' THEN CAST(value AS REAL) WHEN 'real' THEN value WHEN 'blob' THEN number_of(value)
@@ -107,4 +108,7 @@ def part_sums(
     with closing(open_for_reading(folder / SEGMENTS / part.file)) as database:
         database.create_function("number_of", 1, number_of, deterministic=True)
         found = database.execute(f"{_SUMS}{chosen}) GROUP BY 1, 2", (bucket, low, high, *values)).fetchall()
-    return {(number, point): Sums(*rest) for number, point, *rest in found}
+    return {
+        (number, point): Sums(count, least, most, float(total), samples, reason)
+        for number, point, count, least, most, total, samples, reason in found
+    }

@@ -8,6 +8,7 @@ Knows how parts overlap; knows no format.
 3. Where sealed parts follow one another, one question is about as many of them as a piece may have samples, if that is
    cheaper than one question for each (`sealed_files`).
 4. A part that is sealed or dropped while it is read is looked up again, from the time on that was reached.
+5. Points that the store gets while it is read are not in the result.
 """
 
 import time
@@ -155,7 +156,8 @@ class Store:
         intervals = self._intervals({point.device for point in chosen}, low, high)
         marks = _marks(intervals, chosen, low)
         most = self._rows_in_piece(chosen)
-        for piece, rows in self._walk((low, high, most), lambda piece: self._merged(piece, ids)):
+        for piece, found in self._walk((low, high, most), lambda piece: self._merged(piece, ids)):
+            rows = found if {row[1] for row in found} <= by_id.keys() else [row for row in found if row[1] in by_id]
             before = [mark for mark in marks if mark[0] < piece.high]
             marks = marks[len(before) :]
             yield _table(sorted(rows + before, key=lambda row: row[:2]), by_id, [])
@@ -184,17 +186,18 @@ class Store:
         now = time.time_ns()
         low, high = period(since, until, now)
         chosen = self._chosen(points)
+        by_id = {point.id: point for point in chosen}
         ids = self._ids_of(points, chosen)
         sums: SumsByBucket = {}
         most = 10 * self._rows_in_piece(chosen)
         for _, found in self._walk((low, high, most), lambda piece: self._sums(piece, ids, bucket)):
-            add_sums(sums, found)
+            add_sums(sums, {key: one for key, one in found.items() if key[1] in by_id})
             if len(sums) > MOST_BUCKETS:
                 raise InvalidRequest(f"there are more than {MOST_BUCKETS} buckets; make them longer")
         if until is None:
             high = max([now, *((number + 1) * bucket for number, _ in sums)])
         _add_gaps(sums, self._intervals({point.device for point in chosen}, low, high), chosen, (low, high), bucket)
-        return _bucket_table(sums, {point.id: point for point in chosen}, bucket)
+        return _bucket_table(sums, by_id, bucket)
 
     # Parts
 

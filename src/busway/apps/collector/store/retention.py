@@ -2,6 +2,9 @@
 
 Pure. Knows parts; the writer drops them. Files are deleted even if a sink has not got their samples: the manifest
 counts what that sink has lost.
+
+A part whose samples may replace samples of an earlier part is as old as that part: dropped before it, it would leave
+what it replaced.
 """
 
 from collections.abc import Sequence
@@ -38,11 +41,12 @@ def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) ->
         retention: the limits.
         now: nanoseconds since 1970 UTC.
     """
-    finished = sorted((part for part in parts if part.kind != "open"), key=lambda part: (part.high or 0, part.id))
+    ages = _ages(parts)
+    finished = sorted((part for part in parts if part.kind != "open"), key=lambda part: (ages[part.id], part.id))
     dropped = []
     if retention.age is not None:
         oldest = now - int(retention.age * 1_000_000_000)
-        dropped = [part for part in finished if (part.high or part.alive or 0) < oldest]
+        dropped = [part for part in finished if ages[part.id] < oldest]
     if retention.size is not None:
         left = [part for part in finished if part not in dropped]
         total = sum(part.bytes or 0 for part in parts if part not in dropped)
@@ -52,3 +56,25 @@ def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) ->
             dropped.append(part)
             total -= part.bytes or 0
     return dropped
+
+
+def _ages(parts: Sequence[StorePart]) -> dict[int, int]:
+    """Return for each part, by its id, the time that decides how old it is, in nanoseconds since 1970 UTC.
+
+    It is the time of its last sample, or of the last sample of an earlier part that overlaps it, if that is later.
+    """
+    ages: dict[int, int] = {}
+    before: list[tuple[int, int, int, int]] = []  # begin, end and age of each part, and the latest end up to it
+    newest = 0
+    for part in sorted(parts, key=lambda part: (part.segment, part.id)):
+        age = part.high or part.alive or 0
+        if part.low is not None and part.high is not None:
+            for begin, end, other, latest in reversed(before):
+                if latest < part.low:
+                    break
+                if begin <= part.high and part.low <= end:
+                    age = max(age, other)
+            newest = max(newest, part.high)
+            before.append((part.low, part.high, age, newest))
+        ages[part.id] = age
+    return ages

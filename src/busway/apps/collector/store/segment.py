@@ -273,13 +273,14 @@ def sample_value(stored: int | float | str | bytes | None, reason: int, is_state
     Args:
         stored: the stored value. Eight bytes are an integer of 2**63 or more.
         reason: number of the sample's reason. It decides what a stored None is: no value if bad, NaN otherwise.
-        is_state: whether values of the point are states; then integers become True or False.
+        is_state: whether values of the point are states; then 1 and 0 become True and False. Other numbers, from when
+            the point had another type, stay as they are.
     """
     if stored is None:
         return None if quality_of(reason) is Quality.BAD else float("nan")
     if isinstance(stored, bytes):
         return int.from_bytes(stored, "big")
-    return bool(stored) if is_state and isinstance(stored, int) else stored
+    return bool(stored) if is_state and isinstance(stored, int) and stored in (0, 1) else stored
 
 
 def _interval_rows(

@@ -5,10 +5,10 @@ Pure but for the clock of "an hour ago", which comes as an argument.
 
 from collections.abc import Iterable, Sequence
 from datetime import UTC, datetime
-from fnmatch import fnmatchcase
 from typing import Final
 
 from ....errors import InvalidRequest
+from ....points.name_patterns import is_meant
 from ....values.durations import duration
 from ....values.refusal import shown
 from ..samples import NANOSECONDS
@@ -85,7 +85,8 @@ def chosen_points(
     """Return the points that match patterns, ordered by device and point, each once.
 
     Args:
-        patterns: ``device/point``, with ``*`` and ``?``; a device alone means all its points.
+        patterns: ``device/point``, with ``*`` and ``?``; a device alone means all its points. What is the name of a
+            point means this point alone, whatever characters are in it.
         points: all points of the store.
         former: names that points had before, ``device/point``, with the ids of the points; these names match too.
 
@@ -96,8 +97,12 @@ def chosen_points(
     chosen: dict[int, StoredPoint] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
         whole = pattern if "/" in pattern else f"{pattern}/*"
-        found = [point for point in known if fnmatchcase(point.name, whole)]
-        ids = {number for name, number in before if fnmatchcase(name, whole)}
+        found = [point for point in known if point.name == pattern]
+        if found:
+            chosen.update((point.id, point) for point in found)
+            continue
+        found = [point for point in known if is_meant(point.name, whole)]
+        ids = {number for name, number in before if is_meant(name, whole)}
         found += [point for point in known if point.id in ids]
         if not found and whole != "*/*":
             raise InvalidRequest(

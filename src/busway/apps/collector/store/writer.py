@@ -17,7 +17,7 @@ import sqlite3
 import threading
 import weakref
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, closing
+from contextlib import ExitStack, closing, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final, Literal, Self
@@ -25,16 +25,16 @@ from typing import Final, Literal, Self
 from ....errors import ConfigError
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST, ClockCorrection
-from ..samples import CounterState, Gap, PointDescription, PointGroup, SampleBatch, StateInterval
+from ..samples import CounterState, Gap, PointDescription, PointGroup, Reason, SampleBatch, StateInterval
 from .alarm_events import forget_old_alarms
 from .clock_correction import EVERY, CommitCorrection, mend_segment
 from .database import open_database
 from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
-from .manifest import Manifest, StorePart
+from .manifest import IntervalRow, Manifest, StorePart
 from .recovery import close_open_segments, close_segment, intervals_since_end
 from .retention import Retention, parts_to_drop
 from .sealing import Step, can_seal, remove_unfinished, remove_unlisted, seal
-from .segment import Segment, alarms_of, facts_of
+from .segment import Segment, alarms_of, facts_of, intervals_of, open_for_reading
 
 EVER: Final = 2**63 - 1
 SEGMENT_SIZE: Final = 256 * 1024 * 1024
@@ -431,11 +431,24 @@ class StoreWriter:
                     _log.info("%d events of alarms are older than samples, or too many: no longer kept", forgotten)
             if not dropped and age is None:
                 return []
-            self.manifest.drop_parts(dropped, before=0 if age is None else now - int(age * 1_000_000_000))
+            before = 0 if age is None else now - int(age * 1_000_000_000)
+            self.manifest.drop_parts(dropped, before, self._halves_of_intervals(dropped))
             self._step("drop-listed")
             remove_unlisted(self.folder, self.manifest)
             self._step("drop-unlinked")
             return dropped
+
+    def _halves_of_intervals(self, parts: Iterable[StorePart]) -> list[IntervalRow]:
+        """Return begins of intervals in segments to be dropped without their ends, and ends without their begins."""
+        rows: list[IntervalRow] = []
+        for part in parts:
+            if part.kind == "closed" and not self._is_to_be_mended(part):
+                with suppress(FileNotFoundError), closing(open_for_reading(self.folder / SEGMENTS / part.file)) as file:
+                    rows += intervals_of(file)
+        rows = [row for row in rows if row.device is not None and row.reason != Reason.SKIPPED]  # which has no begin
+        begun = {row.key for row in rows if row.end is None}
+        ended = {row.key for row in rows if row.end is not None}
+        return [row for row in rows if row.key not in (ended if row.end is None else begun)]
 
     def _sized_parts(self) -> list[StorePart]:
         segment = self._segment
