@@ -27,6 +27,7 @@ PURE_MODULES = {
     "dataclasses",
     "difflib",
     "enum",
+    "fnmatch",
     "fractions",
     "decimal",
     "functools",
