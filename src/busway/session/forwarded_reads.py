@@ -128,8 +128,8 @@ class ReadObserver(Protocol):
     def clock(self) -> Callable[[], float]:
         """The clock that ``began`` is measured with, in seconds."""
 
-    def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], began: float) -> None:
-        """Report that reads which arrived together at ``began`` were answered with these ADUs."""
+    def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], seconds: float) -> None:
+        """Report that reads which arrived together were answered with these ADUs; each took ``seconds``."""
 
     def unanswered(self, client: "ClientIdentity", requests: int) -> None:
         """Report that a client disconnected before ``requests`` of its reads were answered."""
@@ -191,7 +191,7 @@ class ForwardedReads:
         self.is_priority: bool = client.is_priority
         self._client = client
         self._observed_by = observed_by
-        self._began: dict[bytes, float] | None = None  # by transaction, of the reads that wait; only with observers
+        self._began: dict[bytes, float] = {}  # by transaction, of the reads that wait; only with an observer
         self._slots = slots
         self._diagnostics = diagnostics
         self._deliver = deliver
@@ -240,8 +240,9 @@ class ForwardedReads:
         slots.used += count
         self.waiting += count
         if self._observed_by is not None:
-            self._began = self._began or {}
-            self._began.update(dict.fromkeys(transactions, self._observed_by.clock()))
+            now = self._observed_by.clock()
+            for transaction in transactions:
+                self._began[transaction] = now
         if count == 1 or not self.plans.several_units:
             self._diagnostics.arrived[plans[0].head[_UNIT_ASKED]] += count
         else:
@@ -313,12 +314,15 @@ class ForwardedReads:
                 self._deliver(ready)
 
     def _observe(self, adus: list[bytes], observer: "ReadObserver") -> None:
-        began, now = self._began or {}, observer.clock()
+        began, now = self._began, observer.clock()
+        if len(adus) == 1:
+            observer.forwarded(self._client, adus, now - began.pop(adus[0][:2], now))
+            return
         groups: dict[float, list[bytes]] = {}  # by arrival: those of one segment mostly come back together
         for adu in adus:
             groups.setdefault(began.pop(adu[:2], now), []).append(adu)
         for arrived, replies in groups.items():
-            observer.forwarded(self._client, replies, arrived)
+            observer.forwarded(self._client, replies, now - arrived)
 
     def close(self) -> None:
         """Give up all unanswered reads, because the client's connection ended: they get no reply and free their slots.

@@ -205,11 +205,11 @@ class RequestPipeline:
         for observer in self.observers:
             observer.answered(client, replies, seconds)
 
-    def forwarded(self, client: ClientIdentity, replies: Sequence[bytes], began: float) -> None:
-        """Report replies to forwarded reads to the observers; all these reads arrived at ``began``, by ``clock``."""
-        seconds = (self.clock() - began) * len(replies)
+    def forwarded(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
+        """Report replies to forwarded reads to the observers; each took ``seconds``."""
+        together = seconds * len(replies)
         for observer in self.observers:
-            observer.answered(client, replies, seconds)
+            observer.answered(client, replies, together)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Tell the observers that a client disconnected before ``requests`` of its forwarded reads were answered."""

@@ -78,10 +78,12 @@ class MetricsObserver:
         if not replies:
             return
         peer_class = self._classify(client)
-        each = seconds / len(replies)
-        alike = [reply[6:8] for reply in replies]
-        if alike.count(alike[0]) == len(alike) and alike[0][1] < 0x80:  # mostly they have the same unit and function
-            self._count(peer_class, replies[0], len(alike), each)
+        count = len(replies)
+        each = seconds / count
+        first = replies[0]
+        # Mostly they have the same unit and function.
+        if count == 1 or (first[7] < 0x80 and len({reply[6:8] for reply in replies}) == 1):
+            self._count(peer_class, first, count, each)
         else:
             for reply in replies:
                 self._count(peer_class, reply, 1, each)
