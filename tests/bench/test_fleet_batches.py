@@ -26,7 +26,7 @@ async def test_messages_of_all_sizes_are_published_beside_bare_bytes(tmp_path: P
 
 def longest(samples: int) -> int:
     """How long a message can become at most, as an outbox computes it before."""
-    made, known = message(samples, 1), set[tuple[str, str, str]]()
+    made, known = message(samples, 1), set[str]()
     head = longest_head(made.collector, made.store, made.link)
     return head + sum(longest_row(row, known) for row in made.samples)
 

@@ -1,3 +1,5 @@
+from contextlib import suppress
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -61,7 +63,7 @@ def test_a_message_comes_back_as_it_was_with_the_type_of_every_value(
 
 @given(st.lists(SAMPLES, max_size=30), st.text(max_size=100))
 def test_a_message_is_never_longer_than_computed_before(samples: list[CommittedSample], name: str) -> None:
-    known = set[tuple[str, str, str]]()
+    known = set[str]()
     bound = longest_head(name, name, name) + sum(longest_row(each, known) for each in samples)
     largest = 2**63 - 1
     chain = Chain(2**48 - 1, largest, largest)
@@ -86,13 +88,13 @@ def test_a_message_of_as_many_of_the_longest_rows_as_it_takes_is_not_longer_than
     points: int, value: float | str | None
 ) -> None:
     rows = [CommittedSample(2**62, "meter", str(n % points), 2**62, 2**62, value, 2**15, "V") for n in range(1300)]
-    known = set[tuple[str, str, str]]()
+    known = set[str]()
     bound = longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in rows)
     assert len(message(rows).encode()) <= bound
 
 
 def test_numbers_take_most_of_the_room_that_is_computed_for_them() -> None:
-    known = set[tuple[str, str, str]]()
+    known = set[str]()
     rows = [CommittedSample(2**33, "meter", "power", 2**60 + n, 2**20, 230.5, 0) for n in range(1000)]
     bound = longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in rows)
     assert bound < 2 * len(message(rows).encode())
@@ -109,9 +111,25 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
         decode_message(data)
 
 
+@pytest.mark.parametrize("wrong", [7, "text", [9], None, {"a": 1}])
+def test_a_message_with_a_field_of_another_kind_is_refused_or_read_without_another_error(wrong: object) -> None:
+    content = msgpack.unpackb(message([CommittedSample(1, "d", "p", 1, 0, 2**70, 0, "V")]).encode())
+    for place in range(1, len(content)):
+        with suppress(UnreadableMessage):
+            decode_message(msgpack.packb([*content[:place], wrong, *content[place + 1 :]]))
+
+
+def test_names_that_all_samples_have_take_room_once() -> None:
+    def of(count: int) -> int:
+        rows = [CommittedSample(1, "a long name " * 9, f"p{n % 2}", 1, 0, 1, 0, "a unit " * 9) for n in range(count)]
+        return len(message(rows).encode())
+
+    assert of(100) - of(10) < 90 * 12
+
+
 def test_a_newer_format_is_refused_by_name() -> None:
-    with pytest.raises(UnreadableMessage, match="format 4 is not known here"):
-        decode_message(msgpack.packb([4, "anything"]))
+    with pytest.raises(UnreadableMessage, match="format 5 is not known here"):
+        decode_message(msgpack.packb([5, "anything"]))
 
 
 def test_each_attempt_to_send_a_message_has_a_name_of_its_own() -> None:

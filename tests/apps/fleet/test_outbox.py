@@ -619,7 +619,7 @@ def test_messages_of_any_limit_have_each_sample_once_in_order_and_each_commit_wh
 def test_a_message_that_has_exactly_the_most_bytes_is_not_cut(tmp_path: Path) -> None:
     sending = Sending(tmp_path)
     samples = [CommittedSample(commit, "meter", "p", commit, 0, "x" * 50, 0) for commit in (1, 1, 2, 2)]
-    known = set[tuple[str, str, str]]()
+    known = set[str]()
     head = longest_head("one", "s", "hall")
     whole = head + sum(longest_row(each, known) for each in samples)
     alone = head + longest_row(samples[0], set())

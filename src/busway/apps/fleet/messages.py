@@ -7,14 +7,16 @@
 3. A stream can lose messages that it has acknowledged: the last ones, when its server ends, and the oldest, when it is
    full. By its `Chain` a reader sees that it lacks a message of the sender.
 4. A message of a newer format is refused as a whole; nothing in it is guessed.
-5. A message has at most `MOST_BYTES` bytes. How long it becomes is not measured but computed before (`longest_head`,
+5. A message holds each name once, however many of its samples have it; samples refer to names by their place.
+6. A message has at most `MOST_BYTES` bytes. How long it becomes is not measured but computed before (`longest_head`,
    `longest_row`), and never too low.
 """
 
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from importlib import import_module
-from itertools import groupby
+from itertools import count, groupby, starmap
 from typing import Any, Final
 
 from ...errors import ModbusError
@@ -23,7 +25,7 @@ from ..collector.store.committed_samples import CommittedSample
 from .lease_times import Epoch
 from .ownership_gaps import OwnershipGap
 
-FORMAT: Final = 3
+FORMAT: Final = 4
 MOST_BYTES: Final = 64 * 1024
 """Most bytes of one message."""
 
@@ -89,8 +91,9 @@ class SampleMessage:
         require("msgpack", "samples of a fleet")
         columns = tuple(zip(*self.samples, strict=True)) or ((),) * 9
         commits, devices, points, times, half_widths, values, reasons, units, _ = columns
-        point_of = list(zip(devices, points, units, strict=True))
-        places = {point: place for place, point in enumerate(dict.fromkeys(point_of))}
+        places: defaultdict[str, int] = defaultdict(count().__next__)  # of each name, by their first use
+        place_of = places.__getitem__
+        device_places, point_places, unit_places = (list(map(place_of, names)) for names in (devices, points, units))
         content = [
             FORMAT,
             self.collector,
@@ -103,7 +106,9 @@ class SampleMessage:
             [self.chain.start, self.chain.number, self.chain.after, self.chain.is_first],
             None if self.gap is None else [self.gap.commit, self.gap.devices, self.gap.begin, self.gap.end],
             list(places),
-            [places[point] for point in point_of],
+            device_places,
+            point_places,
+            unit_places,
             commits,
             times,
             half_widths,
@@ -128,13 +133,11 @@ def decode_message(data: bytes) -> SampleMessage:
         if content[0] != FORMAT:
             raise UnreadableMessage(f"format {content[0]!r} is not known here: this program is older than its sender")
         _, collector, store, link, epoch, revision, complete, kept, *rest = content
-        (start, number, after, is_first), found, points, *columns = rest
-        samples = [
-            CommittedSample(
-                commit, points[place][0], points[place][1], time, half, _unpacked(value), reason, points[place][2]
-            )
-            for place, commit, time, half, value, reason in zip(*columns, strict=True)
-        ]
+        (start, number, after, is_first), found, names, *columns = rest
+        devices, points, units = (map(names.__getitem__, places) for places in columns[:3])
+        commits, times, half_widths, values, reasons = columns[3:]
+        columns = [commits, devices, points, times, half_widths, map(_unpacked, values), reasons, units]
+        samples = list(starmap(CommittedSample, zip(*columns, strict=True)))
         owned = None if epoch is None else Epoch(epoch[0], epoch[1])
         gap = None
         if found is not None and owned is not None:
@@ -154,7 +157,7 @@ def decode_message(data: bytes) -> SampleMessage:
         )
     except UnreadableMessage:
         raise
-    except (ValueError, TypeError, IndexError, KeyError, msgpack.UnpackException) as error:
+    except (ValueError, TypeError, AttributeError, LookupError, msgpack.UnpackException) as error:
         raise UnreadableMessage(f"the bytes are no message of samples: {error or type(error).__name__}") from error
 
 
@@ -182,18 +185,19 @@ def longest_head(*names: str) -> int:
     return _MOST_NUMBERS + sum(map(_longest_text, names))
 
 
-def longest_row(sample: CommittedSample, known: set[tuple[str, str, str]]) -> int:
+def longest_row(sample: CommittedSample, known: set[str]) -> int:
     """Return how many bytes a sample may add to a message; computed from the longest forms in MessagePack.
 
     Args:
         sample: the sample.
-        known: device, point and unit of measure of the samples before it in the same message; its own are added.
+        known: names of the samples before it in the same message: devices, points and units of measure. Its own are
+            added.
     """
-    point = sample.device, sample.point, sample.unit_of_measure
     names = 0
-    if point not in known:
-        known.add(point)
-        names = 1 + sum(map(_longest_text, point))
+    for name in (sample.device, sample.point, sample.unit_of_measure):
+        if name not in known:
+            known.add(name)
+            names += _longest_text(name)
     value = sample.value
     if isinstance(value, str):
         return _MOST_ROW + names + _longest_text(value)
@@ -201,9 +205,12 @@ def longest_row(sample: CommittedSample, known: set[tuple[str, str, str]]) -> in
 
 
 _MOST_NUMBERS: Final = 256
-"""Bytes of all numbers and heads of lists of a message together: 15 numbers of 9 bytes, 12 heads of 5."""
+"""Bytes of all numbers and heads of lists of a message together: 15 numbers of 9 bytes, 14 heads of 5."""
 _MOST_ROW: Final = 48
-"""Bytes of a sample's numbers: place, commit, time and half width, 5 or 9 each, value 9, reason 3, head of a list 6."""
+"""Bytes of a sample's numbers: commit, time, half width and value 9 each; reason and the places of three names 3 each.
+
+A message of `MOST_BYTES` has no more than 2**16 names, because each takes at least one byte.
+"""
 
 
 def _longest_text(text: str) -> int:

@@ -359,7 +359,7 @@ class Outbox:
         """
         head, most = longest_head(self._collector, self._store, link), self._stream.most_bytes()
         for epoch, rows in self._of_one_epoch(link, group):
-            waiting, length, known = list[CommittedSample](), head, set[tuple[str, str, str]]()
+            waiting, length, known = list[CommittedSample](), head, set[str]()
             for _, found in groupby(rows, key=lambda row: row.commit):
                 commit = list(found)
                 added = sum(longest_row(row, known) for row in commit)
@@ -380,7 +380,7 @@ class Outbox:
 
     def _pieces(self, commit: list[CommittedSample], head: int, most: int) -> Iterator[list[CommittedSample]]:
         """Yield what a commit has of a link in pieces, each for a message; the commit is too long for one (rule 9)."""
-        piece, length, known = list[CommittedSample](), head, set[tuple[str, str, str]]()
+        piece, length, known = list[CommittedSample](), head, set[str]()
         for row in commit:
             alone = head + longest_row(row, set())
             if alone > most:
