@@ -20,7 +20,7 @@ from .delivery import PAUSE_LIMIT, Delivery, SinkStatus
 from .interface import DescribedSink, Sink
 
 FINISH: Final = 2.0
-"""Seconds for which a sink that is removed may finish what it sends."""
+"""Seconds for which a sink that is removed, or a program that ends, may finish what it sends."""
 
 _log = logging.getLogger("busway.sinks")
 
@@ -131,9 +131,10 @@ class SinkThread:
         return [each.delivery.status() for each in list(self._running.values())]
 
     def close(self, timeout: float = 10.0) -> None:
-        """Stop sending to all sinks at once, and wait at most ``timeout`` seconds for their end.
+        """Stop sending to all sinks, and wait at most ``timeout`` seconds for their end.
 
-        Samples that are not sent yet are sent after the next start.
+        What is being sent arrives first, if that takes `FINISH` seconds at most: it is not sent again then. Samples
+        that are not sent yet are sent after the next start.
         """
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._ending.set)
@@ -151,7 +152,7 @@ class SinkThread:
 
     async def _deliver(self) -> None:
         await self._ending.wait()
-        await asyncio.gather(*(_end(each) for each in list(self._running.values())))
+        await asyncio.gather(*(_finish(each) for each in list(self._running.values())))
 
 
 def _check_name(name: str) -> None:
