@@ -251,6 +251,20 @@ def test_addresses_of_networks_have_the_octets_of_their_definition(type: str, re
     assert ReadDecoder([point], HOLDING, 0, len(wire) // 2).decode(wire).values == [value]
 
 
+def test_a_number_in_bcd_is_an_exponent_for_others_and_is_scaled_by_them() -> None:
+    points = [
+        Point("power", HOLDING, 0, value_type("bcd16"), Conversion(scale_from="factor", valid=(0, 100))),
+        Point("factor", HOLDING, 1, value_type("bcd16"), is_exponent=True),
+    ]
+    decoder = ReadDecoder(points, HOLDING, 0, 2)
+    known: dict[str, int] = {}
+    found = decoder.decode(bytes.fromhex("0055 0001"), known)
+    assert (found.values, found.flaws, known) == ([550.0, 1], {0: Reason.OUT_OF_RANGE}, {"factor": 1})
+    found = decoder.decode(bytes.fromhex("0055 00FA"), known)
+    assert (found.values, known) == ([None, None], {})
+    assert found.flaws == {0: Reason.NO_SCALE_FACTOR, 1: Reason.MEANINGLESS}
+
+
 def test_bytes_that_mean_nothing_in_a_type_spoil_that_point_alone() -> None:
     points = [Point("a", HOLDING, 0, value_type("bcd16")), Point("b", HOLDING, 1, value_type("uint16"))]
     found = ReadDecoder(points, HOLDING, 0, 2).decode(bytes.fromhex("00FA 0007"))
@@ -328,7 +342,9 @@ def conversions(draw: st.DrawFn) -> Conversion:
 
 @settings(max_examples=examples(300), deadline=None)
 @given(
-    given=st.lists(st.tuples(conversions(), st.sampled_from(["int16", "uint16", "float32"])), min_size=1, max_size=8),
+    given=st.lists(
+        st.tuples(conversions(), st.sampled_from(["int16", "uint16", "float32", "bcd32"])), min_size=1, max_size=8
+    ),
     data=st.data(),
 )
 def test_conversions_of_many_points_are_those_that_the_rules_give_one_by_one(
@@ -342,6 +358,8 @@ def test_conversions_of_many_points_are_those_that_the_rules_give_one_by_one(
     for point in points:
         if point.type == "float32":
             raws.append(data.draw(st.sampled_from([0.0, 7.0, -1.0, 1.5, -11.25, math.nan, math.inf])))
+        elif point.type == "bcd32":
+            raws.append(data.draw(st.integers(0, 99_999_999) | st.sampled_from([0, 7, 0x8000, 0xFFFF])))
         else:
             low = 0 if point.type == "uint16" else -32768
             raws.append(data.draw(st.integers(low, low + 65535) | st.sampled_from([low, 0, 7, low + 65535])))
@@ -350,7 +368,10 @@ def test_conversions_of_many_points_are_those_that_the_rules_give_one_by_one(
     found = ReadDecoder(points, HOLDING, 0, at).decode(wire, dict(known))
     for place, (point, raw) in enumerate(zip(points, raws, strict=True)):
         expected = point.conversion
-        if point.type == "uint16":  # the pattern of a negative number is not looked for in types without a sign
+        if point.type in (
+            "uint16",
+            "bcd32",
+        ):  # the pattern of a negative number is not looked for in types without a sign
             signless = tuple(each for each in expected.invalid if each >= 0)
             expected = Conversion(expected.scale, expected.offset, expected.scale_from, expected.linear,
                                   tuple(each for each in signless), expected.valid)  # fmt: skip

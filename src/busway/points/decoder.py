@@ -242,17 +242,9 @@ class _Source:
         number = _number_of(point, self._start)
         if number is None:
             self._typed(place, point)
-            return
-        raw = self._raw(self._numbers[number], point)
-        if point.type == "bit":
-            self._lines.append(f"v{place} = {raw}")
-            return
-        tests = self._tests(place, point, raw)
-        plain = not (point.conversion.changes or point.conversion.scale_from or point.conversion.valid)
-        if not tests and plain:
-            self._lines.append(f"v{place} = {raw}")
         else:
-            self._converted(place, point, raw, tests)
+            raw = self._raw(self._numbers[number], point)
+            self._lines += self._converted(place, point, raw, self._tests(place, point, raw))
         if is_exponent:
             self._lines += [
                 f"if v{place} is None:",
@@ -278,6 +270,8 @@ class _Source:
 
     def _tests(self, place: int, point: Point, raw: str) -> list[tuple[str, Reason]]:
         """Return the tests for raw numbers that mean "no value": the source of each condition, and the reason."""
+        if point.type == "bit":
+            return []
         tests = [] if point.is_whole else [(f"{raw} != {raw}", Reason.NOT_A_NUMBER)]
         invalid = _invalid_of(point)
         if len(invalid) == 1:
@@ -287,15 +281,19 @@ class _Source:
             tests.append((f"{raw} in invalid{place}", Reason.NO_VALUE))
         return tests
 
-    def _converted(self, place: int, point: Point, raw: str, tests: list[tuple[str, Reason]]) -> None:
+    def _converted(self, place: int, point: Point, raw: str, tests: list[tuple[str, Reason]]) -> list[str]:
+        """Return the code that converts the raw number of a point, unless one of the tests finds that it has none."""
         word, conversion = "if", point.conversion
+        if point.type == "bit" or not point.is_number:
+            return [f"v{place} = {raw}"]
+        found = []
         for condition, reason in tests:
-            self._lines += [f"{word} {condition}:", f"    v{place} = None", f"    {self._flaw(place, reason)}"]
+            found += [f"{word} {condition}:", f"    v{place} = None", f"    {self._flaw(place, reason)}"]
             word = "elif"
         scaled = conversion.scale_from
         if scaled:
             self.namespace["powers"] = _POWERS
-            self._lines += [
+            found += [
                 f"{word} not -{LARGEST_EXPONENT} <= known.get({scaled!r}, 99) <= {LARGEST_EXPONENT}:",
                 f"    v{place} = None",
                 f"    {self._flaw(place, Reason.NO_SCALE_FACTOR)}",
@@ -309,7 +307,7 @@ class _Source:
             ]
         if conversion.valid is not None:
             lines += self._validity(place, *conversion.valid)
-        self._lines += lines if word == "if" else ["else:", *(f"    {line}" for line in lines)]
+        return [*found, *(lines if word == "if" else ["else:", *(f"    {line}" for line in lines)])]
 
     def _validity(self, place: int, low: float | None, high: float | None) -> list[str]:
         tests = [f"v{place} {sign} {end!r}" for end, sign in ((low, "<"), (high, ">")) if end is not None]
@@ -327,6 +325,10 @@ class _Source:
             f"v{place}, reason = read{place}(data[{first}:{first + 2 * point.width}])",
             f"if reason: flaws = noted(flaws, {place}, reason)",
         ]
+        conversion = point.conversion
+        if point.is_number and (conversion.changes or conversion.scale_from or conversion.valid):
+            lines = self._converted(place, point, f"v{place}", [])
+            self._lines += ["else:", *(f"    {line}" for line in lines)]
 
 
 def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
@@ -392,14 +394,13 @@ def _invalid_of(point: Point) -> list[float]:
 
 
 def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
-    """Return a function that decodes one point by its value type.
+    """Return a function that decodes one point by its value type; a number is not converted yet.
 
-    It takes the bytes of the point, and returns the value and the reason why it is not good (0 for a good value).
+    It takes the bytes of the point, and returns what they hold and the reason why there is none (0 if there is).
     """
-    form, conversion = point.form, point.conversion
+    form = point.form
     assert form is not None
-    convert = point.value if conversion.changes else None
-    invalid = frozenset(conversion.invalid)
+    invalid = frozenset(point.conversion.invalid)
 
     def read(data: Wire) -> tuple[Any, int]:
         try:
@@ -408,6 +409,6 @@ def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
             return None, Reason.MEANINGLESS
         if invalid and raw in invalid:
             return None, Reason.NO_VALUE
-        return (raw if convert is None else convert(raw)), Reason.NONE
+        return raw, Reason.NONE
 
     return read
