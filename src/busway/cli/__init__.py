@@ -72,9 +72,9 @@ def main() -> None:
 
 
 def _refuse(error: ImportError) -> NoReturn:
-    """Report an import error: for a missing package, end the process with code 2 and name the command that installs it.
+    """Handle a failed import of the program: if an optional package is missing, end the process with code 2.
 
-    Other errors are raised again.
+    The sentence on stderr names the command that installs the package. Any other import error is raised again.
     """
     from ..extras import missing_extra
 

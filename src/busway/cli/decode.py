@@ -93,14 +93,18 @@ def _one_of(text: str, name: str, allowed: list[str]) -> str:
 
 
 def _joined(texts: list[str]) -> list[str]:
-    """Return the frames to decode; arguments that are single bytes or 16-bit groups are joined to one frame."""
+    """Return the frames to decode; if all arguments are groups of one or two bytes, they are one frame."""
     if len(texts) > 1 and all(len(_SEPARATORS.sub("", text)) in (2, 4) and text[0] != ":" for text in texts):
         return [" ".join(texts)]
     return texts
 
 
 def _bytes_of(text: str) -> bytes:
-    """Return the bytes of a frame given as text in hexadecimal; of an ASCII frame, its characters as bytes."""
+    """Return the bytes of a frame from hexadecimal text; of an ASCII frame (it begins with a colon) the characters.
+
+    Raises:
+        ConfigError: the text has other characters than digits and separators, no digits, or half a byte.
+    """
     if _ASCII_FRAME.fullmatch(text) and not text[1:].isspace():
         return text.replace("\\r", "\r").replace("\\n", "\n").encode("ascii", errors="replace")
     digits = _SEPARATORS.sub("", text)

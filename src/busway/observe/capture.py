@@ -39,9 +39,12 @@ LARGEST_SEGMENT: Final = 32_768
 """Most bytes of one packet; a larger receive becomes several packets."""
 _MASTER_PORT: Final = 50_000
 _UNIT_PORT: Final = 1
-"""Port that stands for units. No Modbus server uses it, so the preference for lines does not affect TCP."""
+"""Port number that stands for the units of a serial line in its packets.
+
+No Modbus server uses it, so Wireshark's preference for lines does not affect TCP.
+"""
 _SHORTEST_DISSECTED: Final = 5
-"""Fewest bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
+"""Fewest bytes of an RTU frame that Wireshark 4.0 dissects; shorter frames are written as data."""
 _MARK: Final = "Made by busway"
 _HINT: Final = (
     f"{_MARK} from payloads; packet headers are synthetic. On serial lines the master is 0.0.0.0 and unit n is"
@@ -51,7 +54,7 @@ _HINT: Final = (
 
 
 def is_capture(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of a capture file that busway wrote."""
+    """Whether a file is a capture file that busway wrote; ``head`` has its first bytes, at least 42."""
     return head.startswith(SECTION_HEADER) and _MARK.encode("ascii") in head
 
 
@@ -61,7 +64,7 @@ class Capture:
     Its methods may be called from several threads.
 
     Attributes:
-        failure: why writing ended; empty while the file can be written.
+        failure: why nothing more is written: the error of the file, or ``closed``; empty while packets are written.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
@@ -127,7 +130,7 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """Write the received bytes that are not a complete frame yet, and close the file; later packets are dropped.
+        """Write the incomplete frames that serial lines have received, and close the file; later packets are dropped.
 
         May be called twice.
         """
@@ -158,7 +161,7 @@ class Capture:
 
         Args:
             interface: number of the line's interface in the file.
-            packet: the frame with the headers of a capture file.
+            packet: the frame, with the tags that `line_pdu` puts before it.
             at: when the frame began, in seconds since 1970; None for now.
             flow: whether it was received or sent, or UNKNOWN.
             comment: comment of the packet; empty for none.
@@ -171,7 +174,7 @@ class Capture:
         self._guarded(write)
 
     def _guarded(self, write: Callable[[], int]) -> int:
-        """Call a function that writes, under the lock, and return its result; 0 if writing is impossible.
+        """Call ``write`` under the lock, and return its result; 0 if it fails, or if the file has ended already.
 
         The first failure ends the capture file and is logged.
         """
@@ -254,7 +257,7 @@ class LineCapture:
         Args:
             found: the frame or damaged bytes.
             at: seconds since 1970 at which they began; None for now.
-            direction: request or reply, if the caller knows better than the receiver.
+            direction: request or reply; None for the direction that the receiver has found.
             is_outgoing: whether this program sent them.
         """
         flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING

@@ -59,7 +59,8 @@ def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = Non
         framing: ``mbap``, ``rtu`` or ``ascii``.
         name: name of the connection in the log.
         is_server: whether requests are received here, and replies sent.
-        carrier: socket or transport of the connection, from which a capture file has its addresses.
+        carrier: socket or transport of the connection, from which a capture file has its addresses; used for ``mbap``
+            only.
     """
     if framing == "mbap":
         return StreamTrace(name, is_server=is_server, carrier=carrier)
@@ -73,7 +74,10 @@ def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
 
 
 class LineTrace:
-    """Log of the traffic of one serial line. Its methods may be called from several threads."""
+    """Log of the traffic of one serial line. Its methods may be called from several threads.
+
+    If a capture file is in use (``TRACE.capture``) when the log is created, the frames are recorded there too.
+    """
 
     __slots__ = (
         "__weakref__",

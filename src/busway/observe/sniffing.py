@@ -45,7 +45,8 @@ class Ear(Protocol):
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return received bytes, after waiting for up to ``timeout`` seconds, and how many of them are damaged.
 
-        Empty if none came in time; a timeout of None waits for ever. Raises `LinkDown`.
+        Empty if none came in time; a timeout of None waits for ever. Raises `LinkDown` if the port has vanished or the
+        connection has ended.
         """
 
     def close(self) -> None:
@@ -68,7 +69,7 @@ class SocketEar:
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return received bytes, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
 
-        Empty if none came in time. Raises `LinkDown`.
+        Empty if none came in time. Raises `LinkDown` if the connection has ended.
         """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
@@ -115,7 +116,7 @@ class DatagramEar:
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return the next datagram, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
 
-        Empty if none came in time. Raises `LinkDown`.
+        Empty if none came in time. Raises `LinkDown` if the system reports an error.
         """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
@@ -145,8 +146,8 @@ class LineToHear:
         endpoint: its endpoint.
         framing: options of the framing.
         port: settings of the serial port; None over a network.
-        sockets: options of the connection, over a network.
-        opening: how often opening is tried again after the port has vanished.
+        sockets: options of the connection; without effect for a serial port.
+        opening: the pauses between attempts to open a port that has vanished; without effect over a network.
     """
 
     endpoint: Endpoint
@@ -245,7 +246,7 @@ class Listening:
         Args:
             line: the line to listen to.
             pairing: pairs the frames to events; a new one if None.
-            clock: returns the time in seconds, in which `hear` reports.
+            clock: returns the time in seconds; all times in events and of `hear` are of this clock.
             vanished: called when a serial port vanishes, which is then opened again as soon as possible; None ends the
                 listening instead.
             returned: called when the port is open again.
@@ -279,12 +280,14 @@ class Listening:
         self.close()
 
     def hear(self, until: float) -> list[Heard]:
-        """Return the next events on the line; none if nothing is complete before ``until`` (seconds of the clock).
+        """Wait for bytes from the line, and return the events that they or the silence complete; often none.
 
-        Returns after a fifth of a second at the latest, also while a vanished port is awaited.
+        Waits until ``until`` (seconds of the clock), but never longer than a fifth of a second, also while a vanished
+        port is awaited. So an empty list does not mean that ``until`` has come.
 
         Raises:
-            LinkDown: the port vanished and is not opened again, or the connection ended.
+            LinkDown: the port vanished and is not to be opened again, or the connection ended.
+            ConfigError: a vanished port is there again, but is in use in this process or refuses its settings.
         """
         now = self._clock()
         if self.lost is not None and not self._try_again(now, until):

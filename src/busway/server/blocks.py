@@ -57,13 +57,16 @@ class Run(Protocol):
         """
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current items of a range, in the wire order of a reply.
+        """Return ``count`` current items from ``position`` on, as bytes in the wire order of a reply.
 
         ``position`` counts from the first item of the run.
         """
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the items of a range; ``data`` is in wire order, ``position`` as for `get`. Safe from any thread."""
+        """Replace ``count`` items from ``position`` on by ``data``, which is in wire order. Safe from any thread.
+
+        ``position`` counts from the first item of the run.
+        """
 
 
 class RegisterRun:
@@ -110,7 +113,10 @@ class RegisterRun:
                 self.data[2 * position : 2 * (position + count)] = data
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace the registers of a range and return the old ones, in one step for all threads."""
+        """Replace ``count`` registers (at most 125) from ``position`` on, and return the old ones as big-endian bytes.
+
+        No other thread can change them in between.
+        """
         start = 2 * position
         with self._lock:
             items = self.data
@@ -129,7 +135,8 @@ class RegisterRun:
     def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
         """Replace ``count`` registers from ``position`` on, then return ``size`` registers from ``start`` on.
 
-        No other thread can change them in between. All four numbers count registers of this run, also ``start``.
+        No other thread can change them in between. ``position`` and ``start`` count from the first register of this
+        run; ``count`` and ``size`` are at most 125.
         """
         with self._lock:
             items = self.data
@@ -186,7 +193,10 @@ class BitRun:
                 splice_bits(self.data, position, count, data)
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace the bits of a range and return the old ones, in one step for all threads."""
+        """Replace ``count`` bits from ``position`` on, and return the old ones packed.
+
+        No other thread can change them in between.
+        """
         with self._lock:
             old = slice_bits(self.data, position, count)
             splice_bits(self.data, position, count, data)
@@ -244,11 +254,10 @@ class RegisterBits:
 
 
 def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
-    """Replace the bytes of several runs so that every reader sees all changes or none; the caller holds the lock.
+    """Replace the bytes of several runs at once; the caller holds the lock.
 
-    ``fresh`` has the new bytes by run. Readers hold no lock: with one Python statement for each run, a reader could see
-    the first run new and the second old. So all are replaced inside one call of C code (``deque`` exhausts ``map``),
-    during which no other thread runs Python.
+    ``fresh`` has the new bytes by run. No other thread sees some runs replaced and others not: readers hold no lock, so
+    all are replaced inside one call of C code (``deque`` exhausts ``map``), during which no other thread runs Python.
     """
     deque(map(setattr, fresh.keys(), repeat("data"), fresh.values()), maxlen=0)
 

@@ -62,7 +62,10 @@ _CLASS_COUNTERS: Final[dict[str, tuple[str, str]]] = {
 }
 """Name and description of the counters that are kept for each class of hosts, by field."""
 _GAUGES: Final = frozenset({"priority_connections", "other_connections"})
-"""Whole numbers of a listener that can go down; `busway_connections` shows them instead."""
+"""Integer fields of a listener's status that can decrease, so they are no counters.
+
+The metric ``busway_connections`` shows them instead.
+"""
 _CONNECTION_GAUGES: Final = (
     ("supported_connections", "Connections that there may be."),
     ("remote_connections", "Connections that others have opened."),
@@ -270,7 +273,7 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def gateway_listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families of a gateway's listeners: requests that reached no upstream."""
+    """Yield the metric families of a gateway's listeners: requests that were not forwarded, and broadcasts."""
     yield from _counters_of("gateway_listener", "listener", listeners, "Requests at the listener")
 
 
