@@ -50,7 +50,7 @@
 `write`            `busway write`: writes values to consecutive addresses of a device, in one request
 =================  =====================================================================================================
 
-One file per command. Only here are files and the environment read, and only here is anything printed.
+One file per command. Of the whole package, only these files print anything; the others return values, raise and log.
 
 Where it is decided: which exit code an error has: `exits`. How values are printed: `output`; status: `status_view`.
 What Ctrl-C and SIGTERM do: `signals`. What SIGHUP does: `reloading`. How long requests in flight may take at the end of

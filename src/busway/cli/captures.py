@@ -29,7 +29,7 @@ _FRAMINGS: Final = ("mbap", "rtu", "ascii")
 
 
 def names_capture(text: str) -> bool:
-    """Whether an argument names a capture file: its suffix is ``.pcap`` or similar, or its first bytes are of one."""
+    """Whether an argument names a capture file: its suffix is ``.pcap`` or similar, or the file begins like one."""
     from ..observe.capture_files.packet_file import is_capture_file
 
     if text.lower().endswith(_NAMES):
@@ -47,7 +47,7 @@ def names_capture(text: str) -> bool:
 def open_packets(name: str) -> Iterator["PacketFile"]:
     """Context manager that opens a capture file and yields an iterator over its packets.
 
-    ``-`` is standard input. While it iterates, a file that is broken raises `ConfigError`.
+    ``-`` is standard input. The iterator raises `ConfigError` where the file is broken.
 
     Raises:
         ConfigError: the file cannot be opened; the error names the file.
@@ -83,7 +83,10 @@ def traffic_of(ports: str | None, framing: str | None) -> "CapturedTraffic":
 
 
 def time_text(time: float) -> str:
-    """Return a time of a capture (seconds since 1970) as text in UTC, with microseconds."""
+    """Return a time of a capture (seconds since 1970) as text in UTC, with microseconds.
+
+    A time that is beyond all calendars, as a broken file may have, is returned in seconds.
+    """
     try:
         moment = datetime.fromtimestamp(time, UTC)
     except (OverflowError, ValueError, OSError):  # a file may say any time

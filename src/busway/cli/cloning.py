@@ -1,6 +1,7 @@
 """``busway simulate --clone``: records a live device into a simulation file.
 
-1. The device is only read. With ``--map`` each point of the map is read once, without it the tables are searched.
+1. The device is only read. With ``--map`` each point of the map is read, with ``--watch`` repeatedly; without a map the
+   tables are searched for items.
 2. The file goes to stdout, or with ``--out`` into a file; progress and what could not be recorded go to stderr.
 3. An existing file is overwritten with ``--force`` only; that is checked before the device is asked.
 """

@@ -3,7 +3,7 @@
 1. Each argument is a frame; bytes and 16-bit groups that the shell has split (``01 03 00 6b …``, ``0103 006b …``) are
    joined to one.
 2. Frames that follow each other are one conversation: a reply is compared with the request before it.
-3. An argument that names a capture file stands for the frames in it (`decode_capture`).
+3. If the only argument names a capture file, the frames in this file are explained (`decode_capture`).
 4. A frame that is wrong is explained as far as it goes; the exit code is then 6.
 """
 

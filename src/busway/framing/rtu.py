@@ -398,7 +398,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _after_limit(self, found: list[Received]) -> None:
-        """Report unfinished frames as damaged after a silence of ``gap_limit``."""
+        """Report all undecided bytes after a silence of ``gap_limit``: the frames among them, the rest as damaged."""
         while self._at < len(self._buffer):
             self._follow(found)
             if not self._take_divided(self._at, found) and not self._take_inner(found, at_limit=True):
@@ -451,7 +451,7 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """Return the end of the shortest frame at ``at`` with a right CRC, whatever the length rules, 0 for none.
+        """Return the end of the shortest frame at ``at`` with a right CRC, whatever the length rules; 0 for none.
 
         Used where the length rules give no frame.
         """
@@ -478,7 +478,7 @@ class RtuReceiver:
         """Add a frame that begins inside the undecided bytes, after the first, to ``found``; return whether one does.
 
         The bytes before it are reported as damaged. For a server a frame begins only after a silence; for a master or
-        observer anywhere. With ``at_limit`` a frame that is still unfinished does not count.
+        observer anywhere. Without ``at_limit``, a frame that is unfinished there is waited for: the result is False.
         """
         if self.conversation.role is LineRole.SERVER:
             return any(self._take_divided(place, found) for place in self._silences if place > self._at)
@@ -497,10 +497,11 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Find the next position after the first undecided byte where a frame begins or may begin; set ``_scan`` to it.
+        """Find the next position after the first undecided byte where a frame begins or can begin; set ``_scan`` to it.
 
-        Returns the frame's end and direction. The end is `WAITS` if the frame may be unfinished (with ``at_limit`` such
-        a position is rejected too), and `DEAD` if nothing is found; then ``_scan`` is the end of the buffer.
+        Returns the frame's end and direction. The end is `WAITS` if an unfinished frame can begin there (with
+        ``at_limit`` such a position is rejected), and `DEAD` if nothing is found; then ``_scan`` is the end of the
+        buffer.
         """
         start = max(self._scan, self._at + 1)
         if self.conversation.role is LineRole.MASTER:

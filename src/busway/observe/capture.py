@@ -59,7 +59,9 @@ def is_capture(head: bytes) -> bool:
 
 
 class Capture:
-    """A capture file for Wireshark, into which connections and lines write; a context manager that closes it.
+    """A capture file for Wireshark; a context manager that closes it.
+
+    Connections and serial lines write into it through recorders, which `connection`, `stream` and `line` return.
 
     Its methods may be called from several threads.
 
@@ -201,7 +203,7 @@ class StreamCapture:
         self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
 
     def received(self, data: bytes) -> None:
-        """Write bytes that the connection received to the capture file, as TCP packets."""
+        """Record bytes that the connection received: write them to the capture file as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
@@ -209,7 +211,7 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write bytes that the connection sent to the capture file, as TCP packets."""
+        """Record bytes that the connection sent: write them to the capture file as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
@@ -227,11 +229,11 @@ class DatagramCapture:
         self._ends = ends
 
     def received(self, data: bytes) -> None:
-        """Write a received datagram to the capture file."""
+        """Record a received datagram: write it to the capture file."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write a sent datagram to the capture file."""
+        """Record a sent datagram: write it to the capture file."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
 
 
@@ -252,7 +254,7 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """Write a frame, or damaged bytes, that were on the serial line to the capture file.
+        """Record a frame, or damaged bytes, of the serial line: write them to the capture file as one packet.
 
         Args:
             found: the frame or damaged bytes.

@@ -213,7 +213,10 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return a frame's direction, its fields, whether it answers the last request, and if not why, as sentences."""
+        """Return a frame's direction, its fields, whether it answers the last request, and problems as sentences.
+
+        There is a problem only if the frame is a reply to the last request's function, but not to that request.
+        """
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)

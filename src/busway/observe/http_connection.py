@@ -13,7 +13,7 @@ from typing import Any, Final, NoReturn, cast
 from .http_messages import BODY_LIMIT, HEAD_LIMIT, HttpError, HttpRequest, HttpResponse
 
 _SINGLE: Final = ("host", "content-length", "authorization")
-"""Headers that must not stand twice: it would be unclear which one counts."""
+"""Headers that a request may have only once: with two it would be unclear which one counts, so it is answered 400."""
 
 
 class HttpConnection(BaseHTTPRequestHandler):

@@ -52,10 +52,10 @@ class Heard:
         kind: the kind of event.
         frame: the frame; for `Kind.UNANSWERED` the request; None for damaged bytes.
         damaged: the damaged bytes; for `Kind.UNANSWERED` those that came in place of the reply, if any did.
-        gap: seconds of silence before the frame; None for the first frame and for `Kind.UNANSWERED`.
-        request: for a reply, the request that it answers.
+        gap: seconds of silence before the frame or damaged bytes; None for the first ones and for `Kind.UNANSWERED`.
+        request: for a reply, the request that it answers; otherwise None.
         response_time: for a reply, seconds from the end of the request to the beginning of the reply; for
-            `Kind.UNANSWERED`, seconds that were waited.
+            `Kind.UNANSWERED`, seconds that were waited; otherwise None.
         is_repeat: for a request, whether the request before it had the same bytes and got no reply.
     """
 
@@ -198,7 +198,7 @@ class Pairing:
         return events
 
     def tick(self, now: float) -> list[Heard]:
-        """Return the event of a missing reply, if the reply to the last request has not come by ``now`` (seconds)."""
+        """Return the event of a missing reply, if waiting for it has ended by ``now`` (seconds); else an empty list."""
         deadline = self.deadline()
         return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
 

@@ -158,9 +158,7 @@ class LineToHear:
 
     @property
     def timing(self) -> SerialTiming:
-        """Times of the line, such as the silence between frames: by the settings of its port, or fixed ones over a
-        network.
-        """
+        """Times of the line, such as the silence between frames: from the port's settings, or fixed over a network."""
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
@@ -227,7 +225,7 @@ class Listening:
     """Listens to one serial line and pairs requests and replies; a context manager that closes it.
 
     Attributes:
-        pairing: pairs the frames to events, and has the statistics.
+        pairing: turns the frames into events, and has the statistics.
         bytes_heard: number of bytes received, good or not.
         lost: the error with which the port vanished, while opening it is tried again; None while the port is open.
     """
@@ -245,7 +243,7 @@ class Listening:
 
         Args:
             line: the line to listen to.
-            pairing: pairs the frames to events; a new one if None.
+            pairing: turns the frames into events; None for a new one.
             clock: returns the time in seconds; all times in events and of `hear` are of this clock.
             vanished: called when a serial port vanishes, which is then opened again as soon as possible; None ends the
                 listening instead.
@@ -282,8 +280,9 @@ class Listening:
     def hear(self, until: float) -> list[Heard]:
         """Wait for bytes from the line, and return the events that they or the silence complete; often none.
 
-        Waits until ``until`` (seconds of the clock), but never longer than a fifth of a second, also while a vanished
-        port is awaited. So an empty list does not mean that ``until`` has come.
+        Returns as soon as bytes have come, or a silence has ended a frame or the wait for a reply. Returns at ``until``
+        (seconds of the clock) at the latest, and never later than after a fifth of a second, also while a vanished port
+        is awaited. So an empty list does not mean that ``until`` has come.
 
         Raises:
             LinkDown: the port vanished and is not to be opened again, or the connection ended.

@@ -3,7 +3,7 @@
 Knows frames and messages; knows no connection: a driver passes in what it received and sent.
 
 1. ``message``: each request and reply with its fields. ``frame``: the ADU in hexadecimal too. ``bytes``: the bytes of
-   each receive and send, however they were cut.
+   each receive and send too, in the pieces in which they were received or sent.
 2. Off costs a driver one attribute test (``TRACE.level``). A capture file switches it on too, without log lines.
 3. Lines go to the logger ``busway.trace`` at level DEBUG, lazily formatted.
 """
@@ -116,7 +116,7 @@ class Trace:
 
 
 TRACE = Trace()
-"""The switch for the traffic log of this process."""
+"""The switch of the traffic log of this process: the only `Trace` object."""
 
 
 class StreamTrace:

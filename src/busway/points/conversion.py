@@ -32,7 +32,7 @@ ROUNDING: Final = Fraction(1, 1 << 49)
 _ROUNDING_OF_FLOAT32: Final = Fraction(1, 1 << 24)
 """Largest relative error of a number that was rounded to a float of 32 bits."""
 LARGEST_EXPONENT: Final = 10
-"""Scale factors lie in -10…10 (SunSpec Device Information Model Specification, sunssf)."""
+"""Largest absolute value of an exponent for ``scale_from`` (SunSpec Device Information Model Specification, sunssf)."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -126,8 +126,8 @@ class ReportRule:
     one rule, and each sink may have its own, which selects from the samples that the store has kept.
 
     Attributes:
-        when: ``every``: each read; ``change``: a change; ``change_or_period``: a change, and after ``period`` at the
-            latest.
+        when: ``every``: each sample is passed on; ``change``: each change of the value; ``change_or_period``: each
+            change, and a sample without a change after ``period``.
         period: seconds, for ``change_or_period``.
         deadband: a value has changed if it differs by more than this from the value passed on before; in the unit of
             measure, or in percent of that value.

@@ -48,12 +48,16 @@ class Run(Protocol):
         """
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` items from ``position`` on of ``data``, which is the bytes of ``memory`` or a copy."""
+        """Return ``count`` items from ``position`` on, in wire order, out of ``data`` instead of the memory.
+
+        ``data``: the bytes of ``memory``, or a copy of them that may have been changed.
+        """
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` items from ``position`` on into ``data``, which is the bytes of ``memory`` or a copy.
+        """Write ``items`` (``count`` of them, in wire order) from ``position`` on into ``data``.
 
-        They are written in one assignment, so no reader sees half of them.
+        ``data``: the bytes of ``memory``, or a copy of them. It is changed in one assignment, so no reader sees half of
+        the items.
         """
 
     def get(self, position: int, count: int) -> bytes:
@@ -92,19 +96,19 @@ class RegisterRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` registers from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
+        """Return ``count`` registers from ``position`` on out of ``data``: this run's bytes, or a changed copy."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` registers from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
+        """Write ``count`` registers from ``position`` on into ``data``: this run's bytes, or a copy of them."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current registers of a range as big-endian bytes."""
+        """Return ``count`` current registers from ``position`` on, as big-endian bytes."""
         return bytes(self.data[2 * position : 2 * (position + count)])
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the registers of a range by big-endian bytes; safe from any thread."""
+        """Replace ``count`` registers from ``position`` on by big-endian bytes; safe from any thread."""
         if count <= _PACKED:
             with self._lock:
                 _PACK[count](self.data, 2 * position, data)
@@ -170,19 +174,19 @@ class BitRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` bits from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
+        """Return ``count`` packed bits from ``position`` on out of ``data``: this run's bytes, or a changed copy."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` bits from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
+        """Write ``count`` packed bits from ``position`` on into ``data``: this run's bytes, or a copy of them."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current bits of a range, packed from the lowest bit of the first byte."""
+        """Return ``count`` current bits from ``position`` on, packed from the lowest bit of the first byte."""
         return slice_bits(self.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the bits of a range by packed bytes; safe from any thread."""
+        """Replace ``count`` bits from ``position`` on by packed bytes; safe from any thread."""
         if count == 1:
             place, bit = position >> 3, 1 << (position & 7)
             with self._lock:
@@ -204,9 +208,9 @@ class BitRun:
 
 
 class RegisterBits:
-    """Registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``start + n // 16``.
+    """A bit table that is a view of registers: bit ``n`` is bit ``n % 16`` of register ``start + n // 16``.
 
-    Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block for all).
+    Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block of memory).
 
     Args:
         memory: the registers.
@@ -225,12 +229,12 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` bits from ``position`` on of ``data``, which is the registers' bytes or a changed copy."""
+        """Return ``count`` packed bits from ``position`` on out of ``data``: the registers' bytes or a changed copy."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` bits from ``position`` on into ``data``, which is the registers' bytes or a copy of them."""
+        """Write ``count`` packed bits from ``position`` on into ``data``: the registers' bytes, or a copy of them."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)

@@ -252,7 +252,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         """Process requests that wait, for one share of a turn. Returns whether the connection needs another turn.
 
         It needs none if nothing waits, if it is closed or closing, or while the client does not read its replies;
-        `resume_writing` queues it again then. Raises no ordinary exception.
+        `resume_writing` queues it again then. An exception inside is reported to the event loop, and closes the
+        connection.
         """
         try:
             more = self._work_on()

@@ -251,14 +251,20 @@ class ConnectionManagement:
     # Limits while they last.
 
     def watch_frame(self, connection: ManagedConnection, *, begun_now: bool) -> None:
-        """Start the timeout of an incomplete frame on a connection. ``begun_now``: False if the frame began earlier."""
+        """Start the timeout of an incomplete frame on a connection; not for a priority host.
+
+        ``begun_now``: False if the frame may have begun earlier, so that a running timeout goes on.
+        """
         if connection.is_priority:
             return
         now = time.monotonic()
         self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
 
     def stuck(self, connection: ManagedConnection) -> None:
-        """Start the write timeout of a connection whose client has stopped reading its replies."""
+        """Count that a client has stopped reading its replies, and start the write timeout of its connection.
+
+        The timeout is not started for a priority host.
+        """
         self.counters.reading_paused += 1
         if not connection.is_priority:
             now = time.monotonic()
@@ -290,7 +296,7 @@ class ConnectionManagement:
             self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
 
     def is_held(self, connection: ManagedConnection) -> bool:
-        """Whether reading from a connection is paused: its host is above its rate, or the listener is draining."""
+        """Whether reading from a connection is paused: its host is above its rate, or `pause_all` was called."""
         return self._is_draining or self._deadlines.is_held(connection)
 
     def _set_timer(self, now: float) -> None:

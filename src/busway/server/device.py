@@ -182,8 +182,7 @@ class Device:
     ) -> None: ...
 
     def write(self, *arguments: Any, **options: Any) -> None:  # Any: as the two signatures above
-        """Write one value or several of the device in one step: ``device.write("4x101", 3.5, "float32",
-        order="CDAB")``.
+        """Write one value or several of the device in one step: ``device.write("4x101", 3.5, "float32")``.
 
         With a `Table` first, it is a write by Modbus as `DataModel.write` says, hooks included.
 
@@ -364,7 +363,7 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """A number that changes when results of ``plain_block``, or the set of enabled functions, are out of date."""
+        """A number that changes when earlier results of `plain_block` or `enabled` may no longer be right."""
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:

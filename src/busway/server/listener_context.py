@@ -77,7 +77,7 @@ class ConnectedPeer(Protocol):
         """Send late replies to several requests of this client at once."""
 
     def attend(self) -> None:
-        """Handle what the session reports without new bytes, such as a late reply."""
+        """Start tasks for late replies, and log responder failures, that the session has found without new bytes."""
 
     def close(self) -> None:
         """Close the connection after the replies given so far have been sent."""

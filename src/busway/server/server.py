@@ -325,9 +325,9 @@ class Server:
         await self.start()
 
     def reset_counters(self) -> None:
-        """Set all counters of the server in its status to zero, those of open connections included.
+        """Set the ``counters`` of the server's status to zero, with what open connections have counted so far.
 
-        Connections and listeners stay open.
+        Connections and listeners stay open, and the counters of each keep their values.
         """
         # An open connection adds its counters when it ends; what it has counted until now is subtracted here.
         self.counters.take_off(self._counters_now())

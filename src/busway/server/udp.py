@@ -236,7 +236,7 @@ class _Socket(asyncio.DatagramProtocol):
         """Ignore an error of sending: one peer cannot be reached, and the others share this socket."""
 
     def pause_writing(self) -> None:
-        """Drop replies from now on, because the system's send buffer is full; over UDP, datagrams may be lost."""
+        """Count that the system's send buffer is full, and drop replies from now on, which is allowed over UDP."""
         self._is_full = True
         self._listener.listener_context.counters.reading_paused += 1
 

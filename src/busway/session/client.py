@@ -185,7 +185,10 @@ class TcpClientSession:
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests must not be sent before the pause after connecting, or between requests; see `deadline`."""
+        """Whether a pause, after connecting or between requests, may still hold back requests.
+
+        `deadline` then gives its end, if requests wait for it.
+        """
         return self._connected and self._not_before > 0.0
 
     @property

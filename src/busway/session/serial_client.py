@@ -680,7 +680,7 @@ class SerialClientSession:
             self.notes.append(text)
 
     def _owe(self, awaited: _RequestInFlight) -> None:
-        """Record that the reply to the request in flight may still come late."""
+        """Record that the reply to the request in flight may still come late; for a broadcast do nothing."""
         if awaited.unit == BROADCAST_UNIT:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
@@ -735,7 +735,10 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to a marker request: it proves that no late reply of this unit will come."""
+        """Record that a unit answered a kind of marker request, which proves that no late reply of the unit will come.
+
+        A shorter read that was answered with an error proves it too, but that kind is not used again for the unit.
+        """
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:

@@ -40,7 +40,12 @@ class _UnitBreaker:
 
 
 class Breakers:
-    """The circuit breakers of one link, one for each unit."""
+    """The circuit breakers of one link, one for each unit.
+
+    Args:
+        parameters: number of timeouts that open a breaker, pauses, and the shortest timeout of a probe.
+        jitter: returns a random number 0…1; a pause lasts nine tenths to all of its full length.
+    """
 
     __slots__ = ("_jitter", "_units", "parameters")
 

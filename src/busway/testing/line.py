@@ -93,7 +93,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A function call that another thread wants the thread of the simulated line to make, and its result."""
+    """A function call that another thread wants the thread of the simulated line to make, and the error it raised."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -102,7 +102,7 @@ class _Order:
 
 @dataclass(slots=True)
 class _Listener:
-    """A thread that waits until the simulated line has been silent for a time."""
+    """The wait of one thread for a silence of the simulated line, which lasts ``silence`` seconds."""
 
     silence: float
     heard: threading.Event = field(default_factory=threading.Event)

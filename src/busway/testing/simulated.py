@@ -214,6 +214,7 @@ class SimulatedDevice:
 
         Raises:
             TimeoutError: no client wrote the item in time.
+            InvalidRequest: there is no such point, and the text is no address.
         """
         name = self._key(address)
         place = self.simulation.points[name].section.place if name is not None else parse_address(address)

@@ -18,7 +18,7 @@ from ..options.ports import Parity, SerialSettings
 from ..transport.serial.marks import Received
 
 NOISE = -1
-"""The port number in recorded characters that no port has sent, but `VirtualLine.inject`."""
+"""Port number of recorded characters that no port has sent: `VirtualLine.inject` has put them on the line."""
 
 TAP_SIZE = 200_000
 """Characters that are recorded, some 100 bytes of memory each: four minutes of uninterrupted traffic at 9600 baud."""

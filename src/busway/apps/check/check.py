@@ -63,6 +63,8 @@ class Outcome(Enum):
 class Facet(Enum):
     """Parts of an exchange that can be wrong independently of each other; every fault belongs to one of them.
 
+    The list says when each part is right.
+
     Attributes:
         ANSWERED: a reply came in time, or silence where the check accepts silence.
         CLEAN: nothing but the reply came: no other bytes, no second reply.

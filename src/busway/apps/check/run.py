@@ -126,7 +126,7 @@ class _Conversation:
         return self._wire is not None
 
     def idle(self) -> None:
-        """Open the connection if there is none, and send nothing for the idle time of the run."""
+        """Open the connection if there is none, and send nothing for the idle time of the run. May raise `LinkDown`."""
         self._tell(f"nothing is sent for {self._pace.idle:g} s")
         self.open()
         self._dialer.sleep(self._pace.idle)
@@ -389,7 +389,8 @@ class CheckRun:
         """Run the checks in their order, and yield the result of each as soon as it is known.
 
         If one of the checks writes, the scratch items are restored at the end, and one more result (`RESTORED`) tells
-        whether that succeeded. The iterator has to be used up or closed, since only then the items are restored.
+        whether that succeeded; if nothing was written, it is undecided. The iterator has to be used up or closed, since
+        only then the items are restored.
 
         Raises:
             LinkDown: no connection to the device can be made at the beginning; nothing was sent.

@@ -58,7 +58,7 @@ ControlAddress = UnixAddress | LoopbackAddress
 def parse_control_address(text: str) -> ControlAddress:
     """Parse the address of a control service: a socket path, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
 
-    A text that is neither a URL nor ends in ``:PORT`` is taken for the path of a Unix socket.
+    A text that is no URL, and has a slash or no ``:PORT`` at its end, is the path of a Unix socket.
 
     Raises:
         ConfigError: the text is empty, has another scheme or no valid port, or its host is not a loopback address.

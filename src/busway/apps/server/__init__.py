@@ -14,6 +14,6 @@
 Where it is decided: what a reload can change without a restart: `reload`, and ``at_once`` in `configuration`. Which
 parts of the file the command line can replace: `overrides`. Which keys a configuration has, and what must fit together:
 `configuration`. Which policy and which allow list apply now: `access_in_force`. What a reload does to open connections
-(a new policy holds from their next request, and those of excluded hosts end): `reload`. The order of
-start and stop: `service`.
+(a new policy holds from their next request, and connections of hosts that may no longer connect are aborted): `reload`.
+The order of start and stop: `service`.
 """

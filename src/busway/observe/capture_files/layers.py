@@ -90,7 +90,7 @@ class Ignored:
 
 
 Carried = TcpSegment | UdpDatagram | LineBytes | Ignored
-"""What a packet can carry."""
+"""What `carried` returns: what a packet contains, or the reason why the packet is ignored."""
 
 
 def carried(link_type: int, data: bytes) -> Carried:

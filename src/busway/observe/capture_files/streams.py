@@ -15,10 +15,13 @@ from dataclasses import dataclass
 from typing import Final
 
 MOST_WAITING: Final = 32 << 10
-"""Most bytes that wait for missing ones, for each direction of a connection."""
+"""Most bytes that are kept, for each direction of a connection, until missing bytes before them arrive."""
 _MOST_SEGMENTS: Final = 256
 FARTHEST: Final = 1 << 24
-"""Most bytes between two segments of one connection; no window of a Modbus device comes near."""
+"""Most bytes between a segment and the next expected byte; beyond, the segment is of another connection.
+
+No window of a Modbus device comes near.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,7 @@ class StreamAssembler:
     def begin(self, sequence: int) -> None:
         """Start the stream at the byte after a SYN with this sequence number; the same SYN again changes nothing.
 
-        Segments that still wait for missing bytes are dropped.
+        With another SYN, segments that still wait for missing bytes are dropped.
         """
         if self._start != (sequence + 1) & 0xFFFF_FFFF:
             self._start, self._next, self._acknowledged = (sequence + 1) & 0xFFFF_FFFF, 0, 0
@@ -173,7 +176,10 @@ class StreamAssembler:
         self._size += len(segment.data)
 
     def _deliver(self, segment: _Waiting, found: list[StreamPart]) -> None:
-        """Append to ``found`` the bytes of a segment that are new; the segment begins at the next byte or before it."""
+        """Append to ``found`` the bytes of a segment that are new, and a gap for its bytes that were not captured.
+
+        The segment begins at the next expected byte or before it.
+        """
         known = self._next - segment.at
         fresh = segment.data[known:]
         self.repeated += len(segment.data) - len(fresh)

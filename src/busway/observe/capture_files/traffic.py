@@ -168,7 +168,7 @@ class ChannelEnd:
 
 
 TrafficEvent = CapturedFrame | FaultyBytes | ChannelEnd
-"""What can be found in the packets of a capture file."""
+"""An event found in the packets of a capture file: a frame, faulty bytes, or the end of a connection or line."""
 
 
 class CapturedTraffic:
@@ -327,7 +327,10 @@ class CapturedTraffic:
         return self.channels
 
     def _make_room(self) -> list[TrafficEvent]:
-        """If there are `MOST_CHANNELS`, end the connection or line that was silent longest; returns its last events."""
+        """If there are `MOST_CHANNELS`, end the connection or line that was silent longest. Returns its last events.
+
+        Empty if there was room.
+        """
         if len(self._open) < MOST_CHANNELS:
             return []
         _, oldest = self._open.popitem(last=False)
@@ -358,7 +361,7 @@ class _Side:
         self._in_step = True
 
     def frames(self, part: StreamPart) -> Iterator[TrafficEvent]:
-        """Yield the frames that a part of the stream completes, and what is wrong."""
+        """Yield the frames that a part of the stream completes, and the faulty bytes in it."""
         if isinstance(part, StreamGap):
             yield from self._gap(part)
         elif self._in_step or _begins_like_a_frame(part.data):
@@ -411,7 +414,7 @@ class _TcpChannel:
         return self.sides[True].first != segment.sequence
 
     def take(self, packet: CapturedPacket, segment: TcpSegment, *, is_request: bool) -> list[TrafficEvent]:
-        """Process a segment. Returns the frames that it completes, and what is wrong, in order."""
+        """Process a segment. Returns the frames that it completes, and faulty bytes, in order."""
         side, peer = self.sides[is_request], self.sides[not is_request]
         self._last = StreamGap(None, packet.number, packet.time)
         sequence = segment.sequence
@@ -493,7 +496,7 @@ class _DatagramChannel:
         self._line = None if channel.framing is Framing.MBAP else _LineChannel(channel)
 
     def take(self, packet: CapturedPacket, datagram: UdpDatagram, direction: Direction) -> list[TrafficEvent]:
-        """Return the frames in a datagram, and what is wrong with it."""
+        """Process a datagram. Returns the frames in it, and faulty bytes, in order."""
         found: list[TrafficEvent] = []
         if datagram.missing:
             text = f"{counted(datagram.missing, 'byte', 'was')} not captured"

@@ -44,7 +44,7 @@ def _write(request: bytes, size: int | None = None) -> Ask:
 class _Maker(Protocol):
     """Interface of a function that creates a check of one function code.
 
-    ``what`` is the end of the check's name, ``says`` its sentence, ``opens`` as of `Check`; ``should``: it is no must.
+    ``what`` is the end of the check's name, ``says`` its sentence, ``opens`` as of `Check`. ``should``: it is a should.
     """
 
     def __call__(

@@ -407,7 +407,10 @@ class Delivery:
         return named
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples to the sink; those that it refuses for good are found by halving and set aside. Raises `SinkDown`."""
+        """Send samples to the sink; those that it refuses for good are found by halving and set aside.
+
+        Raises `SinkDown`.
+        """
         try:
             await self._sink.send(samples)
             self._sent += len(samples)

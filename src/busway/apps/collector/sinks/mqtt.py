@@ -117,7 +117,7 @@ class MqttSink:
         self._announced_by: Mapping[tuple[str, str], Point] = self._points
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
-        """Set the points, by device and name, as which Home Assistant gets them described. Safe from any thread."""
+        """Set the points, by device and name, that are described to Home Assistant. Safe from any thread."""
         self._points = points
 
     async def open(self) -> None:
@@ -164,8 +164,8 @@ class MqttSink:
         """Publish messages, and wait until the broker has taken them all.
 
         Raises:
-            SinkRefused: the broker refuses a message for good; the other messages may have arrived or not. If the broker
-                ended the connection because of that message, the sink is connected again before.
+            SinkRefused: the broker refuses a message for good; the other messages may have arrived or not. If the
+                broker ended the connection because of that message, the sink is connected again before.
             SinkDown: no answer came, or the connection is lost.
         """
         mqtt = import_module("aiomqtt")
@@ -241,7 +241,7 @@ class MqttSink:
         return found
 
     def _entity(self, sample: CommittedSample, component: str) -> dict[str, Any]:
-        """Return the part of a Home Assistant entity's configuration that does not depend on the point's description."""
+        """Return the names, topics and templates of a Home Assistant entity, without the options from `entity`."""
         topic = self._name(sample.device, sample.point)
         value = "{{ value_json.value }}" if component == "sensor" else "{{ 'ON' if value_json.value else 'OFF' }}"
         return {

@@ -2,8 +2,8 @@
 
 Knows the library's client and that of paho below it; knows no topic.
 
-1. If a client gets no answer while it connects, or is cancelled, the library leaves its socket and a task open. `connect`
-   closes both.
+1. If a client gets no answer while it connects, or is cancelled, the library leaves its socket and a task open. Here
+   `connect` closes both.
 2. The thread in which a client connects cannot be stopped: if connecting fails or is cancelled, `connect` waits for it,
    for at most `GIVE_UP_SECONDS`.
 3. The library takes each acknowledgement for a success, even one that says that the message was thrown away. Here such

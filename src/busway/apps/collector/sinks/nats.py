@@ -7,7 +7,8 @@ Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 2. `send` returns when the stream has acknowledged every message.
 3. Alarm events go to one subject: ``alarms`` after the part of the subject that stands before ``{device}``, such as
    ``busway.alarms``.
-4. With the option ``stream``, that stream is created if it is missing. Without it, a stream for the subjects must exist.
+4. With the option ``stream``, that stream is created if it is missing. Without it, a stream with the subjects must
+   exist already.
 """
 
 import contextlib

@@ -192,7 +192,7 @@ class PostgresqlSink:
                 await self._connection.execute(_SHRINK_GAPS.format(table=self._gap_table, reason=int(Reason.OWNERSHIP)))
 
     async def _add_revision(self) -> None:
-        """Add the column for revisions to the table of samples if it is missing; only log if the user may not add it."""
+        """Add the column for revisions to the table of samples if it is missing; if the user may not, only log that."""
         pg = import_module("asyncpg")
         asked = (
             "SELECT count(*) FROM pg_attribute"
