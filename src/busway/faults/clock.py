@@ -3,7 +3,7 @@
 Knows times and callbacks; knows no Modbus.
 
 1. `FakeClock` moves only in `FakeClock.advance`, which makes the scheduled calls in order, in the thread that calls it.
-2. Functions may be scheduled with a `FakeClock` from any thread; with a `LoopClock` only in the thread of its loop.
+2. Functions can be scheduled with a `FakeClock` from any thread; with a `LoopClock` only in the thread of its loop.
 """
 
 import asyncio

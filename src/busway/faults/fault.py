@@ -30,7 +30,7 @@ from ..values.refusal import shown
 SILENCE = b""
 """The result of ``Fault.asked`` that suppresses the reply."""
 SAME_MOMENT = 1e-6
-"""Largest difference of equal times, in seconds: sums of equal times differ in their last bits."""
+"""Times that differ by at most so many seconds count as equal: sums of floats differ in their last bits."""
 
 
 class Carrier(Enum):

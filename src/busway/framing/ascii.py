@@ -5,7 +5,7 @@ Knows characters and the times at which they were read; knows no port and no fun
 1. ``:`` begins a frame wherever it is received, also after CR. An unfinished frame before the colon is discarded. It is
    reported when the next frame ends, together with other unfinished frames before that one, as one disturbance. CR and
    the delimiter, one character each, end a frame; the delimiter is LF until function 08/03 changes it.
-2. Between two characters of a frame at most ``character_timeout`` may pass, 1 s by default.
+2. A pause above ``character_timeout``, 1 s by default, between two characters of a frame damages the frame.
 3. A frame has at most 513 characters. Characters between frames are skipped; they are no error.
 4. Frames are sent in upper case. Lower case is received too, unless ``upper_case_only`` is set: devices send it, and
    the LRC protects the content. With ``strip_parity`` the eighth bit is ignored: ports without 7 data bits deliver it.
@@ -44,7 +44,7 @@ def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
     Args:
         unit: unit identifier, 0…255.
         pdu: function code and data, 1…253 bytes.
-        delimiter: character that ends the frame after CR, 0…127; LF by default.
+        delimiter: code of the character that ends the frame after CR, 0…127; LF by default.
     """
     body = bytes((unit,)) + pdu
     return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
@@ -65,11 +65,11 @@ class AsciiReceiver:
 
     Attributes:
         state: which part of a frame is expected next.
-        delimiter: the character that ends a frame after CR; may be changed at any time (function 08/03).
+        delimiter: code of the character that ends a frame after CR; can be set at any time (function 08/03).
         conversation: role, own units and the expected reply; used to tell requests from replies.
         echo: the filter that removes the echo of what this station sends.
         timing: the times of the line; only its character time is used, to estimate when frames began and ended.
-        character_timeout: seconds that may pass between two characters of a frame.
+        character_timeout: longest allowed pause between two characters of a frame, in seconds.
     """
 
     __slots__ = (
@@ -112,8 +112,8 @@ class AsciiReceiver:
             timing: the times of the line.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes is allowed.
-            delimiter: the character that ends a frame after CR, 0…127.
-            character_timeout: seconds that may pass between two characters of a frame, above 0.
+            delimiter: code of the character that ends a frame after CR, 0…127.
+            character_timeout: longest allowed pause between two characters of a frame, in seconds, above 0.
             upper_case_only: whether a frame with lower-case digits is damaged.
             strip_parity: whether the eighth bit of each character is ignored.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
@@ -154,7 +154,7 @@ class AsciiReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Return what the silence until ``now`` (seconds) completes, in order; empty if nothing.
+        """Return the frames and damaged bytes that the silence until ``now`` (seconds) completes, in order.
 
         An unfinished frame is returned as damaged if more than ``character_timeout`` has passed since its last
         character. Bytes that were held back as a possible echo are taken as received if the rest of the echo did not

@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """Estimates of when each byte in a buffer was on the serial line; positions are 0 for the first byte in it."""
+    """Estimates of when each byte in a buffer was on the serial line; position 0 is the first byte in the buffer."""
 
     __slots__ = ("_bursts", "_forgotten")
 

@@ -6,7 +6,7 @@ Knows bytes and times; knows no frame.
    converter that was switched over), nothing is removed.
 2. ``AUTOMATIC``: the first sent frames decide. A copy proves the echo; other bytes first, or none within the window
    after the end of the frame, prove that there is none. A later frame that behaves otherwise changes the decision.
-3. A reply may be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
+3. A reply can be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
    copy is held back. If more bytes follow, it was the echo; if the response timeout passes first (`release`), it was
    the reply. Once it is known whether the line echoes, no copy is held.
 """
@@ -79,7 +79,7 @@ class EchoFilter:
     def receive(self, data: bytes, now: float) -> bytes:
         """Return received bytes without the echo; bytes held earlier that turn out to be no echo come first.
 
-        Empty if all bytes are echo, or are held because they may be.
+        Empty if all bytes are echo, or are held because they could be.
 
         Args:
             data: the received bytes.

@@ -9,8 +9,8 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
    another request.
 3. The identifier of a request that timed out or was cancelled is remembered, and not used again on this connection (of
    more than 4096 the oldest is forgotten). Its late reply is dropped, and shows how slow the device is.
-4. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
-   ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
+4. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
+   says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
 5. Where transactions cannot be told apart (option ``mismatch`` automatic or ignore), a timeout ends the connection: the
    next reply could be the late one.
 6. A connection that brings only timeouts or late replies is closed, and opened again at the next request.

@@ -2,8 +2,8 @@
 
 Knows the queue, retries and the errors a request ends with; knows no framing, and no reply.
 
-1. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
-   ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
+1. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
+   says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
 2. Every request gets exactly one outcome. A call whose requests all have their outcome is in ``finished``.
 3. A call may have a deadline; time in the queue counts.
 """

@@ -87,8 +87,8 @@ class Batch(Call):
         forwarder: the forwarder of the upstream.
         link: the link that sends the requests.
         asker: the client that sent the batch; None once it has disconnected or was answered at its deadline.
-        tags, asked: the client's requests, in the order of ``requests``, which go upstream; a single request may be
-            split into several of these.
+        tags, asked: the client's requests with their tags. ``requests`` (see `Call`) has the requests that go upstream,
+            in the same order; a request that is split into several is alone in its batch.
         told: positions of the requests that were answered already while others wait; empty if all are answered at once.
         joined: the other clients that wait for a read's reply, by position of the read.
         deadlines: deadlines of the clients, once several wait; None until then. Waiter None stands for ``asker``.

@@ -275,9 +275,9 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """Return the listeners with unique names: of two with the same name, the second gets `` (2)`` behind its name.
+    """Return the listeners with unique names: of two with the same name, the second gets the suffix ``(2)``.
 
-    Two listeners have the same name if they have the same URL, with port 0.
+    The name of a listener is its URL by default, and several may have the same URL if its port is 0.
     """
     named: dict[str, PlacedListener] = {}
     for listener in listeners:

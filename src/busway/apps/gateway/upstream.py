@@ -43,7 +43,7 @@ class UpstreamCounters:
 
     Attributes:
         forwarded: requests that a link accepted, to be queued or sent.
-        answered: requests with a normal reply of the device.
+        answered: requests with a normal reply of the device, and broadcasts that were sent.
         exceptions: requests that the device refused with an exception code.
         no_path: requests answered 0A: upstream down, queue full, deadline passed in the queue.
         no_answer: requests answered 0B: they were sent and got no valid reply, or their unit does not answer.

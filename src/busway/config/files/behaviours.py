@@ -196,9 +196,10 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
 
 
 def _as_behaviour(value: object) -> object:
-    """Return a behaviour as an object of the section class of its ``kind``, so that an error names the wrong key itself.
+    """Return a behaviour as an object of the section class of its ``kind``.
 
-    A union of pydantic would report the errors of all kinds. Raises `FileProblems` or `ValueError`.
+    So an error names the wrong key itself; a union of pydantic would report the errors of all kinds. Raises
+    `FileProblems` or `ValueError`.
     """
     if isinstance(value, BehaviourSection):
         return value

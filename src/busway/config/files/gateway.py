@@ -37,7 +37,7 @@ NOT_OF_GATEWAYS: Final = {
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether a file with these top-level keys is a gateway file: ``route`` or ``gateway``, or listeners but no units."""
+    """Whether a file with these top-level keys is a gateway file: ``route`` or ``gateway``, or listeners, no units."""
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
@@ -97,7 +97,7 @@ class RouteSection(OptionSection):
                 yield (key,), error.message
 
     def asked_units(self) -> frozenset[int] | None:
-        """Return the unit numbers that the route applies to; None for all. Raises `ConfigError` for a wrong notation."""
+        """Return the unit numbers that the route applies to; None for all. Raises `ConfigError` if they are wrong."""
         units = self.parameters.units
         return None if units is None else parse_units(units.written)
 

@@ -201,7 +201,7 @@ class Store:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
 
     def _parts(self) -> list[StorePart]:
-        """Return the parts (files) of the store that have samples; an open segment has its present times and commits."""
+        """Return the files of the store that have samples, an open segment with its present times and commits."""
         return self._tried(lambda: [part for part in map(self._facts, self._listed()) if part.low is not None])
 
     def _listed(self) -> list[StorePart]:

@@ -3,8 +3,8 @@
 Knows the columns of sealed files; knows nothing of the manifest, nor which files overlap.
 
 1. DuckDB and pyarrow give the same rows and the same sums; a test compares them.
-2. DuckDB reads many files in one query, which takes a third of the time for long periods. One file is read with pyarrow,
-   which is quicker for that. DuckDB works in memory alone: it loads no extension and writes no temporary files.
+2. DuckDB reads many files in one query, which takes a third of the time for long periods. One file is read with
+   pyarrow, which is quicker for that. DuckDB works in memory alone: it loads no extension and writes no files.
 3. The first version of DuckDB that keeps nanoseconds is 2.0; an older one is not used.
 4. `FileNotFoundError` means that a file was dropped since the manifest was read.
 """

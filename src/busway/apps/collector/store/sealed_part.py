@@ -64,7 +64,7 @@ def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tupl
         parent: number of the process that started this one.
 
     Yields:
-        The path of the written file, and its entry for the manifest: its final name, bytes, times, commit numbers, rows.
+        The path of the written file, and its entry for the manifest: final name, bytes, times, commit numbers, rows.
     """
     with closing(open_for_reading(segment)) as database:
         ranges = list(_ranges(database, segment.stem))
