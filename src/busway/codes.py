@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Final
 PDU_LIMIT: Final = 253
 """Largest number of bytes of a PDU, function code included (Application Protocol V1.1b3 §4.1)."""
 TCP_ADU_LIMIT: Final = 260
-"""Largest number of bytes of a frame on TCP: 7 of MBAP header, and the PDU (Messaging on TCP/IP V1.0b §3.1.3)."""
+"""Largest number of bytes of a frame on TCP: 7 of MBAP header, 253 of PDU (Messaging on TCP/IP V1.0b §3.1.3)."""
 RTU_ADU_LIMIT: Final = 256
-"""Largest number of bytes of an RTU frame: address, PDU, two bytes of CRC (Serial Line V1.02 §2.5.1)."""
+"""Largest number of bytes of an RTU frame: 1 of address, 253 of PDU, 2 of CRC (Serial Line V1.02 §2.5.1)."""
 ASCII_ADU_LIMIT: Final = 513
-"""Largest number of characters of an ASCII frame: ``:``, two for each byte of address, PDU and LRC, then CR LF
-(Serial Line V1.02 §2.5.2).
+"""Largest number of characters of an ASCII frame (Serial Line V1.02 §2.5.2).
+
+They are ``:``, two hexadecimal digits for each byte of address, PDU and LRC, then CR LF.
 """
 
 TABLE_SIZE: Final = 65_536
@@ -29,8 +30,9 @@ MAX_FIFO_REGISTERS: Final = 31
 MAX_FILE_RECORD_NUMBER: Final = 9999
 
 BROADCAST_UNIT: Final = 0
-"""Unit identifier of a broadcast: every server on the serial line executes the request, and none of them answers
-(Serial Line V1.02 §2.1).
+"""Unit identifier of a broadcast (Serial Line V1.02 §2.1).
+
+Every server on the serial line executes the request, and none of them answers.
 """
 TCP_DEVICE_UNIT: Final = 255
 """Unit identifier of a device that is itself on TCP, not behind a gateway (Messaging on TCP/IP V1.0b §4.4.1.2)."""
@@ -55,17 +57,17 @@ class Table(Enum):
 
     @property
     def holds_bits(self) -> bool:
-        """Whether an item of the table is one bit; otherwise it is a 16-bit register."""
+        """True if an item of the table is one bit (coils, discrete inputs), False if it is a 16-bit register."""
         return self in (Table.COILS, Table.DISCRETE_INPUTS)
 
     @property
     def is_writable(self) -> bool:
-        """Whether Modbus has a function that writes to this table."""
+        """True for coils and holding registers, which Modbus functions can write; False for the tables of inputs."""
         return self in (Table.COILS, Table.HOLDING_REGISTERS)
 
     @property
     def label(self) -> str:
-        """Name of the table's items with spaces, in the singular: ``holding register``."""
+        """Name of one item of the table, with a space: ``holding register``, ``coil``."""
         return self.value.replace("_", " ").removesuffix("s")
 
 
@@ -121,7 +123,7 @@ class DiagnosticCode(IntEnum):
 
 
 class ExceptionCode(IntEnum):
-    """The exception codes (Application Protocol V1.1b3 §7; 07 from PI-MBUS-300)."""
+    """The exception codes of the specification (Application Protocol V1.1b3 §7), and 07 from the older PI-MBUS-300."""
 
     ILLEGAL_FUNCTION = 0x01
     ILLEGAL_DATA_ADDRESS = 0x02
@@ -156,7 +158,10 @@ def exception_meaning(code: int) -> str:
 
 
 def function_name(code: int) -> str:
-    """Return a function code with its name: ``3 (read holding registers)``; without one in hex: ``65 (0x41)``."""
+    """Return a function code as text: ``3 (read holding registers)``, or ``65 (0x41)`` for a code without a name.
+
+    Names have the public codes (`FunctionCode`).
+    """
     try:
         return f"{code} ({FunctionCode(code).name.lower().replace('_', ' ')})"
     except ValueError:

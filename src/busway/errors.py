@@ -39,7 +39,7 @@ class ModbusError(Exception):
         address: address of the first coil or register in the request, 0-based.
         attempt: number of the attempt that ended with this error; the first is 1.
         elapsed: seconds from the application's call to the error.
-        raw: bytes that were received and could not be used; ``b""`` (not ``None``) if there are none.
+        raw: bytes that were received and could not be used; never None: ``b""`` if there are none.
     """
 
     def __init__(
@@ -152,7 +152,7 @@ class ExceptionReply(ModbusError):
 
     @property
     def from_gateway(self) -> bool:
-        """Whether the code is one that only gateways send (0A, 0B)."""
+        """Whether the code is 0A or 0B, which only a gateway sends, because it cannot reach the device."""
         return self.code in (
             ExceptionCode.GATEWAY_PATH_UNAVAILABLE,
             ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND,
@@ -186,7 +186,7 @@ class BadReply(ModbusError):
             message can have, and what follows on the connection cannot be decoded; ``"protocol"``: its protocol
             identifier is not 0; ``"unit"``: another unit answered; ``"function"``: it has the code of another function;
             ``"content"``: its length, echo or a field does not fit the request; ``"value"``: its registers hold no
-            value of the type that was asked for; ``"other"``: it is not Modbus.
+            value of the type that was asked for; ``"other"``: none of these, such as an answer that is not Modbus.
     """
 
     def __init__(
@@ -219,11 +219,12 @@ class BadReply(ModbusError):
 class NoAnswer(ModbusError):
     """Base of the errors for a device that has not answered: silence, no connection, or an unknown write outcome.
 
-    Catch this class where the difference does not matter; only its subclasses are raised. Other errors mean something
-    else: a device that refused or broke the protocol has answered (`ExceptionReply`, `BadReply`), and some requests
-    are not sent for a reason in this program (`InvalidRequest`, `Overloaded`, `ConfigError`).
+    Only its subclasses are raised; catch this class where the difference between them does not matter. It does not
+    include a device that answered with a refusal or broke the protocol (`ExceptionReply`, `BadReply`), nor a request
+    that this program refused to send (`InvalidRequest`, `Overloaded`, `ConfigError`).
 
-    Code that catches this error and repeats the call repeats writes too: catch `WriteOutcomeUnknown` before.
+    Code that catches this error and repeats the call would repeat writes whose outcome is unknown: catch
+    `WriteOutcomeUnknown` before it.
     """
 
 
@@ -268,12 +269,13 @@ class NoReply(NoAnswer, TimeoutError):
 
 
 class UnitSuspended(NoReply):
-    """Error: this request was not sent, because the unit did not answer several requests in a row.
+    """Error: this request was not sent, because the unit did not answer several requests in a row (circuit breaker).
 
-    Nothing is sent to the unit for a while.
+    For some seconds all requests to the unit fail in this way. The first request after that is sent again, as a test
+    whether the unit answers.
 
     Attributes:
-        next_probe: seconds until the next request to the unit is sent, as a test whether it answers again.
+        next_probe: seconds, counted from this error, for which requests to the unit fail without being sent.
     """
 
     def __init__(

@@ -33,11 +33,14 @@ EXTRA_OF: Final = {
     "polars": "frames",
     "modbus_connection": "modbus_connection",
 }
-"""The extra of busway that installs a package (``busway[serial]``), by the package's import name."""
+"""By import name of an optional package, the extra of busway that installs it: ``serialx`` → ``serial``.
+
+The package is then installed by ``pip install 'busway[serial]'``.
+"""
 
 
 def require(package: str, purpose: str, *, key: str | None = None) -> None:
-    """Raise `MissingExtra` unless ``package`` is installed; the package is not imported.
+    """Raise `MissingExtra` unless ``package`` is installed; returns nothing, and does not import the package.
 
     Args:
         package: import name of the package, a key of `EXTRA_OF`.
@@ -53,7 +56,10 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 
 
 def missing_extra(error: ImportError) -> MissingExtra | None:
-    """Return the `MissingExtra` for ``error`` if it is the failed import of an optional package; None otherwise."""
+    """Return a `MissingExtra` if ``error`` is the failed import of an optional package of `EXTRA_OF`; None otherwise.
+
+    The message of the new error says that "this command" needs the package. It is returned, not raised.
+    """
     package = (error.name or "").partition(".")[0]
     if package not in EXTRA_OF:
         return None

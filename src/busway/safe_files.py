@@ -5,7 +5,7 @@ Knows names and kinds of files; knows nothing of their contents.
 1. Only a regular file is opened. A pipe, a device or a directory is refused with an error, without waiting for data.
 2. A symbolic link anywhere in the path is followed if it belongs to root or to the user who runs the program. A link
    of another user is refused, because that user could let it point to any file (CWE-59). The resolved path is opened
-   by a call that follows no link, so a link that is put there meanwhile is refused too.
+   by a call that does not follow a link at its end, so a link that replaces the file meanwhile is refused too.
 3. A file is replaced only if its first bytes show that it is of the kind to be written. So no other file is lost where
    its name was given by mistake.
 """
@@ -65,7 +65,11 @@ def open_to_read(path: str | os.PathLike[str]) -> int:
 
 
 def open_to_append(path: str | os.PathLike[str], *, mode: int = 0o600) -> int:
-    """Open a regular file for appending, and return its file descriptor. A missing file is created with ``mode``.
+    """Open a regular file for appending, and return its file descriptor. A missing file is created.
+
+    Args:
+        path: path of the file.
+        mode: access rights of a file that is created, before the umask.
 
     Raises:
         ConfigError: the file cannot be opened, is no regular file, or is reached through a link of another user.
@@ -103,9 +107,15 @@ def open_to_replace(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str,
 
 
 def check_replaceable(path: str | os.PathLike[str], *, is_ours: IsOurs, kind: str) -> str:
-    """Check that a file is missing, or may be replaced by renaming another file to its path.
+    """Check that a file is missing, empty or of the expected kind, so that another file may be renamed to its path.
 
-    Returns the absolute path with all links resolved. The arguments are those of `open_to_replace`.
+    Nothing is changed. Returns the absolute path with all symbolic links resolved.
+
+    Args:
+        path: path of the file.
+        is_ours: called with the first bytes of the file, unless it is missing or empty; returns whether it may be
+            replaced.
+        kind: what is going to be written, for the error: ``capture``.
 
     Raises:
         ConfigError: the file is there and cannot be read, is no regular file, or ``is_ours`` returned False for its
@@ -165,10 +175,10 @@ def write_whole(path: str | os.PathLike[str], text: str, *, like: os.stat_result
 
 
 def _give_rights(handle: int, like: os.stat_result) -> None:
-    """Give an open file the owner, group and access rights in ``like``.
+    """Give an open file the owner, group and access rights in ``like``, as far as this user may set them.
 
-    Where the owner cannot be set, only the group is. Where the group cannot be set either, its members get no more
-    rights than all users.
+    If the owner cannot be set, only the group is set. If the group cannot be set either, the rights of the group are
+    reduced to those of all other users.
     """
     mode = stat.S_IMODE(like.st_mode)
     own = os.fstat(handle)

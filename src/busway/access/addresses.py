@@ -13,9 +13,7 @@ from collections.abc import Callable, Iterable
 from ..options.networks import Networks
 
 HostAuthorizer = Callable[[str], bool]
-"""Function that takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``, and returns whether it may
-connect.
-"""
+"""Function that takes the numeric address of a client, ``10.0.0.7`` or ``fe80::1``; returns whether it may connect."""
 
 
 def allow_all(host: str) -> bool:
@@ -26,7 +24,7 @@ def allow_all(host: str) -> bool:
 def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthorizer:
     """Return a host check that permits a host only if the server's check and the listener's check both permit it.
 
-    ``listener`` None adds no check.
+    Without a check of the listener (None) it is the server's check.
     """
     if listener is None:
         return server
@@ -36,16 +34,14 @@ def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthori
 
 
 class AddressList:
-    """The hosts and networks that may or may not connect to a server.
+    """The hosts and networks that may or may not connect to a server, which takes such a list as its ``authorize``.
 
-    Called with a host, returns whether it may connect.
-
-    ``access("10.0.0.7")`` is True or False; a server accepts the list as its ``authorize``.
+    Calling it with the numeric address of a host returns whether the host may connect: ``access("10.0.0.7")``.
 
     Args:
         allow: addresses and networks that may connect, as `Networks` takes them.
         deny: addresses and networks that may not connect, even if ``allow`` has them.
-        secure: whether a host that is in neither list is refused; None: only if there is an ``allow``.
+        secure: whether a host that is in neither list is refused; None: only if ``allow`` is not empty.
 
     Raises:
         ConfigError: an entry is no address or network; names the entry.

@@ -55,9 +55,9 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """Return the JSON text that all audit lines of one client share: its address, role and listener.
+    """Return the JSON members that all audit lines of one client share: its address, role and listener.
 
-    Keeps it in ``client.audit_text``.
+    Also stores the text in ``client.audit_text``, for the next line.
     """
     role = _NULL if client.role is None else quoted(client.role)
     client.audit_text = f'"peer":{quoted(client.peer)},"role":{role},"listener":{quoted(client.listener)}'
@@ -67,7 +67,7 @@ def who_text(client: Requester) -> str:
 def audit_line(
     context: RequestContext, request: AnyRequest, when: str, outcome: str, code: int | None, repeated: int = 0
 ) -> str:
-    """Return the audit line of one request, as JSON with a line feed.
+    """Return the audit line of one request: a JSON object and a line feed, in ASCII. It is not written to a log.
 
     Args:
         context: the request's circumstances; ``context.judged`` must be set.
@@ -75,7 +75,7 @@ def audit_line(
         when: the time as text.
         outcome: ``done``, ``exception``, ``denied`` or ``no answer``.
         code: exception code of the reply; None without one.
-        repeated: how many equal denials the line stands for; 0 for this request alone.
+        repeated: how many equal denials the line stands for; 0 if it is about this request alone.
     """
     judged = context.judged
     assert judged is not None  # or there would be no line
@@ -131,7 +131,8 @@ and new items in wire order, and returns them as JSON text.
 def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
     """Return outcome (``done``, ``exception`` or ``no answer``) and exception code of a request for its audit line.
 
-    The code is None unless the outcome is ``exception``.
+    The code is None unless the outcome is ``exception``. The outcome of None, and of a reply that is still deferred, is
+    ``no answer``.
     """
     if isinstance(reply, ExceptionResponse):
         return "exception", int(reply.exception)

@@ -52,7 +52,7 @@ _LATE: Final = 1.0
 
 
 class FlushSchedule(Protocol):
-    """Function that the audit log asks to call it back some seconds later, to write its buffer to the file."""
+    """Interface of the function by which an audit log lets one of its methods be called later, such as `flush`."""
 
     def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
         """Arrange that ``function`` is called after ``seconds``; return False if there is no event loop for that."""
@@ -68,7 +68,11 @@ def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
 
 
 class WallClock:
-    """The current time as text, ``2026-03-01T12:00:00.250Z``, formatted at most once a millisecond. From any thread."""
+    """A clock: calling it returns the current UTC time as text, ``2026-03-01T12:00:00.250Z``.
+
+    The text is formatted at most once a millisecond. It can be called from any thread. ``now`` returns seconds since
+    1970.
+    """
 
     __slots__ = ("_now", "_second", "_text")
 
@@ -135,7 +139,7 @@ class AuditLog:
         written: number of lines written to the file.
         lost: number of lines that could be neither written nor buffered.
         failures: number of attempts to write that failed.
-        is_failing: whether the last attempt failed.
+        is_failing: whether the last attempt to write failed.
         denials_left_out: number of denials without a line, because the space is kept for writes.
     """
 
@@ -181,15 +185,17 @@ class AuditLog:
 
     @property
     def takes_writes(self) -> bool:
-        """Whether a write request may be executed now: False if ``on_failure`` is ``refuse`` and the log cannot be
-        written.
+        """Whether write requests may be executed now.
+
+        False if ``on_failure`` is ``refuse``, and the last attempt to write failed or the log is closed.
         """
         return not (self._refuses and (self.is_failing or self._file is None))
 
     def append(self, line: str) -> None:
         """Append one audit line: ASCII text that ends with a line feed.
 
-        If it can be neither written nor buffered, it is counted.
+        It is in the file after at most ``interval`` seconds. Raises nothing: a line that can be neither
+        written nor buffered is dropped, and counted in ``lost``.
         """
         with self._lock:
             if self._file is None or self._size >= _KEPT:
@@ -213,7 +219,8 @@ class AuditLog:
 
         Args:
             about: host, role and rule; denials that agree in all three are repetitions of each other.
-            line: function that creates the line; called with the number of repetitions that it stands for.
+            line: function that creates the line; called with 0 for the line about this denial alone, or later with the
+                number of repetitions that the line stands for.
         """
         with self._lock:
             if self._repeated_due is not None and self._clock() > self._repeated_due + _LATE:
@@ -228,7 +235,7 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def flush(self) -> None:
-        """Write the buffered audit lines to the file. Raises nothing: a failure is counted and logged."""
+        """Write the buffered audit lines to the file now. Raises nothing: a failure is counted, logged and retried."""
         with self._lock:
             self._due = None
             self._write_kept()

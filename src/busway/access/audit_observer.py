@@ -26,9 +26,7 @@ class AuditObserver:
         self._log = log
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Do nothing for requests of the fast path: reads are not recorded, and executed writes were recorded
-        already.
-        """
+        """Do nothing for requests of the fast path: their writes are recorded already, and reads are not recorded."""
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Do nothing for reads whose client disconnected before the reply: reads are not recorded."""
@@ -36,7 +34,10 @@ class AuditObserver:
     def ended(
         self, context: RequestContext, request: AnyRequest, outcome: Message | Deferral | None, seconds: float
     ) -> None:
-        """Append an audit line when a request has been answered, if it was a write or was denied."""
+        """Append an audit line for a request of the generic path that has ended, if it was a write or was denied.
+
+        A denial that the client repeats is only counted.
+        """
         judged = context.judged
         if judged is None:
             return

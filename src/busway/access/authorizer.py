@@ -63,15 +63,17 @@ class PolicyRights:
         self._audit = audit
 
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
-        """Return the function that answers requests with one function code from their bytes, within these rights.
+        """Return the function of the fast path that answers permitted requests of the class ``kind`` from their bytes.
 
-        ``kind`` is the request class of that code. None if the policy has to decide about each request.
+        None if the policy has to decide about each request of that class.
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a read is permitted without a rate limit, so that the same read of these clients needs no check
-        later.
+        """Whether a gateway or server may keep a plan for a read: equal reads of these clients need no check then.
+
+        True if the request is no write and is permitted without a rate limit. ``served`` is None if no device answers
+        for the unit.
         """
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
@@ -132,10 +134,10 @@ class PolicyAuthorizer:
         return self._in_force.policy
 
     def replace_policy(self, policy: Policy) -> None:
-        """Use another policy from the next request on; connections stay open. May be called from any thread.
+        """Use another policy from the next request on; connections stay open. It can be called from any thread.
 
-        Changes `generation`. A rule whose name and rate stay the same goes on counting; the counts of other rules are
-        dropped, also for other authorizers that share them.
+        Changes `generation`. A rule whose name and rate stay the same goes on counting requests; the counts of other
+        rules are dropped, also for other authorizers that were given the same ``rates``.
         """
         with self._lock:
             self._in_force = _InForce(policy)
@@ -157,7 +159,8 @@ class PolicyAuthorizer:
     ) -> ExceptionResponse | None:
         """Return None if a request may be executed, otherwise the exception reply that refuses it.
 
-        The policy refuses it, or, with exception 04, the audit log: it cannot be written, and takes no writes then.
+        A request is refused by the policy, or, if it is a write and the audit log takes none now, with exception 04.
+        What the policy refuses is counted in `refusals`, logged, and marked as denied in ``context.judged``.
 
         Function 22 (mask write) can depend on the register's old value if a rule bounds the values. Then it is
         permitted for now if the device is in this process, and decided when the responder reports that value
@@ -203,14 +206,15 @@ class PolicyAuthorizer:
     def refusal_of(self, context: RequestContext, request: AnyRequest, units: Iterable[int], charged: set[int]) -> int:
         """Return the exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
-        Such requests reach several units at once. A rule with a rate counts each of them once, whatever the number of
-        units. A refusal is counted, logged and recorded like that of a request to one unit.
+        A rule with a rate counts the request once, whatever the number of units. A refusal is counted, logged and
+        recorded like that of a request to one unit.
 
         Args:
             context: the context of the request as received.
             request: the request.
             units: the units that the request reaches.
-            charged: ids of the rules that have counted the request already; rules that count it now are added.
+            charged: ids (``id(rule)``) of the rules that have counted the request already; rules that count it now are
+                added.
         """
         asker, known = self._known(context.client)
         rights = known.rights

@@ -176,7 +176,7 @@ class _CheckedDevice:
         self._checked = checked
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return the memory of a table with a check before each write.
+        """Return the memory of a table with a check before each write; ``writes``: whether it is needed for writing.
 
         None if the device offers no direct access to the table, or its block cannot be checked.
         """
@@ -247,9 +247,10 @@ _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 def _audited(
     kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: "AuditLog"
 ) -> Answer | None:
-    """Return the fast path function for writes that checks addresses and values, writes, and appends an audit line.
+    """Return a function of the fast path that checks addresses and values, writes, and appends an audit line.
 
-    None if the device's memory cannot be used directly.
+    It returns None for a write that is not permitted, or that the audit log does not take now: nothing is written, and
+    the request takes the generic path. The result is None if the device's memory cannot be used directly.
     """
     done = _NOTHING_DONE
 

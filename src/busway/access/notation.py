@@ -24,7 +24,7 @@ from ..values import Address, parse_address
 from ..values.refusal import shown
 
 Range = tuple[int, int]
-"""The first number, and the number after the last."""
+"""A range of numbers: the first number, and the number after the last."""
 Function = tuple[int, int | None]
 """A function code, and a sub-function or None for all of them."""
 
@@ -88,7 +88,11 @@ def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> 
 
 
 def parse_table(value: str | Table) -> Table:
-    """Parse the name of a table: ``holding``, ``holding_registers``, ``coil``. Raises `ConfigError`."""
+    """Parse the name of a table: ``holding``, ``holding_registers``, ``coil``. A `Table` is returned unchanged.
+
+    Raises:
+        ConfigError: there is no table with this name.
+    """
     if isinstance(value, Table):
         return value
     try:
@@ -116,7 +120,7 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
 
 
 def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
-    """Sort ranges, and join those that overlap or touch."""
+    """Return ranges in ascending order, with those that overlap or touch joined to one."""
     found: list[Range] = []
     for first, end in sorted(ranges):
         if found and first <= found[-1][1]:

@@ -79,7 +79,7 @@ class Question:
             answers to units 0 and 255. Empty: ``unit`` alone.
         function: the function code.
         sub_function: the sub-function of 08 and 43; None for other functions, and if it is truncated.
-        pieces: the ranges that the request touches.
+        pieces: the ranges of items or files that the request touches; at least one (rule 1 of this file).
         written: the values of the registers that the request would write, in the order of the written range; None if it
             writes no registers, or if the values are unknown.
         masks: AND mask and OR mask of function 22, whose result depends on the current value; None for other functions.
@@ -144,9 +144,9 @@ class Question:
         return any(piece.writes for piece in self.pieces)
 
     def with_current(self, current: int) -> "Question":
-        """Return this request with the value it would write, if the register now holds ``current``.
+        """Return a copy of a mask write (function 22) with the value it would write if the register holds ``current``.
 
-        Only a mask write (function 22) is changed; other requests are returned as they are.
+        Other requests are returned as they are.
         """
         if self.masks is None:
             return self

@@ -31,9 +31,9 @@ class Rates:
         return len(self._buckets)
 
     def charge(self, host: str, requests: int, now: float) -> float:
-        """Count ``requests`` that a host has sent.
+        """Count ``requests``, a number of requests that a host has sent, at the time ``now`` in seconds.
 
-        Returns the seconds for which it must pause now, 0 if it is within its rate.
+        Returns the seconds for which nothing should be read from the host now; 0 if it is within its rate.
         """
         left = self._left(host, now) - requests
         self._buckets[host] = (left, now)

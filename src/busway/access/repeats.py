@@ -32,7 +32,9 @@ class Repeats:
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """Decide about one more message: None if it must be suppressed, else the number of those suppressed before.
+        """Decide about one more message: None if it must not be logged now; otherwise log it.
+
+        The number that is returned then says how many were suppressed since the last one that was logged.
 
         Args:
             name: what the message is about, such as a host; messages about one name repeat each other.

@@ -125,14 +125,14 @@ class Rights:
         return self._compiled(access)[1]
 
     def permitted(self, access: UnitAccess) -> tuple[Zone, ...]:
-        """Return the zones where a kind of request is permitted without a rate.
+        """Return the zones where a kind of request is permitted without a rate limit, ascending.
 
-        Values must still be within the zone's limits.
+        Written values must still be within the zone's limits.
         """
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
     def decide(self, question: Question) -> Decision:
-        """Decide whether the rules permit a request to these clients. Nothing is counted against a rate here."""
+        """Decide whether the rules permit a request to these clients. Counts nothing; see `Decision.rates`."""
         rates: list[Rule] = []
         first_rule: Rule | None = None
         is_first = True

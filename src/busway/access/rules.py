@@ -33,7 +33,7 @@ EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
 RATES: Final = declaration.Range(0.001, 1_000_000)
 """Valid rates of a rule: requests per second and host."""
 DEFAULT_RULE: Final = "default"
-"""The name of the rule, in logs, for decisions that no rule made but the default."""
+"""What logs name as the rule if no rule applied and the policy's default decided; no rule may have this name."""
 _NOWHERE: Final[tuple[Range, ...]] = ()
 _EMPTY: Final = "is empty, so the rule would never fit; leave it out"
 Chosen = TypeVar("Chosen", bound=Enum)
@@ -95,7 +95,7 @@ class Limits:
         return self.low <= self._number(register) <= self.high
 
     def permit_all(self, registers: bytes) -> bool:
-        """Whether all register values are within the limits; ``registers`` are big-endian bytes of one or more."""
+        """Whether all register values are within the limits; ``registers``: one or more, two big-endian bytes each."""
         numbers = struct.unpack(f">{len(registers) // 2}{'h' if self.signed else 'H'}", registers)
         least: int = min(numbers)
         most: int = max(numbers)
@@ -127,7 +127,8 @@ class Rule:
         listeners: URLs of listeners, or schemes (``tls://``).
         units: the units asked.
         functions: function codes, each with a sub-function or with None for all its sub-functions.
-        items: ranges (first, end) of items by table, ``end`` not included; empty: requests for any items or none.
+        items: ranges (first, end) of items by table, ``end`` not included. If ``items`` and ``files`` are both empty,
+            the rule is for requests for any items or files, or none.
         files: ranges (first, end) of file numbers, ``end`` not included.
         access: reads, writes, or both.
         limits: the values that may be written to holding registers; None for all values.
@@ -261,7 +262,8 @@ class Rule:
     def ranges(self, space: Space) -> tuple[Range, ...]:
         """Return the items of a table, or the file numbers, that the rule applies to, as ascending ranges.
 
-        All addresses if the rule names neither items nor files; empty if it names only others.
+        One range with all addresses if the rule names neither items nor files; empty if it names only items or files
+        outside ``space``.
         """
         if not self.items and not self.files:
             return EVERYWHERE
@@ -303,9 +305,14 @@ class Policy:
 
     @classmethod
     def of(cls, *rules: Rule, default: str | Action = Action.DENY) -> "Policy":
-        """Create a policy of rules in their order. Raises `ConfigError`.
+        """Create a policy of rules in their order.
 
-        ``default``: ``allow``, ``deny`` or ``read-only``, for requests that no rule applies to.
+        Args:
+            rules: the rules; the first that applies to a request decides.
+            default: ``allow``, ``deny`` or ``read-only``, for requests that no rule applies to.
+
+        Raises:
+            ConfigError: there is no such default, or two rules have the same name.
         """
         return cls(rules, _one_of(Action, default, "default"))
 
@@ -320,7 +327,7 @@ class Policy:
         return cls(default=Action.ALLOW)
 
     def prepare(self) -> None:
-        """Create the index of rules by client now, instead of at the first request: some 0.1 s for 100 000 rules."""
+        """Create the index of the rules by client now, not at the first request: it takes 0.1 s for 100 000 rules."""
         if self._by_peer is None:
             everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
@@ -341,7 +348,7 @@ class Policy:
 
 @dataclass(frozen=True, slots=True)
 class AccessRules:
-    """The access rules of a configuration file: its policy and its address lists.
+    """The access rules of a configuration file: its policy and its address list.
 
     Attributes:
         policy: which requests are permitted.
@@ -383,9 +390,10 @@ def _texts(values: Iterable[str], key: str) -> tuple[str, ...]:
 
 
 def listener_name(text: str) -> str:
-    """Return the name of a listener in its normal form: a URL, or a scheme alone such as ``tls://``.
+    """Return the name of a listener in its normal form: a URL without options, or a scheme alone such as ``tls://``.
 
-    Raises `ConfigError`.
+    Raises:
+        ConfigError: the text is neither of them.
     """
     scheme, separator, rest = text.partition("://")
     if separator and not rest and scheme.lower() in SCHEMES:

@@ -50,7 +50,7 @@
 `write`            `busway write`: writes values to consecutive addresses of a device, in one request
 =================  =====================================================================================================
 
-One file per command. Only here are files and the environment read, and only here is anything printed.
+One file per command. Of the whole package, only these files print anything; the others return values, raise and log.
 
 Where it is decided: which exit code an error has: `exits`. How values are printed: `output`; status: `status_view`.
 What Ctrl-C and SIGTERM do: `signals`. What SIGHUP does: `reloading`. How long requests in flight may take at the end of
@@ -72,9 +72,9 @@ def main() -> None:
 
 
 def _refuse(error: ImportError) -> NoReturn:
-    """Report an import error: for a missing package, end the process with code 2 and name the command that installs it.
+    """Handle a failed import of the program: if an optional package is missing, end the process with code 2.
 
-    Other errors are raised again.
+    The sentence on stderr names the command that installs the package. Any other import error is raised again.
     """
     from ..extras import missing_extra
 

@@ -54,13 +54,16 @@ _NUMBER = re.compile(r"\d{1,18}|0[xX][0-9a-fA-F]{1,16}")
 
 
 def unit_number(text: str | None) -> int | None:
-    """Return the unit that ``--unit`` gives; None without it. Raises `ConfigError` if it is no number from 0 to 255."""
+    """Return the text of ``--unit`` as a number; None if the option is missing. `ConfigError` unless it is 0…255."""
     return None if text is None else whole_number(text, "--unit", 0, 255)
 
 
 @contextlib.contextmanager
 def hint_at_unit() -> Iterator[None]:
-    """Context manager in which the error about a file whose only unit has no number names the option ``--unit``."""
+    """Context manager that makes an error about a missing unit number mention the option ``--unit``.
+
+    It concerns the `FileError` about a file whose only unit has no number; other errors pass unchanged.
+    """
     from ..config.files.file_error import FileError
 
     try:
@@ -77,15 +80,15 @@ def hint_at_unit() -> Iterator[None]:
 
 
 def refuse_other_unit(name: str, unit: int | None, there: Iterable[int]) -> None:
-    """Refuse a ``--unit`` that a file has not.
+    """Raise `ConfigError` if ``--unit`` names a unit that a file does not have.
 
     Args:
-        name: the file.
-        unit: what ``--unit`` gives; None without it.
-        there: the units of the file.
+        name: name of the file, for the error.
+        unit: number given by ``--unit``; None if the option is missing.
+        there: numbers of the units in the file.
 
     Raises:
-        ConfigError: the file has other units.
+        ConfigError: ``unit`` is not in ``there``; the message lists these.
     """
     numbers = list(there)
     if unit is not None and unit not in numbers:
@@ -102,7 +105,7 @@ def whole_number(text: str, name: str, low: int, high: int) -> int:
         low, high: smallest and largest number allowed.
 
     Raises:
-        ConfigError: the text is no such number, or the number is out of range.
+        ConfigError: the text is not a whole number, or the number is out of range.
     """
     number = int(text, 16 if text[:2].lower() == "0x" else 10) if _NUMBER.fullmatch(text) else -1
     if not low <= number <= high:
@@ -111,7 +114,7 @@ def whole_number(text: str, name: str, low: int, high: int) -> int:
 
 
 def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -> float:
-    """Return the seconds that an option's text gives: ``500ms``, ``1s``, ``2`` (seconds), ``1h``.
+    """Return the time that an option's text gives, in seconds: ``500ms``, ``1s``, ``2`` (seconds), ``1h``.
 
     Args:
         text: the text of the option.
@@ -119,7 +122,7 @@ def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -
         low, high: shortest and longest time allowed, in seconds.
 
     Raises:
-        ConfigError: the text is no time, or the time is out of range.
+        ConfigError: the text is not a time, or the time is out of range.
     """
     time = duration(text, bare=True)
     if time is None:
@@ -144,14 +147,14 @@ def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
 
 
 BEHIND_DASHES: Final[list[str]] = []
-"""Arguments of the command line that stand behind ``--``; the parser of the command fills the list."""
+"""The arguments of the command line behind ``--``, which are never options; the command's parser fills the list."""
 
 
 def refuse_unknown_option(value: str) -> None:
-    """Raise `ConfigError` if a value looks like a misspelt option: one or two minus signs and a letter.
+    """Raise `ConfigError` if a value looks like a misspelt option: one or two minus signs followed by a letter.
 
-    Negative numbers, ``-inf``, ``-nan`` and what stands behind ``--`` are values. Meant for commands whose parser takes
-    unknown options as values.
+    Values such as ``-5``, ``-inf`` and ``-nan`` are accepted, and so are the arguments behind ``--``. For commands
+    whose parser takes unknown options as values.
     """
     if value in BEHIND_DASHES:
         return
@@ -165,8 +168,13 @@ def opened_unit(
 ) -> Iterator["BlockingUnit"]:
     """Context manager that opens a blocking link to a URL and yields one of its units; nothing is sent yet.
 
+    Args:
+        url: URL of the device.
+        unit, timeout, retries: texts of these options; None for the default of the link.
+        verbose: how often ``-v`` was given, as of `show_traffic`.
+
     Raises:
-        ConfigError, InvalidRequest: invalid URL or option.
+        ConfigError, InvalidRequest: the URL or an option is invalid.
     """
     from ..client.blocking import connect
     from ..options.client import ClientParameters
@@ -209,11 +217,11 @@ def check_order(place: "Address", form: "ValueType[Any] | None", order: str) -> 
 
     Args:
         place: the address.
-        form: the value type, in that order; None for one bit.
-        order: the text of ``--order``.
+        form: the value type, created with this order; None for one bit.
+        order: the text of ``--order``; ``ABCD``, the default, is always accepted.
 
     Raises:
-        ConfigError: an order is given for one bit, or for one register whose bytes it does not swap.
+        ConfigError: the value is one bit, or one register whose bytes the order does not swap.
     """
     if order == "ABCD":
         return

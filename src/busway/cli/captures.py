@@ -1,6 +1,6 @@
-"""Options of commands that read capture files, the opening of the file, and warnings about what was not read.
+"""What commands that read capture files share: options, opening the file, and warnings about packets without Modbus.
 
-Knows paths and texts; what is in a capture is known by `busway.observe.capture_files`.
+Knows paths and texts; `busway.observe.capture_files` knows the contents of captures.
 """
 
 import os
@@ -29,7 +29,7 @@ _FRAMINGS: Final = ("mbap", "rtu", "ascii")
 
 
 def names_capture(text: str) -> bool:
-    """Whether an argument names a capture file: by its suffix (``.pcap``, …), or by the file's first bytes."""
+    """Whether an argument names a capture file: its suffix is ``.pcap`` or similar, or the file begins like one."""
     from ..observe.capture_files.packet_file import is_capture_file
 
     if text.lower().endswith(_NAMES):
@@ -45,7 +45,9 @@ def names_capture(text: str) -> bool:
 
 @contextmanager
 def open_packets(name: str) -> Iterator["PacketFile"]:
-    """Context manager that opens a capture file and yields an iterator over its packets; ``-`` is standard input.
+    """Context manager that opens a capture file and yields an iterator over its packets.
+
+    ``-`` is standard input. The iterator raises `ConfigError` where the file is broken.
 
     Raises:
         ConfigError: the file cannot be opened; the error names the file.
@@ -81,7 +83,10 @@ def traffic_of(ports: str | None, framing: str | None) -> "CapturedTraffic":
 
 
 def time_text(time: float) -> str:
-    """Return a time of a capture (seconds since 1970) as text in UTC, with microseconds."""
+    """Return a time of a capture (seconds since 1970) as text in UTC, with microseconds.
+
+    A time that is beyond all calendars, as a broken file may have, is returned in seconds.
+    """
     try:
         moment = datetime.fromtimestamp(time, UTC)
     except (OverflowError, ValueError, OSError):  # a file may say any time
@@ -90,12 +95,12 @@ def time_text(time: float) -> str:
 
 
 def say_what_was_left_out(file: "PacketFile", traffic: "CapturedTraffic", frames: int) -> None:
-    """Warn on stderr if a capture file is truncated, or if no Modbus frames were found in it and why.
+    """Warn on stderr if a capture file is truncated; and if no Modbus was found in it, say what it contains instead.
 
     Args:
         file: the file, read to its end.
         traffic: what was found in its packets.
-        frames: number of Modbus frames that were shown.
+        frames: number of Modbus frames or conversations that were shown; the second warning needs 0.
     """
     if file.truncated_at is not None:
         packets = counted(file.packets, "packet", "was")

@@ -37,7 +37,7 @@ ROLE = "Operator"
 """Role of the client's certificate if ``--role`` is not given; a policy says what the role may do."""
 DAYS = 365
 TRY_PORT = 8802
-"""Port in the commands that are suggested: the port of Modbus/TCP Security, 802, needs a privileged user."""
+"""Port in the suggested commands. The standard port of Modbus/TCP Security, 802, would need a privileged user."""
 
 
 def certs(
@@ -86,7 +86,10 @@ def _make(
 
 
 def _file_name(role: str) -> str:
-    """Return ``client-ROLE`` for a role, without characters that are not allowed in names of files and certificates."""
+    """Return the name of a client's certificate files without suffix: ``client-`` and the role in lower case.
+
+    Characters other than letters, digits, dot, underscore and minus become ``-``; the role is cut after 50 characters.
+    """
     return f"client-{re.sub(r'[^A-Za-z0-9._-]+', '-', role).lower()[:50]}"
 
 

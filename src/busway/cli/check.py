@@ -159,7 +159,11 @@ def _items(text: str, key: str, count: int) -> "Items":
 
 
 def _scratch(text: str | None) -> tuple["Items | None", "Items | None"]:
-    """Return the registers and the coils that ``--scratch`` permits to write; None for those not named."""
+    """Return the registers and the coils that ``--scratch`` permits to write; None for each that it does not name.
+
+    Raises:
+        ConfigError: the text is not such as ``4x101:8,0x1:8``, names other tables, or names a table twice.
+    """
     found: dict[Table, Items] = {}
     for part in [] if text is None else text.split(","):
         address, colon, size = part.strip().rpartition(":")
@@ -175,11 +179,11 @@ def _scratch(text: str | None) -> tuple["Items | None", "Items | None"]:
 
 
 def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]]]":
-    """Return for each report that ``--report`` names its path, and the function that formats it.
+    """Return the path of each report that ``--report`` asks for, with the function that formats it.
 
     Raises:
-        ConfigError: the text is not ``FORM=FILE`` with commas between, a folder is missing, or a file that is no report
-            of the same form would be overwritten.
+        ConfigError: the text is not a list such as ``html=FILE,json=FILE``, a folder is missing, or a file exists that
+            is no report of the same form.
     """
     from ..apps.check.reports import REPORT_BEGINNINGS, REPORTS
 

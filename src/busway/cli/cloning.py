@@ -1,6 +1,7 @@
 """``busway simulate --clone``: records a live device into a simulation file.
 
-1. The device is only read. With ``--map`` each point of the map is read once, without it the tables are searched.
+1. The device is only read. With ``--map`` each point of the map is read, with ``--watch`` repeatedly; without a map the
+   tables are searched for items.
 2. The file goes to stdout, or with ``--out`` into a file; progress and what could not be recorded go to stderr.
 3. An existing file is overwritten with ``--force`` only; that is checked before the device is asked.
 """
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
 
 BETWEEN_LOOKS = 1.0
-"""Seconds between two readings of a device that is being watched."""
+"""Seconds between two readings of a device whose values are observed (``--watch``)."""
 _RANGE = re.compile(r"(\d{1,5})(?:-(\d{1,5}))?")
 _LAST = 65_535
 
@@ -32,15 +33,15 @@ class CloneOptions:
     """The options of ``busway simulate --clone``, as texts of the command line.
 
     Attributes:
-        url: URL of the device.
-        unit: unit identifier, 0…255; None to use the link's.
-        map: path of a register map in CSV, whose points are read; None: the tables are searched.
+        url: URL of the device; empty without ``--clone``.
+        unit: unit identifier, 0…255; None for the default of the link.
+        map: path of a register map in CSV, whose points are read; None: the tables are searched for items.
         out: path of the simulation file; None for stdout.
         watch: how long to observe how the values change, such as ``60s``; None for not at all. Needs ``map``.
-        ranges: offsets to search without a map: ``0-999,40000-40199``.
-        thorough: whether to search blocks that seem empty too.
-        force: whether ``out`` may be overwritten.
-        timeout, retries: the options of the link.
+        ranges: offsets to search without a map: ``0-999,40000-40199``; None for the usual ones.
+        thorough: whether blocks that seem empty are searched too.
+        force: whether an existing file ``out`` may be overwritten.
+        timeout, retries: options of the link; None for its defaults.
         verbose: how much traffic is logged: 0 none, 1 messages, 2 frames, 3 bytes.
     """
 
@@ -66,10 +67,11 @@ def refuse_without_clone(options: CloneOptions) -> None:
 
 
 def clone_device(options: CloneOptions) -> int:
-    """Record a live device, and write the simulation file that imitates it; returns the exit code.
+    """Record a live device, and write a simulation file that imitates it; return the exit code.
 
     Raises:
-        ConfigError: options contradict each other, or the file exists; nothing was sent.
+        ConfigError: options contradict each other or the file exists already, and nothing was sent; or the file cannot
+            be written.
         ModbusError: the device cannot be read.
     """
     from ..apps.simulator.device_text import device_text
@@ -114,9 +116,9 @@ def _recorded(unit: "BlockingUnit", options: CloneOptions, duration: float | Non
 
 
 def _moments(duration: float) -> Iterator[float]:
-    """Yield the seconds since the first call, about one value a second, sleeping in between.
+    """Yield about one value a second, after sleeping that long: the seconds since the first step.
 
-    The last is ``duration``.
+    The last value is ``duration`` (seconds).
     """
     began = time.monotonic()
     due = 0.0
@@ -127,7 +129,11 @@ def _moments(duration: float) -> Iterator[float]:
 
 
 def _ranges(text: str) -> list[range]:
-    """Return the ranges of offsets that ``--range`` names, such as ``0-999,40000``. Raises `ConfigError`."""
+    """Return the ranges of 0-based offsets in a text such as ``0-999,40000``, ends included.
+
+    Raises:
+        ConfigError: the text is written otherwise, or an offset is above 65535.
+    """
     found = []
     for part in text.split(","):
         match = _RANGE.fullmatch(part.strip())

@@ -1,8 +1,9 @@
 """``busway collect``: polls devices and stores their values, until Ctrl-C or SIGTERM.
 
-1. ``plan`` and ``learnt`` send nothing and open no port. ``plan`` ends with code 4 if a link cannot carry its reads.
-2. Status goes to stdout, one line for each link and for each device that is not well; everything else to stderr.
-3. SIGHUP reads the file again: it is refused as a whole, or applied link by link.
+1. ``plan`` and ``learnt`` send nothing and open no port. ``plan`` ends with code 4 if a link has no time for all its
+   reads.
+2. Status goes to stdout, one line for each link and for each device in trouble; everything else goes to stderr.
+3. SIGHUP reads the file again: an invalid file changes nothing, a valid one is applied link by link.
 """
 
 import asyncio

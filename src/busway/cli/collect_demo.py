@@ -39,7 +39,7 @@ line_baud = {baud}
 
 
 async def collect_demo(limit: float, page: str) -> None:
-    """Run the collector's demonstration for ``limit`` seconds, or until a signal.
+    """Run the collector's demonstration until ``limit`` seconds have passed or a signal comes; then print the status.
 
     Args:
         limit: seconds.
@@ -66,7 +66,7 @@ async def collect_demo(limit: float, page: str) -> None:
 
 
 def _written(folder: Path, url: str, page: str) -> Path:
-    """Write the demonstration's collector file and a profile for each device into a folder; returns the file's path."""
+    """Write the demonstration's collector file and device profiles into a folder; return the path of the file."""
     from ..apps.simulator.plant import PLANT_FILE
     from ..config.files.device import parse_device_file
     from .demo import BAUD

@@ -20,15 +20,16 @@ if TYPE_CHECKING:
 async def open_page(
     stack: AsyncExitStack, collector: "Collector", zone: "ZoneWatch | None" = None, newest: "Newest | None" = None
 ) -> None:
-    """Serve the collector's web page until ``stack`` ends, and print its address; on an error, print a warning only.
+    """Serve the collector's web page until ``stack`` closes, and print its address; print a warning if that fails.
 
-    `busway status` names the collector and its page until then.
+    Also notes the collector for `busway status`, which finds it and its page until ``stack`` closes.
 
     Args:
         stack: exit stack that stops the page when it closes.
-        collector: the running collector; its file says where the page is, or ``off`` for no page.
-        zone: the watched zone, for a collector of a fleet; None for no page of a fleet.
-        newest: returns the number of the newest message of the zone's stream, for the lag of sinks.
+        collector: the running collector; its file has the address of the page, or ``off`` for no page.
+        zone: what is known of the zone, for a collector of a fleet; None: the page has no tab about a fleet.
+        newest: function that returns the number of the newest message in the zone's stream, to show how far sinks are
+            behind; None without a stream.
     """
     at, page = collector.configuration.file.collector.page, None
     try:
@@ -39,7 +40,7 @@ async def open_page(
 
 
 async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
-    """Serve the page of the demonstration, on a free port if its port is taken; on an error, print a warning only."""
+    """Serve the page of the demonstration, on a free port if its port is taken; if that fails, print a warning."""
     at, page = collector.configuration.file.collector.page, None
     try:
         try:
@@ -56,7 +57,7 @@ async def open_demo_page(stack: AsyncExitStack, collector: "Collector") -> None:
 def _announce(
     stack: AsyncExitStack, collector: "Collector", page: "CollectorPage | None", *, is_in_fleet: bool
 ) -> None:
-    """Let `busway status` find the collector until ``stack`` closes, and print then the address of its page."""
+    """Note the collector for `busway status` until ``stack`` closes, and print the address of its page, if any."""
     from ..apps.collector.running import noted
 
     configuration, url = collector.configuration, "" if page is None else page.url
@@ -72,13 +73,13 @@ async def _open_page_at(
     zone: "ZoneWatch | None" = None,
     newest: "Newest | None" = None,
 ) -> "CollectorPage":
-    """Serve the collector's web page until ``stack`` closes, and return it.
+    """Serve the collector's web page until ``stack`` closes, and return the page.
 
     Args:
         at: host and port; port 0 takes a free one.
         stack: exit stack that stops the page.
         collector: the running collector.
-        zone, newest: as of `open_page`.
+        zone, newest: arguments of `open_page`.
 
     Raises:
         LinkDown: the address is taken or cannot be bound.
@@ -103,7 +104,7 @@ def print_status(collector: "Collector", *, as_json: bool) -> None:
 
     Args:
         collector: the running collector.
-        as_json: whether to print one JSON object, which has all devices, instead of lines.
+        as_json: True prints one JSON object, which has all devices; False prints lines.
     """
     store, devices = collector.store_status(), collector.status()
     if as_json:

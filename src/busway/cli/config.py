@@ -71,7 +71,10 @@ def config(
 
 
 def _kind_of(file: str) -> str:
-    """Return the kind of a file, by keys that only this kind has: collector, gateway, simulation or server."""
+    """Return the kind of a configuration file by its keys: ``collector``, ``gateway``, ``simulation`` or ``server``.
+
+    It is ``server`` if no key is of another kind alone; also if it is no TOML, and the check of servers says so.
+    """
     from ..config.files import collector, gateway, simulation, system
     from ..config.files.schema import keys_of
     from ..config.reading import read_text
@@ -95,7 +98,7 @@ def _kind_of(file: str) -> str:
 
 
 def _unit_keys(units: object) -> Iterator[str]:
-    """Yield the path of each key in parsed ``[[unit]]`` tables and their points: ``unit[0].point[2].behaviour``."""
+    """Yield the path of each key in ``[[unit]]`` tables and in their points, such as ``unit[0].point[2].behaviour``."""
     for number, unit in enumerate(units if isinstance(units, list) else []):
         for key, value in unit.items() if isinstance(unit, dict) else []:
             yield f"unit[{number}].{key}"
@@ -165,7 +168,7 @@ def _show(file: str) -> None:
 
 
 def _print_options(url: str | None) -> None:
-    """Print name, default, values and meaning of each option of a link to ``url``, or without a URL of all options."""
+    """Print name, default, values and meaning of the options of a link to ``url``; with None, of all options."""
     from ..options.endpoints import parse_endpoint
     from ..options.offer import LINKS, Offer
 
@@ -178,9 +181,9 @@ def _print_options(url: str | None) -> None:
 
 
 def _all_options() -> Iterator[tuple[str, list["Option"]]]:
-    """Yield groups of options, each with a title: of links, of servers, and keys of sections of files.
+    """Yield all options in groups, as (title, options): of links, of servers, and of each section of files.
 
-    No option comes twice.
+    An option that an earlier group has is left out.
     """
     from ..config.files.schema import keys_of, sections_of
     from ..options.offer import LINKS, SERVERS, Offer
@@ -205,9 +208,9 @@ def _print_keys(title: str, options: Iterable["Option"]) -> None:
 
 
 def _schemas() -> dict[str, type["Section"]]:
-    """Return the schema class for each option of ``busway config schema``.
+    """Return the class that describes a kind of file, by the option of ``busway config schema`` that selects the kind.
 
-    Key ``""`` has that of configuration files.
+    The key ``""`` (no option) has the class of configuration files.
     """
     from ..config.files import collector, device, gateway, simulation, system
 

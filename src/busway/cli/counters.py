@@ -37,7 +37,7 @@ COUNTERS: tuple[tuple[DiagnosticCode, str], ...] = (
     (DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT, "frames lost because characters came too fast"),
     (DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER, "16 bits that the device defines"),
 )
-"""The sub-functions of function 08, and what each counts (Application Protocol V1.1b3 §6.8.1)."""
+"""The sub-functions of function 08 that are read, each with what it counts (Application Protocol V1.1b3 §6.8.1)."""
 
 _RECEIVE_EVENT, _SEND_EVENT = 0x80, 0x40
 _Bits = tuple[tuple[int, str], ...]
@@ -63,10 +63,10 @@ class Fact:
     """One value of a device's diagnostics (functions 08, 11, 12, 07), with its name.
 
     Attributes:
-        function: function code, with a sub-function in hexadecimal: ``08/0B``, ``11``.
+        function: function code, with the sub-function in hexadecimal if there is one: ``08/0B``, ``11``.
         name: the specification's name of the value, with underscores: ``bus_message_count``.
-        value: the number; for the event log a list of bytes, the newest first.
-        meaning: what the value counts or says, in words.
+        value: the number; for the event log a list of event bytes, the newest first.
+        meaning: what the value counts, in words; may be empty.
     """
 
     function: str
@@ -106,7 +106,7 @@ def counters(
 
 
 def _questions() -> list[tuple[str, str, Callable[["BlockingUnit"], list[Fact]]]]:
-    """Return the diagnostic functions to read: code, name, and a callable that reads them from a unit as facts."""
+    """Return the diagnostics to read, in order: function code, name, and a function that reads them from a unit."""
     questions: list[tuple[str, str, Callable[[BlockingUnit], list[Fact]]]] = []
     for code, meaning in COUNTERS:
         function, name = f"08/{code:02X}", code.name.lower().removeprefix("return_")
@@ -152,7 +152,7 @@ def _status_text(status: int) -> str:
 
 
 def event_text(event: int) -> str:
-    """Return the meaning of an event byte of function 12, in words (Application Protocol V1.1b3 §6.10)."""
+    """Return in words what an event byte of the event log (function 12) means (Application Protocol V1.1b3 §6.10)."""
     if event in _OTHER_EVENTS:
         return _OTHER_EVENTS[event]
     if event & _RECEIVE_EVENT:
@@ -185,7 +185,7 @@ def _show(facts: list[Fact], *, as_json: bool) -> None:
 
 
 def _number(fact: Fact) -> str:
-    """Return a value that a device has reported as text: bits in hexadecimal or binary, counts in decimal."""
+    """Return the value of a fact as text: status words in hexadecimal, 8 status bits in binary, counts in decimal."""
     if fact.name in ("status", "diagnostic_register"):
         return f"0x{fact.value:04X}"
     return f"0b{fact.value:08b}" if fact.name == "exception_status" else str(fact.value)

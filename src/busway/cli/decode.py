@@ -3,7 +3,7 @@
 1. Each argument is a frame; bytes and 16-bit groups that the shell has split (``01 03 00 6b …``, ``0103 006b …``) are
    joined to one.
 2. Frames that follow each other are one conversation: a reply is compared with the request before it.
-3. An argument that names a capture file stands for the frames in it (`decode_capture`).
+3. If the only argument names a capture file, the frames in this file are explained (`decode_capture`).
 4. A frame that is wrong is explained as far as it goes; the exit code is then 6.
 """
 
@@ -93,14 +93,18 @@ def _one_of(text: str, name: str, allowed: list[str]) -> str:
 
 
 def _joined(texts: list[str]) -> list[str]:
-    """Return the frames to decode; arguments that are single bytes or 16-bit groups are joined to one frame."""
+    """Return the frames to decode; if all arguments are groups of one or two bytes, they are one frame."""
     if len(texts) > 1 and all(len(_SEPARATORS.sub("", text)) in (2, 4) and text[0] != ":" for text in texts):
         return [" ".join(texts)]
     return texts
 
 
 def _bytes_of(text: str) -> bytes:
-    """Return the bytes of a frame given as text in hexadecimal; of an ASCII frame, its characters as bytes."""
+    """Return the bytes of a frame from hexadecimal text; of an ASCII frame (it begins with a colon) the characters.
+
+    Raises:
+        ConfigError: the text has other characters than digits and separators, no digits, or half a byte.
+    """
     if _ASCII_FRAME.fullmatch(text) and not text[1:].isspace():
         return text.replace("\\r", "\r").replace("\\n", "\n").encode("ascii", errors="replace")
     digits = _SEPARATORS.sub("", text)

@@ -21,20 +21,23 @@ if TYPE_CHECKING:
     from ..observe.dissect import Dissection, Dissector
 
 _MOST_ASKED: Final = 4096
-"""Most requests that are kept until their replies come; beyond that, the oldest is dropped."""
+"""Number of requests that may wait for their replies to be explained with them; then the oldest is forgotten."""
 
 
 def decode_capture(name: str, *, ports: str | None, framing: str | None, as_json: bool) -> int:
-    """Print the Modbus frames of a capture file on stdout, field by field; returns the exit code.
+    """Print the Modbus frames of a capture file on stdout, field by field; return the exit code.
 
     Args:
         name: path of the file; ``-`` for standard input.
         ports: text of ``--port``; None for 502.
         framing: text of ``--framing``; None for ``mbap``.
-        as_json: whether to print one JSON object for each frame.
+        as_json: True prints one JSON object for each frame; False prints lines.
+
+    Returns:
+        ``DONE``, or ``BROKEN`` if a frame is invalid or the capture lacks bytes.
 
     Raises:
-        ConfigError: an option is invalid, or the file is broken; frames before the broken place are printed.
+        ConfigError: an option is invalid, or the file is broken; the frames before the broken place are printed.
     """
     from ..observe.capture_files.traffic import ChannelEnd
 
@@ -57,10 +60,10 @@ def _events(file: "PacketFile", traffic: "CapturedTraffic") -> Iterator["Traffic
 
 
 class _Explaining:
-    """Prints the frames of one capture file, each below a line with its packet, time and addresses.
+    """Prints the frames of one capture file, each below a line with its packet number, time and addresses.
 
     Attributes:
-        code: exit code of the command: ``BROKEN`` once something broken was printed.
+        code: exit code for the command: ``DONE``, or ``BROKEN`` once something broken was printed.
         shown: number of frames and faults printed so far.
     """
 
@@ -72,7 +75,7 @@ class _Explaining:
         self._lines: dict[int, Dissector] = {}
 
     def show(self, event: "CapturedFrame | FaultyBytes") -> None:
-        """Print a frame, field by field, or what is broken or missing at this place of the capture."""
+        """Print one frame, field by field; or what is broken or missing at one place of the capture."""
         from ..observe.capture_files.traffic import FaultyBytes
 
         said = event.text if isinstance(event, FaultyBytes) else ""
@@ -121,7 +124,7 @@ def _ends(event: "CapturedFrame | FaultyBytes") -> str:
 
 
 def _addresses(event: "CapturedFrame | FaultyBytes") -> tuple[str, str]:
-    """Return source and destination of a frame as text; for a frame on a serial line, the line's name and ``""``."""
+    """Return source and destination of a frame as text; for a serial line, its name and an empty text."""
     from ..framing.received import Direction
     from ..observe.capture_files.traffic import node_text
 

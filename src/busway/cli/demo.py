@@ -1,9 +1,9 @@
 """``busway demo``: a small plant on a serial line, a gateway in front of it, and a client that polls it over TCP.
 
-1. Devices, gateway and client talk real Modbus, and any other client can join in. Only the wire of the line is made of
-   software, with the time that each character takes; on a system without pseudo-terminals, a TCP connection replaces
-   the line.
-2. On a terminal one table is drawn anew; elsewhere there is one block of lines per second.
+1. Devices, gateway and client talk real Modbus, and any other client can connect too. Only the serial line is made of
+   software; its characters take as long as real ones. On a system without pseudo-terminals, a TCP connection replaces
+   it.
+2. On a terminal one table is redrawn in place; elsewhere a block of lines is printed each second.
 3. The demonstration ends after its time, with a summary and three commands to try; ``--forever`` runs it until Ctrl-C.
 """
 
@@ -44,18 +44,21 @@ Examples:
 
 HOST = "tcp://127.0.0.1"
 TICK_SECONDS = 0.1
-"""Seconds between two steps of the plant, which change its values."""
+"""Seconds between two steps of the simulated plant; each step changes its values."""
 POLL_SECONDS = 0.25
 """Seconds between two reads of each value."""
 BLOCK_SECONDS = 1.0
-"""Seconds between two blocks of lines if stdout is no terminal."""
+"""Seconds between two printed blocks of lines if stdout is no terminal."""
 BAUD = 19_200
 LINE_TIMEOUT = 0.4
 """Seconds that the gateway waits for a reply of a device."""
 METER_DELAY = 0.15
-"""Seconds that the slow device, the meter, adds to the delay of its replies."""
+"""Seconds by which the replies of the meter, a slow device on purpose, are delayed."""
 DEATH_AFTER, DEATH_LASTS, DEATH_EVERY = 3.0, 3.0, 8.0
-"""Seconds: the failing device, the thermometer, is silent from the first on, for the second, again at every third."""
+"""When the thermometer, a failing device on purpose, does not answer, in seconds.
+
+It is silent for the first time after ``DEATH_AFTER``, for ``DEATH_LASTS``, and again each ``DEATH_EVERY``.
+"""
 
 
 @dataclass(slots=True)
@@ -63,9 +66,10 @@ class Polled:
     """What the polling client of the demonstration has read: values, latencies and errors.
 
     Attributes:
-        values: the latest value by name of the point, in its unit of measure; None after an error.
-        latencies: seconds from request to reply, for each request that got its reply.
-        errors: number of requests that got none.
+        values: the latest value of each point in its unit of measure, by the point's name; None if the last read
+            failed.
+        latencies: response time of each successful request, in seconds.
+        errors: number of requests that failed.
     """
 
     values: dict[str, Any] = field(default_factory=dict)  # Any: what each point's type says
@@ -150,9 +154,10 @@ async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]"
 
 
 def _line(stack: AsyncExitStack) -> tuple[str, str]:
-    """Return the URLs of both ends of a paced line: that of the gateway and that of the devices.
+    """Create a paced serial line, and return the URLs of its ends: the gateway's and the devices'.
 
-    On a system without pseudo-terminals the first is empty, and the second is a TCP endpoint for the devices.
+    On a system without pseudo-terminals the first is empty, and the second is a TCP endpoint for the devices. The line
+    ends when ``stack`` closes.
     """
     try:
         from ..testing.line import PacedLine
@@ -164,9 +169,9 @@ def _line(stack: AsyncExitStack) -> tuple[str, str]:
 
 
 def _devices(plant: "Plant", url: str) -> "Server":
-    """Return the server of the plant's devices on their line, not started yet.
+    """Return the server of the plant's devices at ``url``, not started yet.
 
-    One of the devices answers slowly, and one stops answering from time to time.
+    By faults, the meter answers slowly, and the thermometer stops answering from time to time.
     """
     from ..apps.simulator.plant import METER, THERMOMETER
     from ..faults.fault import Schedule
@@ -183,10 +188,10 @@ def _devices(plant: "Plant", url: str) -> "Server":
 
 
 async def _started(line: str, port: int) -> "Gateway":
-    """Start and return the demonstration's gateway, on ``port`` of loopback or, if it is taken, on a free one.
+    """Start and return the demonstration's gateway, on ``port`` of loopback or, if that is taken, on a free port.
 
     Args:
-        line: URL of the upstream: the serial line, or the TCP server in its place.
+        line: URL of the upstream: the serial line, or the TCP server that replaces it.
         port: the wanted port.
     """
     from ..apps.gateway.gateway import Gateway
@@ -218,7 +223,16 @@ async def _move(plant: "Plant") -> None:
 async def _poll(
     link: "AsyncLink", plant: "Plant", polled: Polled, stop: asyncio.Event, limit: float | None, url: str
 ) -> None:
-    """Read all points of the plant, one task per device, and show the values, until ``limit`` seconds or a signal."""
+    """Read all points of the plant, in one task per device, and display the values until the time is over.
+
+    Args:
+        link: the link to the gateway.
+        plant: the plant whose points are read.
+        polled: gets values, latencies and errors.
+        stop: ends the polling when it is set, by a signal.
+        limit: seconds; None for no limit.
+        url: URL of the gateway, for the display.
+    """
     tags = {unit: list(points.sections.values()) for unit, points in plant.points.items()}
     view: View = LiveView() if sys.stdout.isatty() else LineView()
     began = time.monotonic()
@@ -239,7 +253,7 @@ async def _poll(
 
 
 async def _poll_unit(unit: "AsyncUnit", sections: Sequence["PointSection"], polled: Polled) -> None:
-    """Read the points of one device of the plant every `POLL_SECONDS`, until cancelled."""
+    """Read the points of one device every `POLL_SECONDS` into ``polled``, until cancelled."""
     while True:
         due = time.monotonic() + POLL_SECONDS
         for section in sections:
@@ -263,7 +277,7 @@ class View(Protocol):
     """Interface of a display of the values that the demonstration has read."""
 
     def show(self, url: str, tags: "Tags", polled: Polled, elapsed: float) -> None:
-        """Show the latest values of all points.
+        """Show the latest values of all points; called several times a second.
 
         Args:
             url: URL of the gateway.
@@ -273,11 +287,11 @@ class View(Protocol):
         """
 
     def close(self) -> None:
-        """End the display; what it shows last stays on the terminal."""
+        """End the display; what it showed last stays on the terminal."""
 
 
 class LineView:
-    """A display of read values that prints a block of lines each second."""
+    """Display that prints a block of lines with all values each second; for stdout that is no terminal."""
 
     def __init__(self) -> None:
         self._due = BLOCK_SECONDS
@@ -294,7 +308,7 @@ class LineView:
 
 
 class LiveView:
-    """A display of read values that redraws one table in place."""
+    """Display that shows all values as one table, redrawn in place; for a terminal."""
 
     def __init__(self) -> None:
         from rich.live import Live

@@ -1,6 +1,6 @@
-"""Prints an explained frame: as lines, one for each field, or as a JSON object.
+"""Prints a dissected frame: as lines, one for each field, or as a JSON object.
 
-Knows dissections; knows no source of frames.
+Knows dissections; does not know where frames come from.
 """
 
 from ..observe.dissect import Dissection
@@ -9,7 +9,7 @@ _BYTES_PER_LINE = 16
 
 
 def show_dissection(dissection: Dissection) -> None:
-    """Print an explained frame on stdout: its title, each field with offset, bytes and value, and what is wrong."""
+    """Print a dissected frame on stdout: title, a line per field with offset, bytes and value, and what is wrong."""
     print(dissection.title + (", answers the request before it" if dissection.answers else ""))
     names = max((len(part.name) for part in dissection.parts), default=0)
     widest = max((min(len(part.data), _BYTES_PER_LINE) for part in dissection.parts), default=0)
@@ -27,7 +27,7 @@ def show_dissection(dissection: Dissection) -> None:
 
 
 def dissection_json(dissection: Dissection) -> dict[str, object]:
-    """Return an explained frame as a dictionary for JSON: framing, direction, title, fields and problems."""
+    """Return a dissected frame as a dictionary for JSON: framing, direction, title, fields and problems."""
     return {
         "framing": dissection.framing.value,
         "direction": dissection.direction.value,

@@ -23,7 +23,7 @@ from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, Link
 
 
 class ExitCode(IntEnum):
-    """The exit codes that all commands of ``busway`` use; the table of this file says what each means."""
+    """The exit codes that all commands of ``busway`` use; the table at the top of ``exits.py`` has their meanings."""
 
     DONE = 0
     FAILED = 1
@@ -48,5 +48,8 @@ _CODES: tuple[tuple[type[ModbusError], ExitCode], ...] = (
 
 
 def exit_code_of(error: ModbusError) -> ExitCode:
-    """Return the exit code for an error; 3 for `NoReply`, `WriteOutcomeUnknown`, `Overloaded` and unlisted errors."""
+    """Return the exit code for an error: 2 wrong use, 4 exception reply, 5 no connection, 6 broken reply.
+
+    All others have 3, such as `NoReply`, `WriteOutcomeUnknown` and `Overloaded`.
+    """
     return next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.NO_REPLY)

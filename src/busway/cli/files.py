@@ -1,6 +1,6 @@
-"""Files that commands read, new files and capture files that they write.
+"""Files that commands read; new files and capture files that they write.
 
-Knows paths; what a file means is known where its schema stands (`busway.config.files`, `busway.observe`).
+Knows paths; the meaning of a file is known where its schema is (`busway.config.files`, `busway.observe`).
 """
 
 import contextlib
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from ..observe.capture import Capture
 
 PRIVATE: Final = 0o600
-"""Rights of a file that shows what passes between devices: only its owner may read and write it."""
+"""Access rights of capture files, which contain the traffic of devices: only the owner may read and write."""
 
 
 def open_capture(name: str) -> "Capture":
@@ -43,7 +43,7 @@ def open_capture(name: str) -> "Capture":
 def refuse_to_replace(path: str, *, force: bool) -> None:
     """Raise `ConfigError` if the file ``path`` exists and ``force`` is False.
 
-    Commands call it before they do anything else.
+    Commands call it first, so that nothing is done in vain; `write_new` checks again.
     """
     if not force and os.path.lexists(path):
         raise _there_already(path)
@@ -59,7 +59,7 @@ def write_new(path: str, text: str, *, force: bool, kind: str) -> None:
         kind: what is written, such as ``recording``, for the error.
 
     Raises:
-        ConfigError: the file exists, or cannot be written; the error names the file.
+        ConfigError: the file exists and ``force`` is False, or it cannot be written; the error names the file.
     """
     from ..safe_files import open_to_replace, past_links
 
@@ -92,7 +92,7 @@ def capturing(name: str | None) -> Iterator[None]:
         name: path of the capture file; None records nothing.
 
     Raises:
-        ConfigError: the file cannot be written.
+        ConfigError: the file cannot be written, or exists and is no capture file of busway.
     """
     if name is None:
         yield

@@ -1,13 +1,14 @@
-"""``busway fleet``: several collectors share the links of a plant, as a coordinator says.
+"""``busway fleet``: several collectors share the links of a plant; a coordinator holds who polls what.
 
 1. ``apply`` checks a collector file as ``collect`` does, and writes it to the coordinator only if nothing is wrong.
-2. ``run`` is one collector of the zone; its configuration is the coordinator's, and followed while it runs.
+2. ``run`` is one collector of a zone. It gets its configuration from the coordinator, and follows changes while it
+   runs.
 3. ``run --stream`` sends samples into a stream, from which ``sink`` takes them (`fleet_sinks`).
 4. ``demo`` starts a plant, a nats-server and three collectors of its own (`fleet_demo`).
 5. ``write`` asks the collector that owns a link to write a value to a point (`fleet_write`).
 6. ``server-config`` writes the configuration of NATS servers with an account for each role (`fleet_servers`).
-7. ``status`` asks the coordinator alone, so it works for a zone in which no collector runs.
-8. ``restore`` is for a coordinator that has lost its entries, or has older ones; it is refused while a collector runs.
+7. ``status`` asks only the coordinator, so it works for a zone in which no collector runs.
+8. ``restore`` is for a coordinator that has lost its entries, or has old ones; it is refused while a collector runs.
 """
 
 import asyncio
@@ -65,9 +66,9 @@ ACTIONS = {
     "demo": "", "apply": "FILE", "run": "", "sink": "NAME", "write": "DEVICE POINT VALUE", "status": "",
     "drain": "NAME", "restore": "", "server-config": "ZONE",
 }  # fmt: skip
-"""What follows each action on the command line."""
+"""The actions of ``busway fleet``, each with the names of its arguments; empty for none."""
 LOOK = 1.0
-"""Seconds beyond the time between two renewals after which a collector without a new entry is shown as silent."""
+"""Seconds that a collector may be late in renewing its entry before it counts as silent."""
 
 
 def fleet(
@@ -226,10 +227,10 @@ def fleet(
 
 
 def _action(words: list[str]) -> list[str]:
-    """Check the words of ``busway fleet``: an action, such as ``apply``, and its arguments. Returns the words.
+    """Check the words of ``busway fleet``, an action and its arguments, and return them unchanged.
 
     Raises:
-        ConfigError: there is no such action, or it has too few or too many words.
+        ConfigError: there is no such action, or it has too few or too many arguments.
     """
     action, *rest = words
     wanted = ACTIONS.get(action)
@@ -285,7 +286,7 @@ async def _with_coordinator(
         zone: name of the zone.
         options: options of the connection.
         work: coroutine function that returns an exit code, or None for success.
-        tell: coroutine function that is awaited first, to print warnings about the coordinator; None for none.
+        tell: coroutine function that prints warnings about the coordinator, awaited before ``work``; None for none.
     """
     from ..apps.fleet.coordinators import open_coordinator
 
@@ -302,7 +303,10 @@ async def _with_coordinator(
 async def _durability(
     table: "Coordinator", url: str, options: "CoordinatorOptions", system: str | None
 ) -> "list[ServerDurability]":
-    """Return what each NATS server says about writing to its disk; an empty list for another coordinator."""
+    """Return for each NATS server whether it syncs to its disk before it acknowledges; empty unless it is NATS.
+
+    ``system`` is the path of the credentials of the system account, which are needed to ask all servers.
+    """
     from ..apps.fleet.coordinators.nats import NatsCoordinator
     from ..apps.fleet.durability import server_durability
 
@@ -310,7 +314,7 @@ async def _durability(
 
 
 async def _tell_durability(url: str, options: "CoordinatorOptions", system: str | None, table: "Coordinator") -> None:
-    """Print warnings about NATS servers that may lose what they have acknowledged, or if too few keep an entry."""
+    """Print warnings if NATS servers may lose entries that they have acknowledged, or if too few servers keep them."""
     from ..apps.fleet.durability import durability_warnings
 
     try:
@@ -331,9 +335,19 @@ async def _apply(
     times: "LeaseTimes | None",
     shards: int,
 ) -> None:
-    """Make a file the configuration of a zone; with ``times``, also change for how long leases hold.
+    """Make a collector file the configuration of a zone, create the zone's streams, and print the revision.
 
-    Raises as `apply_configuration` and `record_times`, and `ConfigError` if the time changes while a collector runs.
+    Args:
+        table: the coordinator.
+        file: path of the collector file.
+        zone: name of the zone.
+        options: options of the connection.
+        times: new times for which leases hold; None leaves them as they are.
+        shards: number of shards of the zone, recorded with new times.
+
+    Raises:
+        ConfigError: the file is invalid, or ``times`` differ from those of the zone and a collector runs.
+        RevisionConflict, CoordinatorDown, OutcomeUnknown: as of `apply_configuration` and `record_times`.
     """
     from ..apps.fleet.control_entries import apply_configuration, record_times, recorded_times
 
@@ -349,12 +363,10 @@ async def _apply(
 
 
 async def _make_streams(table: "Coordinator", zone: str, options: "CoordinatorOptions") -> None:
-    """Create the streams of a zone, and its bucket for commands, on NATS servers.
+    """Create the streams of a zone, and its bucket for commands, on NATS servers; print a warning for each that fails.
 
-    Warn about each that cannot be created.
-
-    They are created here because the accounts of collectors and sinks may lack the right. Nothing is done for a
-    coordinator other than NATS.
+    That is done here because the accounts of collectors and sinks may lack the right. Nothing is done for a coordinator
+    other than NATS.
     """
     client = getattr(table, "client", None)
     if client is None:
@@ -391,13 +403,13 @@ async def _take_commands(
     stack: AsyncExitStack,
     member: "FleetCollector",
 ) -> None:
-    """Let a collector execute commands and publish last values over NATS; on an error, print a warning only.
+    """Let a collector execute commands, and publish its last values, over NATS; if that fails, print a warning.
 
     Args:
         zone: name of the zone.
         options: options of the coordinator.
         table: the coordinator; if it is not NATS, nothing is done.
-        stack: exit stack that ends both when it closes.
+        stack: exit stack that ends commands and publishing when it closes.
         member: the collector.
     """
     client = getattr(table, "client", None)
@@ -421,7 +433,13 @@ async def _restore(table: "Coordinator") -> None:
 
 
 async def _refuse_running(table: "Coordinator", key: str, why: str = "") -> None:
-    """Raise `ConfigError` about ``key`` if a collector of the zone runs; ``why`` begins its sentence."""
+    """Raise `ConfigError` if a collector of the zone runs.
+
+    Args:
+        table: the coordinator of the zone.
+        key: what the error is about: an option or an action.
+        why: beginning of the error's sentence.
+    """
     from ..apps.fleet.fleet_status import zone_status
 
     status = await zone_status(table, await _look(table))
@@ -431,7 +449,7 @@ async def _refuse_running(table: "Coordinator", key: str, why: str = "") -> None
 
 
 async def _look(table: "Coordinator") -> float:
-    """Return the seconds after which a collector of a zone that has not renewed its entry does not live."""
+    """Return after how many seconds without a renewed entry a collector of the zone counts as silent."""
     from ..apps.fleet.control_entries import recorded_times
 
     return (await recorded_times(table)).renew + LOOK
@@ -557,9 +575,9 @@ async def _show_status(
 
 
 def _hole_texts(hole: "LeaseHole | None") -> list[str]:
-    """Return two texts about the last time in which no collector owned a shard: when and how long it was, and why.
+    """Return two texts about the last time in which no collector owned a shard: its begin and length, and the reason.
 
-    Both are ``-`` if there was no such time.
+    Both are ``-`` if ``hole`` is None: there was no such time.
     """
     if hole is None:
         return ["-", "-"]
@@ -575,7 +593,7 @@ def _age_text(lag: "SinkLag") -> str:
 
 
 async def _sink_lags(table: "Coordinator", zone: str) -> "dict[str, SinkLag]":
-    """Return for each sink how far it is behind the zone's stream; empty if the coordinator is not NATS."""
+    """Return how far each sink is behind the zone's stream, by its name; empty if the coordinator is not NATS."""
     from ..apps.fleet.streams import sink_lags
 
     client = getattr(table, "client", None)

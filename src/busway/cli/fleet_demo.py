@@ -1,7 +1,8 @@
-"""``busway fleet demo``: a plant of 200 devices, three collectors that share it, and one of them is killed.
+"""``busway fleet demo``: three collectors share a plant of 200 devices, and one of them is killed.
 
-1. Everything is on loopback and in a temporary folder, which is removed at the end. The nats-server is one of its own.
-2. Collectors and sink are processes as a user starts them. Each is ended by its handle, also after Ctrl-C.
+1. Everything is on loopback and in a temporary folder, which is removed at the end. It starts a nats-server of its own.
+2. Collectors and sink are separate processes, started by ``busway fleet run`` and ``sink``. All are ended, also after
+   Ctrl-C.
 3. The demonstration ends when its scenes are over. The times that it prints were measured while it ran.
 """
 
@@ -34,10 +35,10 @@ LINKS, UNITS = 20, 10
 SHARDS: Final = 256
 """Number of shards of the zone, the default of `busway fleet run`."""
 SERVER_FOLDERS: Final = "/usr/sbin:/usr/local/sbin:/usr/local/bin"
-"""Folders in which nats-server is looked for after those of ``PATH``; Debian installs it there."""
+"""Folders in which nats-server is searched after those of ``PATH``; Debian installs it into the first."""
 START_SECONDS: Final = 60.0
 ENDS_IN: Final = 8.0
-"""Seconds that a process has to end after SIGTERM; then it is killed."""
+"""Seconds that a process may take to end after SIGTERM; then it is killed."""
 CALM: Final = 6.0
 """Seconds between two scenes of the demonstration."""
 PROFILE = """\
@@ -109,11 +110,11 @@ async def fleet_demo(limit: float) -> None:
 
 
 class FleetDemo:
-    """Plays the demonstration: starts nats-server, devices, collectors and a sink, and prints what happens.
+    """Runs the demonstration: starts nats-server, devices, collectors and a sink, and prints what happens.
 
     Args:
-        stack: exit stack that ends all that is started.
-        folder: folder for the plant's file, the stores and the archive of the sink.
+        stack: exit stack that ends all processes and servers when it closes.
+        folder: folder for the collector file, the stores and the file that the sink writes.
     """
 
     def __init__(self, stack: AsyncExitStack, folder: Path) -> None:
@@ -124,7 +125,7 @@ class FleetDemo:
         stack.push_async_callback(self._end_programs)
 
     async def play(self, program: str) -> None:
-        """Play all scenes: three collectors share the links, one is killed, the others take over, it comes back.
+        """Run all scenes: three collectors share the links, one is killed, the others take over, it is started again.
 
         Args:
             program: path of nats-server.
@@ -166,7 +167,11 @@ class FleetDemo:
     # What runs.
 
     async def _start_server(self, program: str) -> str:
-        """Start a nats-server on a free port of loopback. Returns its URL; raises `LinkDown` if it does not start."""
+        """Start a nats-server on a free port of loopback, and return its URL.
+
+        Raises:
+            LinkDown: it ends, or does not answer within `START_SECONDS`.
+        """
         folder = self._folder / "nats"
         folder.mkdir()
         words = [program, "-a", "127.0.0.1", "-p", "-1", "-js", "-sd", str(folder), "--ports_file_dir", str(folder)]
@@ -182,7 +187,7 @@ class FleetDemo:
             await asyncio.sleep(0.1)
 
     async def _start_plant(self) -> Path:
-        """Serve the devices of all links in this process and write the collectors' file. Returns the file's path."""
+        """Serve the devices of all links in this process, and write the collector file; return the path of the file."""
         from ..server.device import Device
         from ..server.serving import serve
 
@@ -211,7 +216,10 @@ class FleetDemo:
         await self._start_program(name, [sys.executable, "-m", "busway", "fleet", *words, *self._at])
 
     async def _start_program(self, name: str, words: list[str]) -> asyncio.subprocess.Process:
-        """Start a program that Ctrl-C does not reach; its output goes to the file ``NAME.log``."""
+        """Start a program in a session of its own, so that Ctrl-C does not reach it; return its process.
+
+        Its output goes into the file ``NAME.log``.
+        """
         with (self._folder / f"{name}.log").open("wb") as log:
             process = await asyncio.create_subprocess_exec(
                 *words, stdin=subprocess.DEVNULL, stdout=log, stderr=log, start_new_session=True, cwd=self._folder
@@ -220,7 +228,7 @@ class FleetDemo:
         return process
 
     async def _end_programs(self) -> None:
-        """End all collectors and the sink at the same time, and then the nats-server."""
+        """End collectors and sink, all at the same time, and after them the nats-server."""
         server = self._programs.pop("nats-server", None)
         await asyncio.gather(*map(_end, self._programs.values()))
         if server is not None:
@@ -229,7 +237,7 @@ class FleetDemo:
     # What happens.
 
     async def _kill_one(self, watch: "ZoneWatch") -> None:
-        """Kill one collector as a crash does, wait until the others poll its links, and print how long that took."""
+        """Kill one collector (SIGKILL), wait until the others own its links, and print how long that took."""
         process = self._programs[KILLED]
         process.kill()
         await process.wait()
@@ -239,7 +247,7 @@ class FleetDemo:
         say(f"after {time.monotonic() - begun:.1f} s the others poll all links (a lease holds for 15 s)")
 
     async def _until_shared(self, watch: "ZoneWatch", names: set[str]) -> None:
-        """Wait until the collectors ``names``, and no others, own all shards; print each change of their parts.
+        """Wait until the collectors ``names``, and no others, own the shards of all links; print each change of owners.
 
         Raises:
             LinkDown: one of the collectors has ended, or `START_SECONDS` have passed.
@@ -285,7 +293,7 @@ async def _end(process: asyncio.subprocess.Process) -> None:
 
 
 def _ports_of(file: Path) -> str:
-    """Return the first URL in the file of ports that a nats-server writes; empty while the file is not complete."""
+    """Return the first URL in the ports file that a nats-server writes; empty if the file is not complete yet."""
     try:
         return str(json.loads(file.read_text(encoding="utf-8"))["nats"][0])
     except (ValueError, LookupError, OSError):
@@ -293,7 +301,7 @@ def _ports_of(file: Path) -> str:
 
 
 async def _move(devices: "list[Device]") -> None:
-    """Change values of the devices until cancelled: every 0.2 s those of a fifth of the devices."""
+    """Change the values of a fifth of the devices every 0.2 s, a different fifth each time, until cancelled."""
     turn = 0
     while True:
         for place in range(turn % 5, len(devices), 5):

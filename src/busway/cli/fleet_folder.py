@@ -1,9 +1,9 @@
-"""Which coordinator a command of ``busway fleet`` asks: the named one, or a folder of this user on this machine.
+"""Which coordinator ``busway fleet`` uses: the one that the user names, or a folder of this user on this machine.
 
-1. ``--coordinator`` counts before BUSWAY_FLEET, and that before the folder ``busway/fleet`` in $XDG_STATE_HOME
-   (``~/.local/state``). All actions use the same.
-2. A folder is for one machine. A command that was given what only a server has is refused instead of using the folder:
-   its user believes that a server is asked.
+1. ``--coordinator`` is preferred to the variable BUSWAY_FLEET, and that to the folder ``busway/fleet`` in
+   $XDG_STATE_HOME (by default ``~/.local/state``). This is the same for all actions.
+2. A folder serves collectors of one machine only. If no coordinator is named but an option needs a server, the command
+   is refused: the user expects that a server is asked.
 """
 
 import os
@@ -32,21 +32,25 @@ _NEEDS: Final = {
     "BUSWAY_FLEET_PASSWORD": SERVERS,
     "BUSWAY_FLEET_CA": SERVERS,
 }
-"""By action, option or environment variable that a folder does not serve: the coordinators that do."""
+"""The actions, options and environment variables that need a server, with the form of the servers' URLs.
+
+With a folder as coordinator they are refused.
+"""
 
 
 def chosen_coordinator(
     named: str | None, given: Mapping[str, object], environment: Mapping[str, str] | None = None
 ) -> str:
-    """Return the URL of the coordinator to ask, and say so where that is the folder of this machine.
+    """Return the URL of the coordinator; if none is named, that of a folder of this user, and say so on stderr.
 
     Args:
-        named: the URL on the command line; None for none.
-        given: by name, what else is on the command line; false values were not given.
+        named: the URL of ``--coordinator``; None if it is not given.
+        given: action and options of the command line, by name; those with a false value are not given.
         environment: the environment variables; None for those of this process.
 
     Raises:
-        ConfigError: no coordinator is named, and something was given that needs a server, or there is no folder.
+        ConfigError: no coordinator is named, and something in ``given`` or in the environment needs a server; or this
+            user has no home folder.
     """
     variables = os.environ if environment is None else environment
     url = named or variables.get("BUSWAY_FLEET")
@@ -65,9 +69,9 @@ def chosen_coordinator(
 
 
 def state_folder(environment: Mapping[str, str]) -> Path:
-    """Return the folder in which busway keeps what it must remember for this user.
+    """Return the folder for busway's state of this user: ``busway`` in $XDG_STATE_HOME or ``~/.local/state``.
 
-    https://specifications.freedesktop.org/basedir-spec/latest: a relative path is not valid.
+    A relative $XDG_STATE_HOME is ignored (https://specifications.freedesktop.org/basedir-spec/latest).
 
     Raises:
         ConfigError: the environment names no folder, and the user has no home.

@@ -40,16 +40,16 @@ def write_server_files(
     force: bool,
     sites: str | None = None,
 ) -> None:
-    """Write the configuration files of the NATS servers of some zones, and missing seeds of users; print all paths.
+    """Write configuration files of NATS servers for zones, and a seed for each role that has none; print all paths.
 
     Args:
         zones: names of zones, separated by commas.
         out: the folder to write to; created if it is missing.
-        servers: ``[NAME=]HOST[:PORT],…``, as `parsed_servers` takes it.
+        servers: list for `parsed_servers`: ``[NAME=]HOST[:PORT],…``.
         version: version of nats-server: ``2.9``.
-        store: the folder of the streams on each server.
-        tls: the folder of certificates on each server; None for no encryption.
-        force: whether existing configuration files may be overwritten.
+        store: path of the folder of the streams on each server.
+        tls: path of the folder of certificates on each server; None for no encryption.
+        force: whether existing configuration files may be overwritten; seeds never are.
         sites: edge sites, ``ZONE=HOST[:PORT],…``; each is a zone with a server of its own. None for no edge sites.
 
     Raises:
@@ -111,7 +111,7 @@ def write_server_files(
 
 
 def parsed_servers(text: str, *, any_number: bool = False) -> "list[NatsServer]":
-    """Return the servers that a text ``[NAME=]HOST[:PORT],…`` lists; those without a name are n1, n2, n3 by position.
+    """Return the servers of a list ``[NAME=]HOST[:PORT],…``; those without a name are n1, n2, n3 by their position.
 
     Args:
         text: the list.
@@ -138,7 +138,7 @@ def parsed_servers(text: str, *, any_number: bool = False) -> "list[NatsServer]"
 
 
 def parsed_sites(text: str | None, zones: Sequence[str]) -> "list[NatsServer]":
-    """Return the servers of edge sites that a text ``ZONE=HOST[:PORT],…`` lists; each is named after its zone.
+    """Return the servers of edge sites from a list ``ZONE=HOST[:PORT],…``; the name of each is its zone.
 
     Args:
         text: the list; None for no sites.
@@ -158,7 +158,11 @@ def parsed_sites(text: str | None, zones: Sequence[str]) -> "list[NatsServer]":
 
 
 def parsed_version(text: str) -> tuple[int, int]:
-    """Return major and minor number of a version of nats-server. Raises `ConfigError` for others and below 2.9."""
+    """Return major and minor number of a version of nats-server: (2, 9) for ``2.9`` or ``2.9.10``.
+
+    Raises:
+        ConfigError: the text is no version, or one below 2.9.
+    """
     match = _VERSION.fullmatch(text)
     version = (int(match[1]), int(match[2])) if match else (0, 0)
     if version < (2, 9):
@@ -167,7 +171,7 @@ def parsed_version(text: str) -> tuple[int, int]:
 
 
 def public_key(path: Path) -> str:
-    """Return the public key of the NATS user whose seed a file holds; a missing file is created with a new seed.
+    """Return the public key for the seed of a NATS user in a file; a missing file is created with a new seed.
 
     Raises:
         ConfigError: the file cannot be created or read, or holds no seed of a user; the error names the file.
@@ -226,7 +230,11 @@ def _make_folder(folder: Path) -> None:
 
 
 def _write(path: Path, text: str) -> None:
-    """Replace the whole contents of a file in one step: a server that reads it sees the old contents or the new."""
+    """Replace a file in one step, so that a server that reads it at the same time sees the old or the new contents.
+
+    Raises:
+        ConfigError: the file cannot be written.
+    """
     try:
         write_whole(path, text)
     except OSError as error:

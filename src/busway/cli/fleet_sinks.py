@@ -1,10 +1,10 @@
-"""``busway fleet run --stream`` and ``busway fleet sink``: samples of a zone through a stream of NATS JetStream.
+"""``busway fleet run --stream`` and ``busway fleet sink``: samples reach sinks through a stream of NATS JetStream.
 
 1. With ``--stream`` a collector sends its samples into the stream, and keeps them in its store until every sink has
    them; it runs no sink of the file itself.
-2. A sink is a process of its own, configured by its ``[[sink]]`` table in the zone's configuration. Its place in the
-   stream is kept under its name. It follows newer configurations; one that it cannot use is reported, and it continues
-   with the one before.
+2. A sink is a process of its own, configured by its ``[[sink]]`` table in the zone's configuration. How far it has read
+   the stream is kept under its name. It follows changes of the configuration; one that it cannot use is reported, and
+   it continues with the one before.
 """
 
 import asyncio
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from ..apps.fleet.streams import NatsStream, StreamOptions, StreamSink
 
 LOOK: Final = 5.0
-"""Seconds between two checks whether the zone has a newer configuration, and the timeout of one check."""
+"""Seconds between two checks for a newer configuration of the zone, and timeout of such a check."""
 
 
 def nats_client(table: "Coordinator") -> Any:
@@ -37,7 +37,7 @@ def nats_client(table: "Coordinator") -> Any:
 
 
 async def open_stream(stack: AsyncExitStack, table: "Coordinator", zone: str, replicas: int) -> "NatsStream":
-    """Open the stream of a zone for the samples of one collector, and follow the cursors of the stream's sinks.
+    """Open the stream of a zone for the samples of one collector, and follow how far the sinks of the stream have read.
 
     Args:
         stack: exit stack that ends the following when it closes.
@@ -68,7 +68,7 @@ def _tell_end_of_cursors(watch: "asyncio.Task[None]") -> None:
 
 
 def print_stream_status(member: "FleetCollector") -> None:
-    """Print how many commits of a collector wait to be sent into the stream, and how many its sinks do not have yet.
+    """Print how many commits of a collector wait to be sent into the stream, and by how many its sinks are behind.
 
     Nothing is printed for a collector without a stream.
     """
@@ -88,7 +88,9 @@ def print_stream_status(member: "FleetCollector") -> None:
 async def run_sink(
     table: "Coordinator", zone: str, name: str, stream: "StreamOptions", every: float, *, as_json: bool
 ) -> None:
-    """Pass the samples of a zone's stream on to one of its sinks until a signal; follows newer configurations.
+    """Pass the samples of a zone's stream on to one of its sinks until a signal comes.
+
+    It follows changes of the configuration, and prints its status regularly.
 
     Args:
         table: the coordinator.
@@ -143,10 +145,11 @@ async def run_sink(
 async def _sink_of(
     shared: "SharedConfiguration", table: "Coordinator", zone: str, name: str, stream: "StreamOptions"
 ) -> "StreamSink":
-    """Return an object that passes a zone's samples on to the sink ``name`` of a configuration; not started yet.
+    """Return the object that passes a zone's samples on to the sink ``name`` of a configuration; it is not started yet.
 
     Raises:
-        ConfigError: the configuration has no such sink, or the sink cannot work without a store.
+        ConfigError: the configuration has no such sink, the sink cannot work without a store, or the coordinator is not
+            NATS.
     """
     from ..apps.collector.report_rules import points_of, sink_rules
     from ..apps.fleet.chosen_samples import ChosenSamples, refuse_what_needs_a_store, sinks_without_alarms
@@ -170,10 +173,7 @@ async def _sink_of(
 
 
 async def _newer(table: "Coordinator", revision: int) -> "SharedConfiguration | None":
-    """Return the zone's configuration if it has another revision than ``revision``.
-
-    None if not, or if it cannot be read now.
-    """
+    """Return the zone's configuration if its revision is not ``revision``; None otherwise, or if reading fails."""
     from ..apps.fleet.control_entries import read_configuration
 
     try:

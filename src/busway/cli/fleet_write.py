@@ -1,10 +1,10 @@
-"""``busway fleet write``: writes a value to a point of a zone by the collector that owns its link.
+"""``busway fleet write``: writes a value to a point of a zone, by asking the collector that owns the device's link.
 
-1. Links of devices are those of the zone's configuration; all checks are the collector's.
-2. A write has a key, that of ``--key`` or a new one, and is sent once. If no answer came, the same command with the
-   same key may be given again.
-3. The exit code says how the write ended: 0 done, 2 refused (nothing was sent), 3 unknown, or too late, 4 failed, 7 the
-   device holds another value, 5 no collector owns the link.
+1. The zone's configuration tells on which link a device is; the collector makes all checks.
+2. A write has a key, that of ``--key`` or a new one, and is sent to the device at most once for each key. If no answer
+   came, the same command can be repeated with the same key.
+3. The exit code says how the write ended: 0 done, 2 refused (nothing was sent), 3 unknown or too late, 4 failed, 5 no
+   collector owns the link, 7 the device holds another value.
 """
 
 import getpass
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from ..apps.fleet.coordinator import Coordinator
 
 MORE_SECONDS: Final = 30.0
-"""Seconds to wait for the answer after a command has expired: the value may be read back, and the write recorded."""
+"""Seconds to wait for the answer after the time of a command is over: the value may still be read back and recorded."""
 _CODES: Final = {
     "done": ExitCode.DONE,
     "refused": ExitCode.WRONG_USE,
@@ -43,19 +43,19 @@ async def write_point(
     seconds: float,
     as_json: bool,
 ) -> int:
-    """Write a value to a point by the collector that owns its link, print the outcome, and return the exit code.
+    """Ask the collector that owns a link to write a value to a point, print the outcome, and return the exit code.
 
     Args:
         table: the coordinator of the zone.
         zone: name of the zone.
         words: device, point and value.
-        key: identifies the write, so that it is sent once; None for a new key.
+        key: identifies the write, which is sent once for each key; None for a new key.
         by: name of who writes; None for the account of this process.
-        seconds: time in which the write may be sent to the device.
+        seconds: time within which the write must be sent to the device; later it is not sent.
         as_json: whether to print the answer as JSON.
 
     Raises:
-        ConfigError: the coordinator takes no commands, or the zone has no such device; nothing was sent.
+        ConfigError: the coordinator is not NATS, or the zone has no configuration or no such device; nothing was sent.
         LinkDown: no collector owns the link; nothing was sent.
         WriteOutcomeUnknown: no answer came; the write may have been sent.
     """
@@ -86,7 +86,15 @@ async def write_point(
 
 
 def link_of(text: str, device: str) -> str:
-    """Return the name of a device's link from the text of a collector file. Raises `ConfigError` for other devices."""
+    """Return the name of the link of a device.
+
+    Args:
+        text: contents of a collector file.
+        device: name of the device.
+
+    Raises:
+        ConfigError: the file has no such device.
+    """
     links = {each["name"]: each["link"] for each in tomllib.loads(text).get("device", ())}
     if device not in links:
         there = ", ".join(sorted(links)[:10]) + (", …" if len(links) > 10 else "")
@@ -95,10 +103,7 @@ def link_of(text: str, device: str) -> str:
 
 
 def value_of(text: str) -> Any:  # JSON
-    """Return the value that an argument means: ``on`` and ``off`` as bool, a number or other JSON.
-
-    Anything else is returned as text.
-    """
+    """Return the value of an argument: True for ``on``, False for ``off``, the value of JSON, or else the text."""
     if text in _STATES:
         return _STATES[text]
     try:
@@ -108,7 +113,10 @@ def value_of(text: str) -> Any:  # JSON
 
 
 def print_answer(answer: dict[str, Any], *, as_json: bool) -> int:
-    """Print the outcome of a write as the collector has answered it, and return the exit code."""
+    """Print a collector's answer to a write, and return the exit code.
+
+    The answer has at least ``device``, ``point``, ``value`` and ``state``, perhaps ``reason`` and ``read_back``.
+    """
     state = answer["state"]
     holds_another = state == "failed" and answer.get("read_back") is not None
     if as_json:

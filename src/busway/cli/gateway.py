@@ -1,7 +1,7 @@
 """``busway gateway``: forwards client requests to serial lines or other servers, until Ctrl-C or SIGTERM.
 
-1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
-2. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
+1. Once all listeners answer, their endpoints go to stdout, one per line, with the real ports; all else goes to stderr.
+2. A listener that the network reaches is read-only unless there is a policy, or ``--allow-writes``.
 3. SIGHUP reads the files again; unchanged parts keep their connections, and an invalid file changes nothing.
 4. After the first SIGTERM or Ctrl-C, open requests have ``[gateway] drain`` seconds to be answered; the second ends the
    gateway at once.
@@ -62,7 +62,7 @@ A listener that the network reaches is read-only without a policy; --allow-write
 
 CHECK = "check"
 _PATHS = frozenset({"--policy", "--audit", "--capture"})
-"""Options whose values are paths; they become absolute in a unit file, because a service starts in another folder."""
+"""Options whose values are paths. A systemd unit file gets them absolute, since a service runs in another folder."""
 
 
 def gateway(
@@ -127,9 +127,9 @@ def gateway(
 def _remembering_drain(
     read: "Callable[[], GatewayConfiguration]",
 ) -> "tuple[Callable[[], GatewayConfiguration], Callable[[], float]]":
-    """Return two functions: ``read``, changed to remember the option ``drain``; and one that returns this option.
+    """Return two functions: ``read``, which now also stores the option ``drain``, and one that returns this option.
 
-    It returns the seconds in the configuration that was read last; 0.0 before the first reading.
+    The option is in seconds, of the configuration that was read last; 0.0 before the first.
     """
     seconds = 0.0
 
@@ -151,11 +151,11 @@ def _reader(words: list[str], changes: dict[str, Any], deadline: str | None) -> 
 
     Args:
         words: URLs of listeners, followed by the URL of the upstream; or the path of one file.
-        changes: options of listeners that replace the file's.
-        deadline: text of ``--client-deadline``, which is for URLs only.
+        changes: options of listeners that override those of the file.
+        deadline: text of ``--client-deadline``, which is allowed with URLs only; None if it is not given.
 
     Raises:
-        ConfigError: the words are neither, or the deadline is invalid.
+        ConfigError: the words are neither several URLs nor one file, or the deadline is invalid.
     """
     from ..apps.gateway.configuration import load_gateway, simple_gateway
     from ..options.client import CLIENT_DEADLINE
@@ -203,7 +203,13 @@ def check_file(file: str) -> None:
 
 
 def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: str | None) -> None:
-    """Print the systemd unit file that starts the gateway with these command-line words."""
+    """Print a systemd unit file for the gateway.
+
+    Args:
+        configuration: the configuration of the gateway, from which the rights of the service follow.
+        words: arguments of this command line, with which the service starts the gateway.
+        audit: path of ``--audit``; None if it is not given.
+    """
     from .systemd_unit import ServiceUnit, program
 
     is_file = configuration.name in words
@@ -224,7 +230,10 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
 
 
 def _separate(words: list[str]) -> list[str]:
-    """Return command-line words with options and values separated: ``--audit=log`` becomes ``--audit log``."""
+    """Return command-line words with options that take a path separated from it: ``--audit=log`` is ``--audit log``.
+
+    Other options stay as they are.
+    """
     pairs = [(word, *word.partition("=")) for word in words]
     return [each for word, name, _, path in pairs for each in ((name, path) if name in _PATHS and path else (word,))]
 
@@ -257,14 +266,20 @@ def _running(service: "Service") -> "Gateway":
 
 
 def _standing(gateway: "Gateway") -> str:
-    """Return one line about the gateway's listeners and upstreams, for the service manager (systemd)."""
+    """Return one line with the gateway's endpoints and upstreams, as status for the service manager (systemd)."""
     return f"{', '.join(gateway.endpoints)} to {', '.join(upstream.name for upstream in gateway.plan.upstreams)}"
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
-    """Wait until the gateway has answered all open requests, at most ``seconds``; ``at_once`` ends the wait.
+    """Wait until the gateway has answered all requests that it has received, but no longer than ``seconds``.
 
-    Warns on stderr how many requests were left unanswered.
+    Prints how many requests are left unanswered, if any.
+
+    Args:
+        gateway: the gateway.
+        seconds: the longest wait.
+        at_once: ends the wait when it is set.
+        manager: the service manager, which is told that the program stops.
     """
     waiting = gateway.open_requests
     manager.stopping(f"{counted(waiting, 'request')} to answer")

@@ -1,10 +1,10 @@
 """``busway identify``: shows how a device identifies itself.
 
-1. Device identification (43/14): the highest level that the device has; some refuse a level above their own, so the
-   levels are tried from the highest down.
+1. Device identification (43/14), of the highest level that the device has. Some devices refuse a level above their own,
+   so the levels are tried from the highest down.
 2. Report server id (17).
-3. Each of the two functions that a device does not offer is named on stderr. It is an error only if it offers neither.
-   A device that answers neither is silent: that is said once.
+3. If a device does not offer one of the two functions, stderr says so; it is an error only if it offers neither. If
+   both get no reply at all, there is one error.
 """
 
 from collections.abc import Callable
@@ -26,7 +26,7 @@ Examples:
 """
 
 Fact = tuple[str, str, bytes]
-"""One value that identifies a device: function, name of the object, and its bytes."""
+"""One value that identifies a device: function (``43/14`` or ``17``), name of the object, and its bytes."""
 
 LEVELS: Final = ("extended", "regular", "basic")
 
@@ -104,7 +104,7 @@ def _show(facts: list[Fact], *, as_json: bool, as_csv: bool) -> None:
 
 
 def _with_raw(value: bytes) -> str:
-    """Return an identification value as text, with its bytes if the text does not show all of them."""
+    """Return an identification value as text, with its bytes in hexadecimal behind it if the text does not show all."""
     text = _text(value)
     return text if text.encode() == value and text.isprintable() else f"{text}  [{value.hex(' ')}]"
 

@@ -2,12 +2,12 @@
 
 Knows rows and how they look; knows no device.
 
-1. A value is shown as `busway write` takes it: states as ``on`` and ``off``, floats with the fewest digits that give
-   the same registers back.
-2. JSON is one object per line, so that a program reads a stream of any length. ``nan`` and ``inf``, which JSON does not
-   have, are texts.
-3. CSV has a header line, written once.
-4. Texts of devices and certificates are printed without control characters (`printable`); JSON escapes them likewise.
+1. A value is printed in the form that `busway write` accepts: states as ``on`` and ``off``, floats with the fewest
+   digits that give the same registers again.
+2. JSON is one object per line, so that a program can read output of any length. ``nan`` and ``inf``, which JSON does
+   not have, are texts.
+3. CSV has one header line, at the beginning.
+4. Texts of devices and certificates are printed without control characters (`printable`); JSON escapes these.
 """
 
 import math
@@ -30,10 +30,11 @@ class TableRow:
         value: the value that was read or written; None if it could not be read.
         raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty if it could not be read.
         type: name of its value type; ``bit`` for one bit.
-        reason: why it could not be read; empty if it was read.
-        written: True for a written value, False for one that was read.
-        verified: whether the device held it when it was read back; None if it was not read back.
-        holds: what the device holds instead, if ``verified`` is False.
+        reason: why it could not be read; empty if it was read or written.
+        written: True for a value that was written, False for one that was read.
+        verified: for a written value, whether the device holds it, as reading back has shown; None if it was not read
+            back.
+        holds: the value that the device holds instead, if ``verified`` is False.
     """
 
     address: Address
@@ -47,7 +48,7 @@ class TableRow:
 
     @property
     def outcome(self) -> str:
-        """The result of a write as text: ``written``, or what reading back has shown; empty if it was only read."""
+        """The result of a write in words: ``written``, and what reading back showed; empty if not written."""
         if not self.written:
             return ""
         if self.verified is None:
@@ -56,7 +57,7 @@ class TableRow:
 
     @property
     def quality(self) -> str:
-        """``good``, or ``bad`` for a value that could not be read."""
+        """``good``; ``bad`` if the value could not be read."""
         return "bad" if self.reason else "good"
 
     @property
@@ -72,7 +73,7 @@ def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any
         place: address of the first value.
         form: value type; None for coils and discrete inputs.
         values: the values.
-        raw: their bytes in wire order; one byte, 0 or 1, for each bit.
+        raw: their bytes in wire order, one value after the other; for each bit one byte, 0 or 1.
     """
     size = 1 if form is None else 2 * form.registers
     rows = []
@@ -84,7 +85,14 @@ def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any
 
 
 def failed_rows(place: Address, form: ValueType[Any] | None, count: int, reason: str) -> list[TableRow]:
-    """Return the rows to print for ``count`` values at consecutive addresses that could not be read for ``reason``."""
+    """Return the rows to print for values at consecutive addresses that could not be read, in order.
+
+    Args:
+        place: address of the first value.
+        form: value type; None for coils and discrete inputs.
+        count: number of values.
+        reason: why they could not be read.
+    """
     name = _type_name(place, form)
     return [TableRow(address, None, b"", name, reason) for address in _addresses(place, form, count)]
 
@@ -99,7 +107,7 @@ def _type_name(place: Address, form: ValueType[Any] | None) -> str:
 
 
 def fewest_digits(value: float, size: int) -> float:
-    """Return the float with the fewest decimal digits that is packed into the same bytes as ``value``.
+    """Return the float with the fewest decimal digits that has the same bytes as ``value`` in ``size`` bytes.
 
     For example 0.1 for 0.10000000149 in 4 bytes. Infinities, NaN and sizes other than 2 and 4 are returned unchanged.
 
@@ -122,9 +130,9 @@ def fewest_digits(value: float, size: int) -> float:
 
 
 def float32_digits(value: Any) -> Any:
-    """Return a stored value of a point of type float32, a float with the fewest digits for it.
+    """Return a float that is exactly a number of 32 bits with the fewest digits for 32 bits: 0.1 for 0.10000000149.
 
-    Other values are returned unchanged, such as floats that were stored while the point had another type.
+    Other values are returned unchanged, also floats of more bits, which were stored while the point had another type.
     """
     from ..points.conversion import is_float32
 
@@ -132,7 +140,10 @@ def float32_digits(value: Any) -> Any:
 
 
 def shown_value(value: Any) -> str:
-    """Return a value as text for people: ``on`` or ``off``, ``0b…`` for 16 bits, texts without control characters."""
+    """Return a value as text for people: ``on`` or ``off`` for a bool, ``0b…`` for a tuple of 16 bits, else its str.
+
+    Texts lose their control characters.
+    """
     if isinstance(value, bool):
         return "on" if value else "off"
     if isinstance(value, tuple):  # sixteen bits, the least significant first
@@ -143,28 +154,28 @@ def shown_value(value: Any) -> str:
 
 
 def json_value(value: Any) -> Any:
-    """Return a value as JSON can represent it: infinities and NaN become texts, tuples become lists."""
+    """Return a value in a form that JSON has: infinities and NaN become texts, tuples lists; others are unchanged."""
     if isinstance(value, float) and not math.isfinite(value):
         return str(value)
     return list(value) if isinstance(value, tuple) else value
 
 
 class Writer(Protocol):
-    """Interface of an object that prints rows of values; ``time`` is when they were read, empty if not shown."""
+    """Interface of an object that prints rows of values on stdout, in one of several forms."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
-        """Print these rows of values on stdout."""
+        """Print rows of values; ``time`` is when they were read (ISO 8601), empty to print no time."""
 
     def close(self) -> None:
-        """End the printing of rows; a table that was redrawn in place stays on the terminal."""
+        """End the printing; what a table that is redrawn in place showed last stays on the terminal."""
 
 
 def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writer:
-    """Return the writer of rows for these options and the kind of stdout.
+    """Return the writer of rows for the options of the command and the kind of stdout.
 
     Args:
         as_json, as_csv: whether ``--json``, ``--csv`` is given.
-        repeats: whether the same rows are written again and again; a terminal then has one table redrawn in place.
+        repeats: whether the same rows are written again and again; then a terminal has one table redrawn in place.
 
     Raises:
         ConfigError: both options are given.
@@ -181,7 +192,7 @@ def choose_writer(*, as_json: bool, as_csv: bool, repeats: bool = False) -> Writ
 
 
 class LineWriter:
-    """Prints values as columns: address, value, bytes; with the time in front if there is one.
+    """Prints each value on a line: time if there is one, address, value, bytes, and for written values the outcome.
 
     Values that could not be read are left out: the command has printed their errors on stderr.
     """
@@ -250,7 +261,7 @@ class CsvWriter:
 
 
 class TableWriter:
-    """Prints values as a table with headings, a new one at each call; values that could not be read are left out."""
+    """Prints values as a table with headings, a new one for each call; leaves out values that could not be read."""
 
     def write(self, rows: Sequence[TableRow], time: str = "") -> None:
         from rich.console import Console
@@ -262,7 +273,7 @@ class TableWriter:
 
 
 class LiveTableWriter:
-    """Prints values as one table on a terminal that is redrawn in place; values that could not be read are left out."""
+    """Prints values as one table that is redrawn in place on a terminal; leaves out values that could not be read."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -278,7 +289,7 @@ class LiveTableWriter:
 
 
 class LivePage:
-    """Lines of cells on a terminal, in columns, that are redrawn in place."""
+    """Shows lines of cells on a terminal, in columns, and redraws them in place."""
 
     def __init__(self) -> None:
         from rich.live import Live
@@ -288,11 +299,14 @@ class LivePage:
 
     @staticmethod
     def fits() -> bool:
-        """Whether redrawing in place is possible: stdout is a terminal."""
+        """Whether stdout is a terminal, so that lines can be redrawn in place."""
         return sys.stdout.isatty()
 
     def show(self, lines: Sequence[Sequence[str]], time: str) -> None:
-        """Replace the lines on the terminal by these lines of cells, with ``time`` (ISO 8601 or empty) below."""
+        """Replace the lines on the terminal by these lines of cells.
+
+        ``time`` (ISO 8601) is shown below as time of day; nothing if it is empty.
+        """
         from rich.table import Table as RichTable
         from rich.text import Text
 
@@ -326,7 +340,10 @@ def _table(rows: Sequence[TableRow], time: str) -> Any:
 
 
 def print_aligned(lines: Sequence[Sequence[str]]) -> None:
-    """Print lines of cells on stdout, each column as wide as its widest cell; all lines have equally many cells."""
+    """Print lines of cells on stdout in columns, each as wide as its widest cell; nothing if there are no lines.
+
+    All lines must have the same number of cells.
+    """
     if not lines:
         return
     lines = [[printable(cell) for cell in cells] for cells in lines]
@@ -337,7 +354,7 @@ def print_aligned(lines: Sequence[Sequence[str]]) -> None:
 
 
 def print_csv(header: Sequence[str], lines: Sequence[Sequence[str]]) -> None:
-    """Print rows as CSV on stdout, after a header line unless ``header`` is empty."""
+    """Print lines of cells on stdout as CSV, below the header line ``header`` unless it is empty."""
     import csv
 
     writer = csv.writer(sys.stdout, lineterminator="\n")
@@ -368,29 +385,29 @@ def json_text(document: Any, *, indent: int | None = None) -> str:
 
 
 class _Progress:
-    """Whether `say` prints its sentences. There is one object for the process."""
+    """Holds for the whole process whether `say` prints (``shown``)."""
 
     shown = True
 
 
 def show_progress(shown: bool) -> None:
-    """Set whether `say` prints from now on; the option ``--quiet`` turns it off."""
+    """Set for the whole process whether `say` prints; the option ``--quiet`` turns it off."""
     _Progress.shown = shown
 
 
 def say(sentence: str) -> None:
-    """Print one sentence about progress on stderr, for people; nothing with ``--quiet``."""
+    """Print one sentence about progress on stderr; nothing with ``--quiet``."""
     if _Progress.shown:
         warn(sentence)
 
 
 def warn(sentence: str) -> None:
-    """Print one sentence on stderr about what failed or is not as expected."""
+    """Print one sentence on stderr about what failed or is not as expected, also with ``--quiet``."""
     print(f"busway: {printable(sentence)}", file=sys.stderr, flush=True)
 
 
 def say_problems(sentence: str, problems: str) -> None:
-    """Print one sentence on stderr, and a line for each problem below it."""
+    """Print one sentence on stderr, and below it the lines of ``problems``, one for each problem."""
     warn(sentence)
     for line in problems.split("\n"):
         print(printable(line), file=sys.stderr, flush=True)

@@ -1,7 +1,7 @@
 """``busway points``: converts descriptions of devices from other programs into device files.
 
-1. The device file goes to stdout or into a file; what could not be carried over goes to stderr, a line each, and into
-   the head of the file.
+1. The device file goes to stdout or into a file. What could not be carried over goes to stderr, one line each, and into
+   comments at the top of the device file.
 2. An existing file is overwritten with ``--force`` only.
 """
 

@@ -1,7 +1,7 @@
 """``busway policy``: tells what a policy permits, and lists its rules, without a server.
 
-1. ``test`` decides as a server does: first whether the host may connect, then by the rules. A request that depends on
-   the old value of a register (function 22 under limits) is decided as by a gateway, which cannot read the register.
+1. ``test`` decides as a server does: first whether the host may connect, then by the rules. If the decision depends on
+   the old value of a register (function 22 under limits), it is that of a gateway, which cannot read the register.
 2. Exit code 0: allowed; 4: refused.
 3. The file is a policy file, or a configuration or gateway file that has a policy.
 """
@@ -86,7 +86,11 @@ def policy(
 
 
 def _access_rules(file: str) -> "AccessRules":
-    """Return the access rules of a policy file or of a configuration file. Raises `ConfigError`."""
+    """Return the address lists and rules of a policy file, or those in a configuration file.
+
+    Raises:
+        ConfigError: the file cannot be read, is invalid, or has no policy.
+    """
     text = read_text(file)
     from ..config.files.gateway import is_gateway
     from ..config.files.policy import parse_policy_file
@@ -109,10 +113,10 @@ def _access_rules(file: str) -> "AccessRules":
 
 
 def _checked_host(text: str) -> str:
-    """Return the address given by ``--peer``, written as a server sees the addresses of clients.
+    """Return the address given by ``--peer`` in the form in which a server sees the addresses of clients.
 
     Raises:
-        ConfigError: the text is no numeric address, or names a network.
+        ConfigError: the text is not a numeric address of one host.
     """
     from ..options.networks import Networks, host_of_peer
 
@@ -184,7 +188,15 @@ _REQUESTS = {"read": _read_request, "write": _write_request, "mask": _mask_reque
 
 
 def _answer(rules: "AccessRules", question: "Question", host: str, text: str, *, as_json: bool) -> bool:
-    """Print whether the policy permits a request, and why. Returns whether it does."""
+    """Print whether a policy permits a request, and why; return True if it does.
+
+    Args:
+        rules: the address lists and rules of the policy.
+        question: the request, with its client, unit and listener.
+        host: address of the client.
+        text: the request as on the command line.
+        as_json: whether to print a JSON object.
+    """
     if not rules.addresses(host):
         why = rules.addresses.why(host)
         if as_json:
@@ -240,7 +252,7 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 
 
 def _facts(rule: "Rule") -> dict[str, str]:
-    """Return the conditions of an access rule, each in the notation of policy files."""
+    """Return the conditions of an access rule by name, in the notation of policy files; empty if it has none."""
     found: dict[str, str] = {}
     if rule.peers is not None:
         found["peers"] = ", ".join(rule.peers)
@@ -277,7 +289,7 @@ def _items(prefix: str, first: int, end: int) -> str:
 
 
 def _numbers(numbers: frozenset[int]) -> str:
-    """Return numbers as text with ranges: ``1-5, 7``."""
+    """Return numbers as text, ascending and with ranges: ``1-5, 7``."""
     from ..access.notation import merged
 
     ranges = merged((number, number + 1) for number in numbers)

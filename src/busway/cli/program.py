@@ -3,10 +3,10 @@
 Knows how commands are found and how they end; knows nothing of what they do.
 
 1. Only the module of the command that runs is imported, so that the program starts quickly.
-2. An error is one sentence on stderr that names what is wrong; there is never a traceback for anything that a user, a
-   device or a network did. A defect of ours is one sentence too; BUSWAY_TRACEBACK=1 shows where it is.
-3. Every argument reaches its command as text. Commands turn text into values themselves, so that one sentence says what
-   is wrong in the words of the protocol.
+2. An error is one sentence on stderr that names what is wrong. There is no traceback for anything that a user, a device
+   or a network did. A defect of busway is one sentence, too; BUSWAY_TRACEBACK=1 shows where it is.
+3. Every argument reaches its command as text. Commands convert texts to values themselves, so that an error can say in
+   the words of the protocol what is wrong.
 """
 
 import errno
@@ -52,28 +52,28 @@ COMMANDS = {
     "certs": "Make test certificates, or show what certificates say.",
     "demo": "Run a small plant on a line, and poll it through a gateway.",
 }
-"""The commands, in the order in which help lists them. ``busway.cli.<name>`` holds the function ``<name>``."""
+"""The commands with their help texts, in the order of the help. ``busway.cli.<name>`` holds the function ``<name>``."""
 
 _OUTPUT_ERRORS = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF)
 _SETTINGS = {"help_option_names": ["-h", "--help"], "max_content_width": 100}
 
 
 class Verbatim:
-    """Argument type for typer that passes the text of an argument to the command unchanged.
+    """Type for typer that passes the text of an argument to the command unchanged.
 
-    Without it typer would load pydantic (0.1 s) to turn text into text.
+    With its own type for texts typer would import pydantic, which takes 0.1 s.
     """
 
     @staticmethod
     def coerce(value: Any, param: Any, ctx: Any) -> Any:
-        """Return the text of an argument unchanged; an empty tuple for a missing argument that takes several."""
+        """Return the value unchanged; for a missing argument or option that takes several values, an empty tuple."""
         if value is None and (param.multiple or param.nargs == -1):
             return ()
         return value
 
 
 class Command(TyperCommand):
-    """A command of ``busway`` whose arguments are passed to it as unchanged texts."""
+    """A command of ``busway`` for typer; it gets its arguments as unchanged texts, and has a compact help."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
@@ -101,7 +101,7 @@ class Command(TyperCommand):
 
 
 class Program(TyperGroup):
-    """The group of all commands of ``busway``; each is loaded when it is used."""
+    """The group of all commands of ``busway``; the module of a command is imported only if the command is used."""
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _verbatim(super().get_params(ctx))
@@ -153,7 +153,13 @@ class Program(TyperGroup):
         sys.exit(int(code))
 
     def _run(self, given: list[str], name: str, complete_var: str | None, extra: dict[str, Any]) -> int:
-        """Run the command that ``given`` names, print its error as one sentence, and return the exit code."""
+        """Run a command, print its error as one sentence if it fails, and return the exit code.
+
+        Args:
+            given: words of the command line: options, the command and its arguments.
+            name: name of the program, for the help.
+            complete_var, extra: arguments that typer passes on.
+        """
         code: int
         try:
             result = super().main(given, name, complete_var, standalone_mode=False, **extra)
@@ -177,7 +183,7 @@ class Program(TyperGroup):
 
 
 def _verbatim(params: list[Any]) -> list[Any]:
-    """Make the parser pass the texts of these parameters to the command unchanged; returns the parameters."""
+    """Set the type `Verbatim` for all these parameters, so that commands get unchanged texts; return the parameters."""
     for param in params:
         param._runtime_param = Verbatim
     return params
@@ -193,7 +199,7 @@ def _option_row(param: Any) -> tuple[str, str]:
 
 
 def load(name: str) -> Any:
-    """Import the module of a command and return the command for the parser."""
+    """Import the module of a command, and return the command in the form that typer's group needs."""
     module = import_module(f".{name}", __package__)
     single = typer.Typer(add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
     settings = {**_SETTINGS, **getattr(module, "SETTINGS", {})}
@@ -209,10 +215,10 @@ def _fail(sentence: str, code: ExitCode, *, prefix: str = "busway: ") -> ExitCod
 
 
 def _fail_unexpectedly(error: Exception) -> ExitCode:
-    """Report an error that is no `ModbusError` as one sentence, and return the exit code.
+    """Print an error that is no `ModbusError` as one sentence on stderr, and return the exit code.
 
-    It may be wrong usage, a missing package, a closed stream, or a defect of busway. A defect is raised again if
-    BUSWAY_TRACEBACK is set.
+    It is wrong usage, a missing package, a closed stream, or else a defect of busway. With BUSWAY_TRACEBACK a defect is
+    raised again instead.
     """
     if hasattr(error, "format_message"):  # the parser's errors: of click, or of typer's copy of it
         return _fail(_usage_sentence(error), ExitCode.WRONG_USE)
@@ -234,7 +240,7 @@ def _lost_sentence(reason: str) -> str:
 
 
 def _usage_sentence(error: Any) -> str:
-    """Return the parser's error as one sentence that names the command."""
+    """Return the parser's error about wrong usage as one sentence, with the name of the command in front if known."""
     context = getattr(error, "ctx", None)
     command = context.info_name if context is not None and context.parent is not None else ""
     words = " ".join(error.format_message().split())

@@ -1,9 +1,10 @@
 """``busway query``: prints samples from a store of the collector.
 
-1. Samples are printed as they are read, so any length of time can be asked for; buckets are summed up first.
-2. Time without reads is a line without a value that says why; in buckets, a bucket with 0 samples.
-3. Times are UTC. A table shows milliseconds; CSV and JSON have nanoseconds, and half of the transaction's length.
-4. The first line of a table and of CSV names the columns.
+1. Samples are printed while they are read, so any length of time can be asked for. With buckets all are read first.
+2. A time without reads is a line without a value that gives the reason; in buckets it is a bucket with 0 samples.
+3. Times are UTC. A table shows milliseconds. CSV and JSON have nanoseconds, and as ``half_width`` half of the seconds
+   that the transaction took.
+4. The first line of a table and of CSV has the names of the columns.
 """
 
 import contextlib
@@ -94,7 +95,10 @@ def _list_points(store: "Store", *, as_json: bool, as_csv: bool) -> None:
 
 
 def _sample_rows(table: "SampleTable", single: frozenset[str]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each sample; numbers of the points ``single``, which are of type float32, with its digits."""
+    """Yield a row for each sample: column names and values.
+
+    ``single`` has the names (``device/point``) of points of type float32; their values get the digits of 32 bits.
+    """
     from ..apps.collector.samples import reason_text
 
     for sample in table:
@@ -123,7 +127,11 @@ def _alarm_rows(events: "Iterable[AlarmEvent]") -> Iterator[dict[str, Any]]:
 
 
 def _bucket_rows(table: "BucketTable", single: frozenset[str]) -> Iterator[dict[str, Any]]:
-    """Yield a row for each bucket; least and greatest value of the points ``single`` with the digits of a float32."""
+    """Yield a row for each bucket: column names and values.
+
+    ``single`` has the names (``device/point``) of points of type float32; their minimum and maximum get the digits of
+    32 bits.
+    """
     columns = table.columns()
     for values in zip(*columns.values(), strict=True):
         row = dict(zip(columns, values, strict=True))
@@ -134,7 +142,7 @@ def _bucket_rows(table: "BucketTable", single: frozenset[str]) -> Iterator[dict[
 
 
 _CHUNK = 1000
-"""Number of rows whose columns are aligned with each other; longer results are printed in such pieces."""
+"""Number of rows that are printed together; only their columns are aligned with each other."""
 
 
 def _print(rows: Iterable[dict[str, Any]], *, as_json: bool, as_csv: bool) -> None:
@@ -182,7 +190,9 @@ def _iso(nanoseconds: int) -> str:
 
 
 def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> int:
-    """Write tables of samples to a new Parquet file, and return the exit code.
+    """Write tables of samples or buckets to a new Parquet file, print the number of rows, and return the exit code.
+
+    If it fails, the file is removed.
 
     Raises:
         ConfigError: the file exists, or cannot be written.
@@ -216,7 +226,10 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
 
 
 def _plain(table: Any) -> Any:
-    """Return a table of samples with float values only, so that all tables of a Parquet file have equal columns."""
+    """Return a table whose columns of values (also minimum, maximum) are of type float64.
+
+    So all tables that are written to one Parquet file have equal column types.
+    """
     for name in ("value", "minimum", "maximum"):
         if name in table.column_names:
             index = table.column_names.index(name)

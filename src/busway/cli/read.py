@@ -1,10 +1,10 @@
 """``busway read``: shows values of a device, once or repeatedly.
 
-1. Every address, type and count is checked before the first byte goes out.
-2. With several addresses, one that the device refuses does not keep the others from being read; the exit code is that
-   of the first failure.
+1. Every address, type and count is checked before the first byte is sent.
+2. If one of several addresses cannot be read, the others are read all the same; the exit code is that of the first
+   failure. If the connection is lost, the command ends.
 3. With ``--watch`` a failure is printed on stderr, and reading goes on.
-4. In JSON and CSV a value that could not be read is a record too, with the reason.
+4. In JSON and CSV a value that could not be read is a record, too, with the reason.
 """
 
 import time
@@ -59,7 +59,7 @@ holding:0 and holding:0x10 count from 0.
 
 @dataclass(frozen=True, slots=True)
 class Wanted:
-    """One argument of ``busway read``: the address, with the value type, byte order and number of values there."""
+    """What one argument of ``busway read`` asks for: address, value type, byte order, and number of values."""
 
     place: Address
     form: ValueType[Any] | None
@@ -135,11 +135,18 @@ def _read_points(
 
 
 def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
-    """Return what one argument of ``busway read`` asks for: address, value type, order and count.
+    """Return what one argument of ``busway read`` asks for.
+
+    Args:
+        text: the argument, an address.
+        kind: text of ``--type``; None for ``uint16``, or one bit where the address is one.
+        order: text of ``--order``.
+        count: number of values.
+        split: whether several requests are allowed.
 
     Raises:
-        ConfigError, InvalidRequest: the address, type, order or count is invalid, or one request cannot hold the
-            values.
+        ConfigError, InvalidRequest: the address, type or order is invalid, or there are too many values for one request
+            and ``split`` is False.
     """
     if text.startswith("-"):
         raise ConfigError("there is no such option", key=text)
@@ -184,7 +191,7 @@ def _read_once(unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, *
 
 
 def _failed(wanted: Wanted, error: ModbusError) -> list[TableRow]:
-    """Return the rows of the values at an address that could not be read because of an error."""
+    """Return the rows to print for values that could not be read because of ``error``."""
     from ..points.quality import reason_text
     from .read_points import reason_of
 
@@ -212,7 +219,7 @@ def _read_again_and_again(
 
 
 def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[TableRow]:
-    """Read the values at an address and return them as rows to print, with their bytes."""
+    """Read the values that one argument asks for, and return them as rows to print, with their bytes."""
     from ..client.operations import read_values
 
     form = None if wanted.place.bit is not None else wanted.form  # the bit of an address is its type

@@ -1,9 +1,10 @@
 """``busway read --points FILE``: reads the points of a device by name, in as few requests as its rules allow.
 
-1. All errors of the file are reported together, and nothing is sent then.
-2. A read that fails is a record of each of its points, with the reason. A read of several points that the device
-   refuses is asked again point by point: one bad register does not spoil the rest.
-3. Points that say how many members a group has are read first, and members that do not exist are not read.
+1. All errors of the file are reported together, before anything is sent.
+2. If a request fails, each of its points has a record with the reason. If the device refuses a request for several
+   points, these are requested one by one: one register that does not exist does not spoil the others.
+3. Points that hold the number of members of a repeated group are read first, and members that do not exist are not
+   read.
 """
 
 import time
@@ -39,8 +40,8 @@ class PointRecord:
 
     Attributes:
         point: the point.
-        reading: its value and quality, or the reason why it has no value.
-        raw: its registers in wire order, or one byte, 0 or 1, for a bit; empty if they are not known.
+        reading: value and quality; without value, the reason for that.
+        raw: its registers in wire order; for a bit one byte, 0 or 1; empty if it was not read or is computed.
     """
 
     point: Point
@@ -49,7 +50,7 @@ class PointRecord:
 
     @property
     def value(self) -> Any:  # what its type says
-        """The value of the point, or None; a float has no more digits than its registers can hold."""
+        """The value of the point, None if there is none; an unscaled float has the fewest digits for its registers."""
         value, point = self.reading.value, self.point
         if isinstance(value, float) and point.type.startswith("float") and not point.conversion.changes:
             return fewest_digits(value, 2 * point.width)
@@ -66,18 +67,18 @@ class PointRecord:
 
 
 def load_points(name: str, unit: int | None) -> "tuple[int | None, UnitSection]":
-    """Load a unit with its points from a device file, and return the unit's number and its description.
+    """Load one unit with its points from a device file; return its unit number and its section.
 
     Args:
         name: a device file, a simulation file, ``device:NAME``, or a register map whose name ends in ``.csv``.
-        unit: the number that was asked for; None for the only one that the file has. A file with one unit need not say
-            its number then.
+        unit: the number given by ``--unit``; None for the only unit of the file. If the file describes just one unit,
+            that one is taken, also if its number is missing or another.
 
     Returns:
-        The number to ask, None if neither argument nor file has one, and the section of the unit.
+        The unit number to ask, and the section. The number is None for a register map without ``unit``: a map has none.
 
     Raises:
-        ConfigError: the file is invalid, or has several units of which none is ``unit``.
+        ConfigError: the file is invalid, or has several units and ``unit`` is None or none of them.
     """
     from ..apps.simulator.includes import load_declaration
     from ..apps.simulator.register_map import read_register_map
@@ -102,8 +103,8 @@ def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
     """Return the points of a unit whose names match, in the order of the file.
 
     Args:
-        section: the description of the unit.
-        names: names and patterns, such as ``string.*``; none for all points.
+        section: the section of the unit.
+        names: names and patterns, such as ``string.*``; empty for all points.
 
     Raises:
         ConfigError: a name matches no point.
@@ -117,15 +118,15 @@ def chosen_points(section: "UnitSection", names: Sequence[str]) -> list[Point]:
 
 
 class PointReader:
-    """Reads certain points of a unit, repeatedly, in few requests.
+    """Reads chosen points of a unit, as often as wanted, in few requests.
 
     Args:
-        unit: the unit to ask.
-        section: the description of its points.
-        names: names and patterns of the points that are wanted; none for all.
+        unit: the unit of a link that is asked.
+        section: the section of a device file that describes its points.
+        names: names and patterns of the points; empty for all.
 
     Attributes:
-        points: the points that are wanted.
+        points: the chosen points, in the order of the file.
 
     Raises:
         ConfigError: a name matches no point; nothing was sent.
@@ -141,10 +142,10 @@ class PointReader:
         self._stored = [point for point in needed if not point.formula]
         self._known: dict[str, int] = {}
         self.code: int = ExitCode.DONE
-        """Of the first failure of the last round."""
+        """Exit code of the first request that failed in the last call of `read`; 0 if none failed."""
 
     def _with_inputs(self, points: Iterable[Point]) -> list[Point]:
-        """Return the wanted points, and the points from which they are computed or scaled."""
+        """Return these points, and all points that are needed to compute or scale them, in the order of the file."""
         found: dict[str, Point] = {}
         waiting = [point.name for point in points]
         while waiting:
@@ -158,12 +159,12 @@ class PointReader:
         return [point for point in self._all.values() if point.name in found]
 
     def read(self) -> list[PointRecord]:
-        """Read all wanted points once; returns a record for each point that exists, in the order of the file.
+        """Read the chosen points once, and return a record for each that exists, in the order of the file.
 
-        A failure is the reason in a record, and sets ``code``.
+        If a request fails, the records of its points have the reason, and ``code`` the exit code of the first failure.
 
         Raises:
-            InvalidRequest: a request cannot be sent to the unit.
+            InvalidRequest: a request cannot be sent to this unit.
         """
         self.code = ExitCode.DONE
         counting = self._counting()
@@ -175,7 +176,10 @@ class PointReader:
         return [records[point.name] for point in self.points if point.name in records and _exists(point, records)]
 
     def _counting(self) -> set[str]:
-        """Return the names of the points that give the size of a repeated group, and of those they depend on."""
+        """Return the names of the points that are read first: they hold the number of members of repeated groups.
+
+        Points that are needed to compute or scale these are among them.
+        """
         names = {name for point in self._stored for name, _ in point.exists}
         return {point.name for point in self._with_inputs([self._all[name] for name in names])}
 
@@ -214,13 +218,13 @@ class PointReader:
         replies: list[tuple[ReadDecoder, bytes]],
         found: dict[str, PointRecord],
     ) -> None:
-        """Send one read request; if the device refuses it, read each of its points separately.
+        """Send one read request; if the device refuses it (02 or 03), read each of its points separately.
 
         Args:
             points: the points to read, of one table.
-            start, width: offset of the first item and number of items.
-            replies: gets each reply with its decoder.
-            found: gets a record for each point that could not be read.
+            start, width: 0-based offset of the first item, and number of items.
+            replies: each reply is appended here, with the decoder for it.
+            found: gets a record for each point that could not be read, by name.
         """
         from ..client.operations import READ
 
@@ -247,10 +251,11 @@ class PointReader:
 
 
 def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
-    """Whether a point exists in the device.
+    """Whether a point exists in the device; a member of a repeated group may be beyond the group's reported size.
 
-    A member of a repeated group does if its number is within the group's size, which is a value of the device. While
-    the size is not known, all members exist.
+    Args:
+        point: the point.
+        records: what was read so far, by name. While the number of members is not in it, all members exist.
     """
     for name, place in point.exists:
         record = records.get(name)
@@ -260,7 +265,7 @@ def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
 
 
 def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
-    """Return the bytes of one point in a reply; for a bit one byte, 0 or 1."""
+    """Return the bytes of one point from the data of a reply, in wire order; for a bit one byte, 0 or 1."""
     first = point.start - decoder.start
     if point.table.holds_bits:
         return bytes([data[first // 8] >> (first & 7) & 1])
@@ -268,7 +273,7 @@ def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
 
 
 def reason_of(error: ModbusError) -> int:
-    """Return the reason (`Reason`) for a point that has no value because of this error."""
+    """Return the `Reason` (or the code of an exception) for a point that has no value because of this error."""
     if isinstance(error, ExceptionReply):
         return exception_reason(error.code)
     if isinstance(error, BadReply):
@@ -284,11 +289,14 @@ def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv:
     Args:
         reader: reads the points.
         unit: unit identifier, for JSON; None to leave it out.
-        as_json, as_csv: the form of the output; ConfigError if both are True.
-        period: seconds between two rounds; None for one round.
+        as_json, as_csv: the form of the output.
+        period: seconds from one round to the next; None for one round.
 
     Returns:
-        The exit code: of the first failure of a single round; 0 after several rounds.
+        The exit code: after one round that of its first failure, 0 without; after several rounds 0.
+
+    Raises:
+        ConfigError: ``as_json`` and ``as_csv`` are both True.
     """
     with closing(_PointWriter(unit, as_json=as_json, as_csv=as_csv, repeats=period is not None)) as writer:
         if period is None:
@@ -305,7 +313,7 @@ def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv:
 
 
 class _PointWriter:
-    """Prints points with their values: as JSON lines, CSV, or columns; redrawn in place on a terminal."""
+    """Prints points with their values on stdout: as JSON lines, CSV, or columns, which a terminal redraws in place."""
 
     def __init__(self, unit: int | None, *, as_json: bool, as_csv: bool, repeats: bool) -> None:
         if as_json and as_csv:
@@ -316,12 +324,12 @@ class _PointWriter:
         self._page = LivePage() if repeats and not as_json and not as_csv and LivePage.fits() else None
 
     def close(self) -> None:
-        """End the printing of points."""
+        """End the printing; what was redrawn in place stays on the terminal."""
         if self._page is not None:
             self._page.close()
 
     def write(self, records: Sequence[PointRecord], now: str = "") -> None:
-        """Print the points of one round of reading, with the time ``now`` unless it is empty."""
+        """Print the points of one round of reading; ``now`` is its time (ISO 8601), empty to print none."""
         if self._as_json:
             for record in records:
                 print_json(({"time": now} if now else {}) | ({} if self._unit is None else {"unit": self._unit})
@@ -337,7 +345,7 @@ class _PointWriter:
 
 
 def _fields(record: PointRecord) -> dict[str, Any]:
-    """Return a point that was read as the fields of a JSON object."""
+    """Return the fields of the JSON object that ``--json`` prints for a point."""
     point, reading = record.point, record.reading
     fields = {
         "point": point.name,
@@ -369,7 +377,10 @@ def _cells(record: PointRecord, raw: str) -> list[str]:
 
 
 def _shown(record: PointRecord) -> list[str]:
-    """Return a point that was read as cells: name, value with unit, quality unless good, address, bytes."""
+    """Return a point as cells for people: name, value, unit of measure, label, quality and reason, address, bytes.
+
+    Quality and reason are empty for a good value.
+    """
     point, reading = record.point, record.reading
     value = "—" if reading.value is None else shown_value(record.value)
     label = point.label(reading.value)

@@ -1,4 +1,4 @@
-"""SIGHUP while a service runs: its files are read again; on an error the old settings stay and the error is printed."""
+"""Makes a running service read its files again at SIGHUP; on an error the old settings stay and it is printed."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
 async def read_again_on_hangup(
     service: "Service", told: Callable[[bool], None] = lambda is_over: None
 ) -> AsyncIterator[None]:
-    """Context manager that reloads the configuration of a service at each SIGHUP and prints the result.
+    """Context manager during which each SIGHUP makes a service read its configuration again; prints the result.
 
     Args:
-        service: the running service.
-        told: called with False before a reload, and with True after it, whether it succeeded or not.
+        service: the service; it need not run yet.
+        told: called with False before each reload, and with True after it, whether it succeeded or not.
     """
     loop = asyncio.get_running_loop()
     tasks: set[asyncio.Task[None]] = set()

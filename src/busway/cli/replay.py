@@ -42,7 +42,7 @@ Captures are pcap or pcapng, of Ethernet, Linux cooked, loopback or raw IP, or o
 """
 
 _MOST_RANGES: Final = 12
-"""Most ranges of items that are shown for one function code and table."""
+"""Number of ranges of items that are printed for one function code and table; further ones are only counted."""
 
 
 def replay(
@@ -96,7 +96,10 @@ def replay(
 
 @dataclass(frozen=True, slots=True)
 class _Wanted:
-    """The options of ``busway replay --simulate``: path, server, which values, delays, and whether to overwrite."""
+    """The options of ``busway replay`` that concern the simulation file, as on the command line.
+
+    ``path`` is that of ``--simulate``, None without; ``force``: whether an existing file is overwritten.
+    """
 
     path: str | None
     server: str | None
@@ -105,7 +108,10 @@ class _Wanted:
     force: bool
 
     def check(self) -> None:
-        """Raise `ConfigError` for an option that needs ``--simulate``, a wrong ``--values``, or a file that exists."""
+        """Raise `ConfigError` if an option needs ``--simulate``, ``--values`` is invalid, or the file exists.
+
+        An existing file is accepted with ``--force``.
+        """
         if self.values not in (None, "first", "last"):
             raise ConfigError(f"first or last is needed, not {self.values!r}", key="--values")
         if self.path is not None:
@@ -117,7 +123,11 @@ class _Wanted:
                 raise ConfigError("goes with --simulate only", key=option)
 
     def write(self, devices: "RecordedDevices") -> None:
-        """Write the simulation file if ``--simulate`` is given, and print warnings about what it cannot reproduce."""
+        """Write the simulation file if ``--simulate`` is given, and print warnings about what it cannot reproduce.
+
+        Raises:
+            ConfigError: ``--server`` fits no server or several, nothing was answered, or the file cannot be written.
+        """
         if self.path is None:
             return
         file = devices.file(self.server, last=self.values == "last", delays=self.delays)
@@ -244,7 +254,7 @@ def _range(table: "Table", first: int, end: int) -> str:
 
 
 def _time(span: float) -> str:
-    """Return a time span, given in seconds, as text in ms or s."""
+    """Return a time span in seconds as text: in ms if it is shorter than a second, else in s."""
     return f"{span * 1e3:.1f} ms" if span < 1 else f"{span:.1f} s"
 
 

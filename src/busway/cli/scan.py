@@ -1,7 +1,7 @@
 """``busway scan``: finds the units that answer on a serial line, or behind an address.
 
-`busway.client.scanning` does the asking; ``--baud`` and ``--parity`` try several settings of a line, one after the
-other.
+`busway.client.scanning` sends the requests. With ``--baud`` and ``--parity`` several settings of a line are tried, one
+after the other.
 """
 
 import re
@@ -32,7 +32,7 @@ A line is listened to first; where others talk, nothing is sent. Nothing is ever
 """
 
 MANY = 10
-"""Smallest number of asked units that, if all answer alike, are taken for one device that ignores the unit."""
+"""If at least so many units were asked and all answer alike, they are taken for one device that ignores the unit."""
 
 
 def scan(
@@ -74,7 +74,7 @@ def scan(
 
 
 def _units(text: str | None, endpoint: Endpoint) -> list[int]:
-    """Return the unit identifiers that ``--units`` names, ascending; without the option, those of a usual scan.
+    """Return the unit identifiers that ``--units`` gives, ascending; without the option, 1…247 and on TCP 255.
 
     Raises:
         ConfigError: a unit is out of range, such as unit 0, the broadcast, on a serial line.
@@ -94,7 +94,13 @@ def _units(text: str | None, endpoint: Endpoint) -> list[int]:
 
 
 def _settings(endpoint: Endpoint, baud: str | None, parity: str | None) -> Iterator[Endpoint]:
-    """Yield the endpoint with each combination of baud rate and parity to try. Raises `ConfigError`."""
+    """Yield the endpoint once for each combination of baud rate and parity to try, with these settings.
+
+    Without both options, that is the endpoint as it is.
+
+    Raises:
+        ConfigError: an option is given and the endpoint is no serial port, or a rate or parity is invalid.
+    """
     from ..client.settings import link_settings
 
     for name, text in (("--baud", baud), ("--parity", parity)):
@@ -119,7 +125,10 @@ def _listed(text: str | None) -> list[str | None]:
 
 
 def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
-    """Listen to a line before a scan; raise `ConfigError` if there is traffic. Nothing was sent."""
+    """Listen to a serial line for ``listen`` seconds before a scan, and raise `ConfigError` if there is traffic.
+
+    Nothing is sent. With Modbus TCP framing it returns at once: other traffic cannot be heard there.
+    """
     refuse_busy_line(
         endpoint,
         listen,
@@ -132,15 +141,15 @@ def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
 
 
 def _identity(found: FoundUnit) -> tuple[object, ...]:
-    """Return a key to compare found units: it is equal for two units that belong to one device.
+    """Return what identifies the device of a found unit; two units with equal results probably belong to one device.
 
-    It has the kind of answer, the identification and the server id.
+    It consists of the kind of answer, the identification and the server id.
     """
     return found.answer, tuple(found.identification.items()), found.server_id
 
 
 def _who(found: FoundUnit) -> str:
-    """Return how a found unit identifies itself, as text."""
+    """Return in words how a found unit identifies itself: its identification and server id; empty if it has neither."""
     said = [_text(value) for value in found.identification.values()]
     if found.server_id:
         said.append(f"server id {found.server_id.hex(' ')}" + _printable(found.server_id))
@@ -148,7 +157,7 @@ def _who(found: FoundUnit) -> str:
 
 
 class _Scan:
-    """A scan of all units behind one endpoint, with one baud rate and parity."""
+    """A scan of all units behind one endpoint, with one baud rate and parity; prints what it finds."""
 
     def __init__(
         self, endpoint: Endpoint, units: list[int], longest: float, *, learns: bool, names: bool, as_json: bool
@@ -167,7 +176,7 @@ class _Scan:
         return self._endpoint.url + (f", {self._port}" if self._port is not None else "")
 
     def run(self) -> int:
-        """Ask all units behind the endpoint, and print those found. Returns how many answered."""
+        """Ask all units behind the endpoint, print those that answer and a summary, and return how many answered."""
         most = len(self._units) * self._adaptive_timeout.longest
         say(f"asking {counted(len(self._units), 'unit')} of {self._where}, {_duration(most)} at most")
         try:
@@ -235,7 +244,7 @@ class _Scan:
 
 
 class _Progress:
-    """The progress of a scan on one line of a terminal; nothing elsewhere."""
+    """Shows the progress of a scan on one line of stderr, if that is a terminal; elsewhere it shows nothing."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -244,7 +253,7 @@ class _Progress:
         self._on = sys.stderr.isatty()
 
     def show(self, unit: int, found: int) -> None:
-        """Show on the terminal which unit is asked next."""
+        """Show which unit is asked next, and how many were found; to be called once for each unit."""
         self._asked += 1
         if self._on:
             words = f"unit {unit}, {self._asked} of {self._count}, {found} found"
@@ -252,7 +261,7 @@ class _Progress:
             self._shown = True
 
     def clear(self) -> None:
-        """Clear the progress line, so that other text can be printed."""
+        """Clear the progress line, so that other text can be printed in its place."""
         if self._shown:
             print(f"\r{'':60}\r", end="", file=sys.stderr, flush=True)
             self._shown = False
@@ -265,7 +274,7 @@ def _text(value: bytes) -> str:
 def _printable(data: bytes) -> str:
     """Return the readable part of a server id as text to append: `` (TEXT)``, with the space and the brackets.
 
-    It is the longest run of printable ASCII characters; empty if there is none of three or more.
+    TEXT is the longest run of at least three printable ASCII characters; without one, the result is empty.
     """
     text = max(re.findall(r"[ -~]{3,}", data.decode("latin-1")), key=len, default="").strip()
     return f" ({text})" if text else ""

@@ -1,12 +1,12 @@
 """Tells a service manager such as systemd that the program is ready, reloads, stops or is alive (sd_notify(3)).
 
-Knows the datagrams of systemd's protocol and the two variables that ask for them; knows nothing of what runs.
+Knows the datagrams of systemd's protocol and its environment variables; knows nothing of the program that runs.
 
 1. Without ``NOTIFY_SOCKET`` nothing is sent.
-2. A manager that does not listen is no reason to stop: what cannot be sent is dropped.
-3. ``WATCHDOG=1`` is sent twice in the time that ``WATCHDOG_USEC`` gives, by a task of the event loop: a loop that is
-   stuck sends nothing, and the manager restarts the program.
-4. Written here: the protocol is one datagram with a line of text, too little for a dependency.
+2. If the manager does not listen, the program goes on: what cannot be sent is dropped.
+3. A task of the event loop sends ``WATCHDOG=1`` twice in each interval of ``WATCHDOG_USEC``. If the event loop is
+   stuck, nothing is sent, and the manager restarts the program.
+4. The protocol is one datagram with lines of text: too little for a dependency.
 """
 
 import asyncio
@@ -22,13 +22,13 @@ _MICROSECONDS: Final = 1_000_000
 
 
 class Manager:
-    """Connection to the service manager, such as systemd, that started this program; without one, nothing is sent.
+    """Sends messages to the service manager, such as systemd, that started this program; without one, nothing is sent.
 
     Args:
         environment: environment variables to use instead of those of the process.
 
     Attributes:
-        watchdog: seconds within which the manager expects `alive`; None without a watchdog.
+        watchdog: seconds within which the manager expects each next call of `alive`; None without a watchdog.
     """
 
     def __init__(self, environment: Mapping[str, str] | None = None) -> None:
@@ -38,23 +38,23 @@ class Manager:
 
     @property
     def is_there(self) -> bool:
-        """Whether a service manager such as systemd started this program."""
+        """Whether the environment names the socket of a service manager, so that messages are sent."""
         return bool(self._address)
 
     def ready(self, status: str) -> None:
-        """Tell the service manager that the program runs, also after a reload."""
+        """Tell the service manager that the start or a reload is done; ``status`` is a line about the program."""
         self._send("READY=1", f"STATUS={status}")
 
     def reloading(self) -> None:
-        """Tell the service manager that the program reads its files again, until `ready` is called."""
+        """Tell the service manager that the program reads its files again; `ready` ends that."""
         self._send("RELOADING=1", f"MONOTONIC_USEC={time.monotonic_ns() // 1000}")
 
     def stopping(self, status: str) -> None:
-        """Tell the service manager that the program is about to end."""
+        """Tell the service manager that the program is about to end; ``status`` is a line about it."""
         self._send("STOPPING=1", f"STATUS={status}")
 
     def alive(self) -> None:
-        """Tell the service manager's watchdog that the event loop runs."""
+        """Tell the watchdog of the service manager that the program still works."""
         self._send("WATCHDOG=1")
 
     def _send(self, *assignments: str) -> None:
@@ -68,7 +68,10 @@ class Manager:
 
 @asynccontextmanager
 async def watched(manager: Manager) -> AsyncIterator[None]:
-    """Context manager that tells the watchdog regularly that the event loop runs, if a watchdog is configured."""
+    """Context manager during which a task regularly tells the service manager's watchdog that the event loop works.
+
+    Does nothing without a watchdog.
+    """
     if manager.watchdog is None:
         yield
         return
@@ -87,9 +90,9 @@ async def _keep_telling(manager: Manager, seconds: float) -> None:
 
 
 def _address(name: str) -> str:
-    """Return the address of the service manager's socket from ``NOTIFY_SOCKET``, a path or ``@NAME`` (abstract).
+    """Return the socket address for the value of ``NOTIFY_SOCKET``: a path, or ``@NAME`` for an abstract socket.
 
-    Empty if the variable has neither form.
+    Empty if the value has neither form, or the system has no Unix sockets.
     """
     if not hasattr(socket, "AF_UNIX"):
         return ""

@@ -1,8 +1,8 @@
 """``busway serve``: serves one or several devices, until Ctrl-C or SIGTERM.
 
-1. The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
+1. Once all listeners answer, their endpoints go to stdout, one per line, with the real ports; all else goes to stderr.
 2. Without a file: unit 1 with 1000 items in each table, which also answers to 0 and 255, as the sole device does.
-3. A listener that the network reaches is read-only unless there is a policy, or writes are allowed by name.
+3. A listener that the network reaches is read-only unless there is a policy, or ``--allow-writes``.
 4. SIGHUP reads the files again; on an error the old settings stay and the error is printed.
 """
 
@@ -61,7 +61,7 @@ A listener that the network reaches is read-only without a policy; --allow-write
 """
 
 ITEMS = 1000
-"""Number of items in each table of the unit if no file is given."""
+"""Number of items in each table of the unit that is served without a file."""
 BUILT_IN = f"""\
 [[unit]]
 holding_registers = {ITEMS}
@@ -115,7 +115,16 @@ def serve(
 
 
 def _reader(file: str | None, unit: int | None, changes: dict[str, Any]) -> "Callable[[], Configuration]":
-    """Return a function that reads the server's configuration at the start and at each reload."""
+    """Return a function that reads the server's configuration; it is called at the start and at each reload.
+
+    Args:
+        file: path of a configuration or device file; None for a unit with `ITEMS` items in each table.
+        unit: number given by ``--unit``, for a unit without a number; None if it is not given.
+        changes: options of listeners that override those of the file.
+
+    Raises:
+        ConfigError: ``file`` is a URL. The function itself raises it if the file is invalid or has other units.
+    """
     from ..apps.server.configuration import parse_configuration
     from ..config.reading import read_text
 

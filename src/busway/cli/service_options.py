@@ -1,8 +1,8 @@
 """Options that ``busway serve``, ``gateway`` and ``simulate`` have in common, and what these print at the start.
 
-Knows options and the service that is built of them; knows neither servers nor gateways.
+Knows options and the service that is built from them; knows neither servers nor gateways.
 
-The endpoints go to stdout as they are bound, one per line, once all of them answer; everything else to stderr.
+Once all listeners answer, their endpoints go to stdout, one per line, with the real ports; all else goes to stderr.
 """
 
 from collections.abc import Callable
@@ -35,9 +35,10 @@ AUDIT = typer.Option(None, "--audit", metavar="FILE", help="Append denied reques
 
 
 def _place_of_metrics(text: str | None) -> str | None:
-    """Return the host and port of ``--metrics`` as text, checked; None if the option is not given.
+    """Check the text of ``--metrics``, ``HOST:PORT``, and return it unchanged; None if the option is not given.
 
-    Raises `ConfigError`.
+    Raises:
+        ConfigError: the text has another form.
     """
     if text is not None:
         from ..options.text import host_and_port
@@ -61,11 +62,11 @@ CONTROL = typer.Option(
 )
 
 READ_ONLY = "read-only"
-"""The word that ``--policy`` takes instead of a file, for a policy that permits reads only."""
+"""The word that ``--policy`` takes instead of a file: all reads are permitted, and no writes."""
 
 
 def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressList | None":
-    """Return the list of addresses that may connect, from ``--allow`` and ``--deny``; None if neither is given.
+    """Return the address list that ``--allow`` and ``--deny`` describe; None if neither is given.
 
     Raises:
         ConfigError: an address or network is invalid; the error names the option.
@@ -79,10 +80,10 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types
-    """Return the listener options given on the command line, by name; they replace the file's.
+    """Return the options of listeners that the command line gives, by name; they override those of a file.
 
     Args:
-        priority: hosts and networks of ``--priority``.
+        priority: hosts and networks of ``--priority``; None or empty if it is not given.
 
     Raises:
         ConfigError: a host or network is invalid; the error names the option.
@@ -93,11 +94,11 @@ def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: opti
 
 
 def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules | None]":
-    """Return a function that returns the access rules for a configuration, called at the start and each reload.
+    """Return a function that takes a configuration and returns the access rules to use; called at each reload, too.
 
     Args:
-        policy: text of ``--policy``: a file, which is read at each call, or ``read-only``; None for the rules that the
-            configuration has.
+        policy: text of ``--policy``: a file, which the function reads each time, or ``read-only``; None for the rules
+            that the configuration has. The function returns None if that has none.
     """
     from ..apps.server.overrides import declared_rules
 
@@ -117,12 +118,12 @@ def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules 
 
 
 def is_file(policy: str | None) -> bool:
-    """Whether the text of ``--policy`` names a file, which a reload reads again."""
+    """Whether the text of ``--policy`` is the path of a file, so that a reload has something to read."""
     return policy not in (None, READ_ONLY)
 
 
 def announce(service: "Service") -> None:
-    """Print what the program serves: endpoints on stdout; read-only listeners and the place of metrics on stderr."""
+    """Print the endpoints of a running service on stdout; read-only listeners and the place of metrics on stderr."""
     if service.read_only:
         warn(f"read-only, for want of a policy: {', '.join(service.read_only)}; --allow-writes takes writes")
     if service.metrics:

@@ -1,4 +1,4 @@
-"""Signals: Ctrl-C and SIGTERM end commands that run until they are stopped; SIGHUP lets them read their files again."""
+"""Signals: Ctrl-C and SIGTERM end commands that run until stopped; SIGHUP makes them read their files again."""
 
 import asyncio
 import contextlib
@@ -10,9 +10,10 @@ from typing import Any
 
 @contextlib.contextmanager
 def stop_event() -> Iterator[asyncio.Event]:
-    """Context manager that yields an event set by Ctrl-C or SIGTERM; a second Ctrl-C interrupts as usual.
+    """Context manager that yields an event, which Ctrl-C (SIGINT) or SIGTERM sets.
 
-    Enter it in the running event loop. Outside the main thread, which alone has signals, the event is never set.
+    The first of each of the two signals only sets the event; the second has its usual effect. Enter it in the running
+    event loop. Outside the main thread, which alone gets signals, the event is never set.
     """
     loop = asyncio.get_running_loop()
     event = asyncio.Event()
@@ -34,9 +35,9 @@ def stop_event() -> Iterator[asyncio.Event]:
 
 @contextlib.contextmanager
 def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
-    """Context manager that yields two events: the first Ctrl-C or SIGTERM sets one, the next signal sets the other.
+    """Context manager that yields two events: the first Ctrl-C or SIGTERM sets the first, the next signal the second.
 
-    A third signal interrupts as usual.
+    A third one has its usual effect. Enter it in the running event loop.
     """
     loop = asyncio.get_running_loop()
     first, second = asyncio.Event(), asyncio.Event()
@@ -61,9 +62,9 @@ def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
 
 @contextlib.contextmanager
 def on_hangup(call: Callable[[], None]) -> Iterator[None]:
-    """Context manager that calls a function in the running event loop at each SIGHUP.
+    """Context manager during which each SIGHUP makes the running event loop call a function.
 
-    Without effect on systems without SIGHUP and outside the main thread.
+    Has no effect on systems without SIGHUP and outside the main thread.
     """
     number = getattr(signal, "SIGHUP", None)
     if number is None or threading.current_thread() is not threading.main_thread():
@@ -79,9 +80,10 @@ def on_hangup(call: Callable[[], None]) -> Iterator[None]:
 
 @contextlib.contextmanager
 def stop_flag() -> Iterator[threading.Event]:
-    """Context manager that yields a flag set by Ctrl-C or SIGTERM, without an event loop; a second Ctrl-C interrupts.
+    """Context manager that yields a flag, which Ctrl-C (SIGINT) or SIGTERM sets; for code without an event loop.
 
-    The first signal does not interrupt the running code, so nothing that was received is lost.
+    The first of each of the two signals does not interrupt the running code, so no received data are lost; the second
+    has its usual effect.
     """
     flag = threading.Event()
     before: dict[int, Any] = {}  # what signal.signal gave

@@ -1,12 +1,12 @@
 """``busway simulate``: serves simulated devices whose values change as a file says, until Ctrl-C or SIGTERM.
 
-1. As `serve`: the endpoints go to stdout as they are bound, one per line, everything else to stderr; a listener that
-   the network reaches is read-only unless there is a policy, or writes are allowed by name; SIGHUP reads files again.
-2. Units and behaviours stay those of the start; SIGHUP reads policy, address lists and certificates again.
-3. ``--fault`` switches on a fault of the file, or a fault profile; what the fault does is printed on stderr, and so are
-   begin and end of one that has a time. A fault that no request can meet is refused.
-4. With ``--api`` the address of the page goes to stderr once it answers. A token that was made here stands behind
-   ``#``; a token from a file is not shown.
+1. Once all listeners answer, their endpoints go to stdout, one per line, with the real ports; all else goes to stderr.
+   A listener that the network reaches is read-only unless there is a policy, or ``--allow-writes``.
+2. SIGHUP reads policy, address lists and certificates again; units and behaviours stay those of the start.
+3. ``--fault`` switches on a fault of the file, or adds a fault profile. What a fault does is printed on stderr, and if
+   it has a schedule, when it begins and ends. A fault that can never strike is refused.
+4. With ``--api`` the address of the page goes to stderr once it answers, with the token behind ``#`` if the program has
+   created the token. A token from a file is not shown.
 """
 
 import asyncio
@@ -205,12 +205,12 @@ def _loaded(
         source: where the simulation comes from.
         faults: the texts of ``--fault``.
         listen: the endpoints of ``--listen``; empty for those of the source.
-        keeps_state: whether the state of an earlier run is loaded. False for the check of a file, which must not touch
-            it.
+        keeps_state: whether the values that an earlier run has saved are loaded, and saved again at the end. False if a
+            file is only checked, so that its state stays untouched.
         options: keyword arguments of `Simulation`.
 
     Raises:
-        ConfigError: the source or a fault is invalid, or a fault could never strike.
+        ConfigError: the source or a fault is invalid, or a fault of ``--fault`` can never strike.
     """
     from ..apps.simulator.added_faults import put_on_by_words, why_it_never_strikes
     from ..apps.simulator.simulation import Simulation
@@ -239,7 +239,10 @@ def _speed(text: str) -> float:
 
 
 def _reader(simulation: "Simulation", source: Chosen) -> "Callable[[], DeclaredServer]":
-    """Return a function that returns the loaded simulation first, and reads its source again at each reload."""
+    """Return a function that returns the loaded simulation at its first call, and later reads the source again.
+
+    Later calls, at each reload, raise `ConfigError` if a new start with the source would fail.
+    """
     from ..apps.simulator.simulation import Simulation
 
     first: list[DeclaredServer] = [simulation]
@@ -268,7 +271,11 @@ def _page(simulation: "Simulation", api: str, token_file: str | None, file: str)
 
 
 def check_file(file: str) -> None:
-    """Print the units and faults of a simulation file on stdout, without running it. Raises `ConfigError`."""
+    """Print the units and faults of a simulation file on stdout, without running it.
+
+    Raises:
+        ConfigError: the file is invalid.
+    """
     from ..apps.simulator.includes import load_declaration
     from ..apps.simulator.simulation import Simulation
 
@@ -289,7 +296,7 @@ def _print_units(simulation: "Simulation") -> None:
 
 
 def _announce_fault(status: "FaultStatus") -> None:
-    """Print on stderr what a fault that is switched on does, with its parameters and, if later, the time it begins."""
+    """Print on stderr what a fault does, its parameters, and in how many seconds it begins if not at once."""
     from ..apps.simulator.added_faults import fault_details
 
     details, after = fault_details(status), status.selection.schedule.after

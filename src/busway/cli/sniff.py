@@ -1,9 +1,9 @@
 """``busway sniff``: shows the traffic of a serial line. It listens and never sends.
 
-1. One line per frame: time, silence before it, unit, function, fields. Damaged bytes are shown with the reason, and a
-   request without a reply has a line of its own.
-2. The statistics come at the end: after Ctrl-C, SIGTERM or ``--for``, and if the connection has ended.
-3. A serial port that vanishes is waited for and opened again; if it is still gone at the end, the exit code says so.
+1. One line per frame: time, silence before it in ms, unit, function, fields. Damaged bytes are shown with the reason,
+   and a request without a reply has a line of its own.
+2. Statistics are printed at the end: after Ctrl-C, SIGTERM or ``--for``, and also if the connection was lost.
+3. If a serial port vanishes, it is opened again when it is back; if it is still gone at the end, the exit code is 5.
 """
 
 import sys
@@ -89,7 +89,7 @@ def sniff(
 
 
 class _Sniffing:
-    """One run of ``busway sniff``: listens to a line and prints what it hears."""
+    """One run of ``busway sniff``: listens to a line, prints frames and statistics, and writes the capture file."""
 
     def __init__(
         self,
@@ -117,6 +117,9 @@ class _Sniffing:
 
         Returns:
             The exit code; `ExitCode.NO_CONNECTION` if the serial port has vanished and is still gone at the end.
+
+        Raises:
+            LinkDown: the network connection to the line was lost; the statistics are printed.
         """
         until = float("inf") if lasting is None else self._began + lasting
         try:
@@ -169,7 +172,10 @@ class _Sniffing:
 
 
 def _describe(event: "Heard") -> "Description":
-    """Return the description of a frame in words; a reply is described with the help of its request."""
+    """Return the description of the frame of an event in words; that of a reply also uses its request, if known.
+
+    The event must have a frame.
+    """
     from ..framing.received import Direction
     from ..observe.pairing import Kind
     from ..observe.wording import described

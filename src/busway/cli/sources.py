@@ -1,6 +1,6 @@
 """Where the devices of ``busway simulate`` come from: a file, a ready-made device, or a register map.
 
-Knows the options and what they read; serves nothing.
+Knows the options and what is read for them; serves nothing.
 """
 
 from collections.abc import Callable
@@ -57,11 +57,11 @@ UNIT = typer.Option(
 
 @dataclass(frozen=True, slots=True)
 class Chosen:
-    """The file or ready-made device that ``busway simulate`` simulates.
+    """What ``busway simulate`` simulates: a file, a ready-made device or a register map.
 
     Attributes:
-        name: the name of the file or device.
-        load: reads the source; called at the start and at each reload. Raises `ConfigError`.
+        name: path of the file or map; ``device:NAME`` for a ready-made device.
+        load: function that reads and checks the source; called at the start and at each reload. Raises `ConfigError`.
     """
 
     name: str
@@ -71,17 +71,19 @@ class Chosen:
 def chosen_source(
     file: str | None, device: str | None, map_file: str | None, unit: str | None, changes: dict[str, Any]
 ) -> Chosen:
-    """Return the source of the simulation that the arguments of ``busway simulate`` name; no file is read yet.
+    """Return the source that the arguments of ``busway simulate`` name; it is not read yet.
 
     Args:
-        file: path of a simulation file.
+        file: path of a simulation file; None if not given, like the next two.
         device: name of a ready-made device.
         map_file: path of a register map.
-        unit: the unit number for the register map, or for a file whose only unit has none.
-        changes: options of listeners that replace those of the file.
+        unit: text of ``--unit``: number for the register map, or for a file whose only unit has none. None if not
+            given.
+        changes: options of listeners that override those of the file.
 
     Raises:
-        ConfigError: none is named or more than one, there is no such device, or ``unit`` is given with ``device``.
+        ConfigError: none of the three sources is named or several are, there is no such device, or ``unit`` is given
+            with ``device`` or is no number 0…255.
     """
     from ..config.profiles import PREFIX, ready_made
 

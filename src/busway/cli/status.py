@@ -1,8 +1,8 @@
 """``busway status``: shows the status of a running server or gateway, over its control socket.
 
-1. Without an argument the running programs of this user are found: one is shown, several are listed. Collectors have no
-   control socket: their pages are named, and the command that shows more.
-2. A status indicator is a word; on a terminal its colour repeats it (S19: steady is *on*, blinking is *flashing*).
+1. Without an argument the running programs of this user are found: one is shown in full, several are listed. Collectors
+   have no control socket: the address of their page is printed, and the command that shows more.
+2. A status indicator is a word; on a terminal it has a colour, too (S19: steady is *on*, blinking is *flashing*).
 3. All entries of the program's status are shown, also those that this command does not know; numbers that are zero and
    empty texts are left out.
 """
@@ -36,7 +36,7 @@ show their status.
 """
 
 _WHOLE = ("listener", "connection", "process", "page")
-"""Columns whose cells are not wrapped on a narrow terminal."""
+"""Headings of the columns whose cells are never wrapped, also on a narrow terminal."""
 
 
 def status(
@@ -55,12 +55,13 @@ def status(
 
 
 def _ask(where: str | None) -> list[dict[str, Any]]:
-    """Return the status of the program that ``where`` names, or of all running programs of this user.
+    """Return the status of the program that ``where`` names; None for ``where``: of all running programs of this user.
 
-    Of a collector, it is the fields of `RunningCollector`.
+    Each is the JSON object of a control service; for a collector, the fields of `RunningCollector`.
 
     Raises:
-        LinkDown: there is no such program.
+        LinkDown: there is no such program, or none at all.
+        NoReply, BadReply: the only program does not answer in time, or not as a control service.
         ConfigError: ``where`` is invalid.
     """
     from ..apps.collector.running import find_collectors
@@ -83,7 +84,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
 
 
 def _tellers(running: "list[Running]") -> Iterator[dict[str, Any]]:
-    """Yield the status of each running program that answers; print a warning for each one that does not."""
+    """Yield the status of each running program that answers; for each that does not, print a warning."""
     from ..apps.control.client import ask
 
     for one in running:
@@ -109,9 +110,9 @@ def _show(told: list[dict[str, Any]], *, as_json: bool) -> None:
 
 
 def _watch(where: str | None, period: float, *, as_json: bool) -> None:
-    """Print the status of running programs every ``period`` seconds until a signal.
+    """Print the status of running programs every ``period`` seconds until a signal comes.
 
-    An error before the first answer is raised; later ones are printed, and watching goes on.
+    If the first attempt fails, the error is raised; later errors are printed, and watching goes on.
     """
     with stop_flag() as stop:
         told = _ask(where)

@@ -1,8 +1,8 @@
 """Formats the status of a program as sections of rows, with words, times and sizes for people.
 
-Knows the JSON of a control service; prints nothing. Entries without a heading of their own have their key as heading.
+Knows the JSON of a control service; prints nothing. The heading of an entry that is not known here is its key.
 
-1. A column in which all rows are zero, empty or false is left out, except the usual ones.
+1. A column in which all cells are zero, empty or false is left out, except columns that people expect.
 """
 
 import time
@@ -57,17 +57,17 @@ _STYLES: Final[Mapping[str, Mapping[str, str]]] = {
     "pool": {"priority": "bold"},
     "state": {"up": "green", "suspect": "yellow", "backing off": "red"},
 }
-"""Colours of cells, by heading of the column and text of the cell."""
+"""Colour of a cell on a terminal, by the heading of its column and its text."""
 
 
 @dataclass(frozen=True, slots=True)
 class StatusSection:
-    """One section of a printed status: a title and rows.
+    """One section of a printed status: a title and rows of cells.
 
     Attributes:
         title: a line above the rows; empty if there is none.
-        columns: headings; empty if the rows need none.
-        rows: cells, as many in each row.
+        columns: headings of the columns; empty for rows without headings.
+        rows: the cells; all rows have the same number.
     """
 
     title: str
@@ -80,17 +80,20 @@ class StatusSection:
         object.__setattr__(self, "rows", [[printable(cell) for cell in row] for row in self.rows])
 
     def style_of(self, column: int, cell: str) -> str:
-        """Return the colour of a cell on a terminal; empty for none."""
+        """Return the colour of a cell on a terminal, in the words of rich (``bold red``); empty for none.
+
+        ``column`` is the index of the cell's column.
+        """
         if not self.columns:
             return ""
         return _STYLES.get(self.columns[column], {}).get(cell, "")
 
 
 def sections_of(told: JsonObject) -> list[StatusSection]:
-    """Return all sections to print for the status of one program.
+    """Return all sections to print for the status of one server or gateway.
 
     Args:
-        told: the JSON object that the program's control service has sent.
+        told: the JSON object that the program's control service has sent for ``/status``.
     """
     state = told["status"]
     sections = [StatusSection(headline(told))]
@@ -107,7 +110,7 @@ def sections_of(told: JsonObject) -> list[StatusSection]:
 
 
 def server_sections(state: JsonObject) -> list[StatusSection]:
-    """Return the sections to print for a server: listeners, certificates, connections and counters."""
+    """Return the sections to print for the status of a server: listeners, certificates, connections and counters."""
     sections = []
     line = connections_line(state)
     if line:
@@ -132,7 +135,10 @@ def server_sections(state: JsonObject) -> list[StatusSection]:
 
 
 def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
-    """Return the sections for a gateway's upstreams: state, counters, why one is down, suspended units."""
+    """Return the sections to print for a gateway's upstreams; an empty list without upstreams.
+
+    They are: state and counters, why upstreams cannot be reached, units that are not asked now, and units in doubt.
+    """
     if not upstreams:
         return []
     rows, down, suspended, doubtful = [], [], [], []
@@ -169,12 +175,12 @@ def upstream_sections(upstreams: Sequence[JsonObject]) -> list[StatusSection]:
 
 
 def _when(pause: float | None) -> str:
-    """Return in words when to connect again: in ``pause`` seconds; None means at the next request."""
+    """Return in words when the next attempt is made: in ``pause`` seconds, or for None or 0 with the next request."""
     return f"in {duration(pause)}" if pause else "with the next request"
 
 
 def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
-    """Return the status of several running programs as one section, a row each."""
+    """Return the statuses of several servers and gateways as one section, a row each."""
     rows = [
         [
             str(one["pid"]),
@@ -190,10 +196,10 @@ def list_of_programs(told: Iterable[JsonObject]) -> StatusSection:
 
 
 def collector_sections(told: Sequence[JsonObject]) -> list[StatusSection]:
-    """Return the sections that name running collectors, and say where their status is; none without collectors.
+    """Return the sections that list running collectors with their pages; an empty list without collectors.
 
     Args:
-        told: the fields of `busway.apps.collector.running.RunningCollector`, of each collector.
+        told: the fields of `busway.apps.collector.running.RunningCollector` for each collector.
     """
     if not told:
         return []
@@ -207,7 +213,7 @@ def collector_sections(told: Sequence[JsonObject]) -> list[StatusSection]:
 
 
 def headline(told: JsonObject) -> str:
-    """Return one line about a program: its name, endpoints and running time."""
+    """Return one line about a server or gateway: name, endpoints, running time, process id and version."""
     state = told["status"]
     since = f"up {duration(state.get('uptime') or 0.0)}" if state.get("running") else "stopped"
     endpoints = ", ".join(state.get("endpoints") or ())
@@ -216,7 +222,7 @@ def headline(told: JsonObject) -> str:
 
 
 def connections_line(state: JsonObject) -> str:
-    """Return one line with the number of open connections and their limit; empty if the status has no limit."""
+    """Return one line with the number of remote connections and their limit; empty if the status has no limit."""
     if "supported_connections" not in state:
         return ""
     remote = state.get("remote_connections", len(_connections(state)))
@@ -225,9 +231,9 @@ def connections_line(state: JsonObject) -> str:
 
 
 def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
-    """Yield a row for each network interface that other hosts can use to reach a listener; loopback is left out.
+    """Yield a row for each network interface at which a listener can be reached by other hosts; loopback is left out.
 
-    The cells are endpoint, name, address, netmask and gateway.
+    The cells are endpoint of the listener, name, address, netmask and gateway of the interface.
     """
     for one in listener.get("interfaces") or ():
         if not (one["address"].startswith("127.") or one["address"] == "::1"):
@@ -235,7 +241,10 @@ def interface_rows(listener: JsonObject) -> Iterator[list[str]]:
 
 
 def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
-    """Yield rows of three cells about a listener's certificate and TLS handshakes; none for one without TLS."""
+    """Yield two rows of three cells for a listener with TLS: its certificate and expiry; counts of handshakes.
+
+    Yields nothing for a listener without TLS.
+    """
     security = listener.get("security")
     if not security:
         return
@@ -253,7 +262,7 @@ def certificate_lines(listener: JsonObject) -> Iterator[list[str]]:
 
 
 def duration(time: float) -> str:
-    """Return seconds as text with at most two units: ``0.4 s``, ``42 s``, ``5 h 12 min``, ``3 d 4 h``."""
+    """Return a time in seconds as text with at most two units: ``0.4 s``, ``42 s``, ``5 h 12 min``, ``3 d 4 h``."""
     if time < 10:
         return f"{time:.1f} s"
     if time < 120:
@@ -277,10 +286,10 @@ def size(number: float) -> str:
 
 
 def shown(name: str, value: Any) -> str:
-    """Return a value of a program's status as text for people.
+    """Return one value of a status as text for people; ``-`` for None and for an empty text.
 
     Args:
-        name: key of the value; by it a number is seconds, bytes or a plain number.
+        name: key of the value; it decides whether a number is shown as time, as bytes or as a plain number.
         value: the value from the JSON.
     """
     if value is None or value == "":
@@ -295,7 +304,11 @@ def shown(name: str, value: Any) -> str:
 
 
 def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> StatusSection:
-    """Return a section with a row for each object and a column for each of their keys, those in ``known`` first."""
+    """Return a section with a row for each object; the columns are the keys of the objects, those in ``known`` first.
+
+    Keys whose values are lists or objects are left out; so are those that are empty or zero in all rows, unless people
+    expect them.
+    """
     names = list(dict.fromkeys([*known, *(name for row in rows for name in row)]))
     names = [
         name
@@ -308,14 +321,17 @@ def _table(rows: Sequence[JsonObject], known: Sequence[str], title: str) -> Stat
 
 
 def _flat(listener: JsonObject) -> JsonObject:
-    """Return a listener's status without nesting, as one row of a table: its indicators and counters become columns."""
+    """Return a listener's status as one row of a table: indicators, and counters of errors, become columns."""
     counters = listener.get("counters") or {}
     wrong = {name: count for name, count in counters.items() if "error" in name or "overrun" in name}
     return {**listener, **(listener.get("indicators") or {}), **wrong}
 
 
 def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
-    """Yield name and value of each counter that is not zero; ``prefix`` is put before the names of nested counters."""
+    """Yield name and value, as texts, of each counter that is not zero, also of counters nested in others.
+
+    ``prefix`` is put before the names.
+    """
     for name, count in counters.items():
         label = f"{prefix}{name.replace('_', ' ')}"
         if isinstance(count, dict):
@@ -325,7 +341,7 @@ def _counted(counters: JsonObject, prefix: str = "") -> Iterator[list[str]]:
 
 
 def _connections(state: JsonObject) -> list[Any]:
-    """Return the connections in the status of a server, or of all listeners of a gateway."""
+    """Return all connections in the status of a server, or of all listeners of a gateway."""
     servers = [listener.get("server") or {} for listener in state.get("gateway_listeners") or ()]
     of_listeners = (one for server in servers for one in server.get("connections") or ())
     return [*(state.get("connections") or ()), *of_listeners]

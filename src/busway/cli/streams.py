@@ -16,18 +16,18 @@ from typing import Any, TextIO, cast
 
 
 class OutputLostError(Exception):
-    """Error: stdout cannot be written, because the disk is full or it was closed."""
+    """Error: stdout cannot be written, because the disk is full or stdout was closed."""
 
 
 class ReaderGoneError(Exception):
-    """Error: the reader of stdout has closed it (``busway read … | head -1``).
+    """Error: the program that reads stdout has closed it, as in ``busway read … | head -1``.
 
-    It is no `OSError`, because typer would end the program with code 1.
+    It is no `OSError`, because typer would end the program with code 1 for that.
     """
 
 
 class Guarded:
-    """A text stream for stdout or stderr, whose failures to write are turned into errors of this module.
+    """A text stream in place of stdout or stderr that turns failures to write into its own errors, or ignores them.
 
     Args:
         stream: the stream that it writes to.
@@ -41,22 +41,22 @@ class Guarded:
         self._failure: OSError | ValueError | None = None
 
     def write(self, text: str) -> int:
-        """Write a text to the stream, and return its length.
+        """Write a text to the stream, and return its length in characters.
 
         Raises:
-            ReaderGoneError: the reader has closed the stream.
-            OutputLostError: the stream cannot be written.
+            ReaderGoneError: the reader of stdout has closed it.
+            OutputLostError: stdout cannot be written.
         """
         self._do(self._stream.write, text)
         return len(text)
 
     def writelines(self, lines: Iterable[str]) -> None:
-        """Write texts to the stream one after the other; raises as `write`."""
+        """Write texts to the stream one after the other; raises the errors of `write`."""
         for line in lines:
             self.write(line)
 
     def flush(self) -> None:
-        """Flush the stream; raises as `write`."""
+        """Flush the stream; raises the errors of `write`."""
         self._do(self._stream.flush)
 
     def __getattr__(self, name: str) -> Any:  # whatever the stream has
@@ -79,7 +79,10 @@ class Guarded:
 
 @contextlib.contextmanager
 def guarded_streams() -> Iterator[None]:
-    """Context manager that replaces stdin, stdout and stderr of this process by streams that keep these rules."""
+    """Context manager that replaces stdin, stdout and stderr of this process by streams that never fail unexpectedly.
+
+    They follow the rules of this module.
+    """
     before = sys.stdin, sys.stdout, sys.stderr
     opened: list[TextIO] = []
     sys.stdin = _there(sys.stdin, "r", opened)
@@ -102,7 +105,7 @@ def guarded_streams() -> Iterator[None]:
 
 
 def discard(stream: TextIO) -> None:
-    """Redirect a stream to the null device, so that what it still buffers can be written without another failure."""
+    """Redirect a stream to the null device, so that flushing what it still buffers cannot fail again."""
     with contextlib.suppress(OSError, ValueError, AttributeError):
         null = os.open(os.devnull, os.O_WRONLY)
         try:
@@ -112,7 +115,7 @@ def discard(stream: TextIO) -> None:
 
 
 def _there(stream: TextIO | None, mode: str, opened: list[TextIO]) -> TextIO:
-    """Return the given stream; for None (a closed stream) open the null device and add it to ``opened``."""
+    """Return ``stream``; if it is None (closed), open the null device instead, and append that to ``opened``."""
     if stream is None:
         stream = cast(TextIO, open(os.devnull, mode, encoding="utf-8"))  # noqa: SIM115 - it lasts
         opened.append(stream)

@@ -28,11 +28,11 @@ class ServiceUnit:
     """The contents of a systemd unit file for a gateway: command, rights and paths.
 
     Attributes:
-        command: the program and its arguments, the first an absolute path.
+        command: words of the command line; the first is an absolute path.
         plan: listeners and upstreams of the gateway; the rights of the service follow from them.
-        drain: seconds that the gateway may take to end.
-        written: folders that the gateway writes into, such as that of the audit log.
-        name: name of its control socket.
+        drain: seconds that the gateway may take to answer open requests at its end.
+        written: absolute paths of folders that the gateway writes into, such as that of the audit log.
+        name: name of the control socket, ``/run/busway/NAME.sock``, unless the command has ``--control``.
     """
 
     command: Sequence[str]
@@ -139,12 +139,12 @@ _ALWAYS: Final = (
 
 
 def program() -> list[str]:
-    """Return the command line that starts this program: ``busway`` if it is installed, or the Python module."""
+    """Return the words that start this program: the path of ``busway``, else that of Python and ``-m busway``."""
     command = Path(sys.executable).with_name("busway")
     return [str(command)] if command.exists() else [sys.executable, "-m", "busway"]
 
 
 def quoted(word: str) -> str:
-    """Return a word of a command line, quoted for systemd (systemd.service(5), "Command lines")."""
+    """Return a word of a command line, escaped and quoted for systemd (systemd.service(5), "Command lines")."""
     escaped = word.replace("\\", "\\\\").replace('"', '\\"').replace("%", "%%").replace("$", "$$")
     return f'"{escaped}"' if not word or set(word) & set(" \t\"'\\;") else escaped

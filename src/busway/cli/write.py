@@ -1,8 +1,8 @@
 """``busway write``: writes values to consecutive addresses of a device, in one request.
 
-1. All values are checked before the first byte goes out; one that does not fit is refused, never truncated.
+1. All values are checked before the first byte is sent; one that does not fit is refused, never truncated.
 2. An argument that begins with a minus sign is a value (``-5``), unless it is an option.
-3. A write is never repeated: without an answer its outcome is unknown, exit code 3.
+3. A write is never repeated: without an answer its outcome is unknown, and the exit code 3.
 4. The output says that a value was written. What the device holds is known only if ``--verify`` has read it back.
 """
 
@@ -121,7 +121,7 @@ def write(
 
 
 def _read_back(read: Callable[[], _Found]) -> _Found | None:
-    """Call ``read``, which reads back what was written, and return its result; on an error print it and return None."""
+    """Return the result of ``read``, which reads written values back; on a `ModbusError` warn and return None."""
     try:
         return read()
     except ModbusError as error:
@@ -130,7 +130,14 @@ def _read_back(read: Callable[[], _Found]) -> _Found | None:
 
 
 def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw: bytes) -> tuple[Sequence[Any], bytes]:
-    """Read the values and bytes that the device has now at the addresses where ``raw`` was written."""
+    """Read the values that the device now has at the addresses that were written; return them and their bytes.
+
+    Args:
+        unit: the unit to ask.
+        place: the first address.
+        form: the value type; None for bits.
+        raw: the bytes that were written; only their number counts.
+    """
     if form is None:
         found = unit.read(place, count=None if place.bit is not None else len(raw))
         states = found if isinstance(found, list) else [found]
@@ -140,7 +147,10 @@ def _held(unit: "BlockingUnit", place: Address, form: ValueType[Any] | None, raw
 
 
 def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[TableRow]:
-    """Return rows to print for written values, each with the value that was read back in its place."""
+    """Return the rows of written values with what reading back showed; warn about values the device does not hold.
+
+    ``held`` are the rows that were read back, one for each of ``written``.
+    """
     compared = []
     for row, found in zip(written, held, strict=True):
         is_there = row.raw == found.raw
@@ -153,12 +163,15 @@ def _compared(written: Sequence[TableRow], held: Sequence[TableRow]) -> list[Tab
 
 
 def _masks(place: Address, mask: tuple[str, str], texts: list[str] | None) -> tuple[int, int]:
-    """Return the AND mask and the OR mask that ``--mask`` gives. Raises `ConfigError`.
+    """Return the AND mask and the OR mask that ``--mask`` gives.
 
     Args:
         place: the address; it must be a holding register.
         mask: the texts of both masks, 0…0xFFFF.
         texts: the values on the command line; with a mask there must be none.
+
+    Raises:
+        ConfigError: one of these conditions is not met.
     """
     if texts:
         raise ConfigError(f"takes the place of values, but there is {texts[0]!r}", key="--mask")
@@ -202,8 +215,15 @@ def _parsed(
 ) -> tuple[ValueType[Any] | None, list[Any], bytes]:  # Any: what the type says
     """Return the value type (None for bits), the values that the arguments give, and their bytes in wire order.
 
+    Args:
+        place: the first address.
+        texts: the values as texts.
+        kind: text of ``--type``; None for ``uint16`` or bits, by the table.
+        order: text of ``--order``.
+
     Raises:
         InvalidRequest: the table is read-only, or a value does not fit its type.
+        ConfigError: the order has no effect on these values.
     """
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")

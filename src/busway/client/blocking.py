@@ -75,8 +75,8 @@ Value = TypeVar("Value")
 class BlockingUnit:
     """One unit (device) reached through a link; has the methods that read and write it.
 
-    Every method sends one request (`read`, `write` and `read_device_identification` may send several) and returns plain
-    Python values. Every method may raise:
+    Every method sends one request (`read`, `read_many`, `read_device_identification` and `execute_many` can send
+    several), waits for the reply, and returns plain Python values. Every method can raise:
 
     * `InvalidRequest`: an argument is out of range; nothing was sent.
     * `ExceptionReply`: the device refused the request.
@@ -112,6 +112,9 @@ class BlockingUnit:
         Args:
             request: a request of a standard function, or of a function that you declared.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
+
+        Returns:
+            The reply message. An exception reply of the device is raised as `ExceptionReply`.
         """
         requests: tuple[Any] = (request,)  # `TypedRequest` is for type checkers; these are complete requests
         outcome: Any
@@ -263,15 +266,17 @@ class BlockingUnit:
         split: bool = False,
         **call_options: Unpack[CallOptions],
     ) -> Any:
-        """Read one value, or ``count`` values, from an address in any notation.
+        """Read one value, or ``count`` values, from an address in any notation, such as ``4x101``.
 
         Args:
             address: such as ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 (`parse_address`).
-            type: type of the values in registers, such as ``float32`` or ``string:8``; ``uint16`` by default. None for
-                coils and discrete inputs, which are bools.
+                ``4x101.3`` reads one bit of a register, as a bool; ``type`` has no effect then.
+            type: type of the values in registers, such as ``float32`` or ``string:8``; None for ``uint16``. It must be
+                None for coils and discrete inputs, which are bools.
             order: order of bytes and registers in a value, ``ABCD`` (big-endian) by default.
             count: number of values, which are returned as a list; None returns one value, not in a list.
-            split: allow several requests if one request cannot read ``count`` values.
+            split: whether several requests may be sent if one cannot read ``count`` values; if not, such a count is
+                `InvalidRequest`.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         return self._perform(read_values(address, type, order, count, split, self._width), call_options)
@@ -356,12 +361,14 @@ class BlockingUnit:
         function: WriteFunction = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None:
-        """Write one value, or several, to an address in any notation. A value out of range raises `InvalidRequest`.
+        """Write one value, or several, to an address in any notation, with one request.
+
+        A value out of range raises `InvalidRequest`, and nothing is sent.
 
         Args:
             address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
             value: one value, or any iterable of values for consecutive addresses.
-            type: type of the values in registers; ``uint16`` by default. None for coils.
+            type: type of the values in registers; None for ``uint16``. It must be None for coils.
             order: order of bytes and registers in a value, ``ABCD`` (big-endian) by default.
             function: ``single`` (05, 06) or ``multiple`` (15, 16), for devices that have only one of the two; ``auto``
                 uses the single function for one coil or register.
@@ -415,6 +422,8 @@ class BlockingUnit:
     def read_holding_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
         """Read holding registers as ints 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.3).
 
+        If the option ``register_width`` of the link is above 2, they are unsigned ints of so many bytes.
+
         Args:
             address: first register, 0…65535.
             count: number of registers, 1…125.
@@ -426,6 +435,8 @@ class BlockingUnit:
 
     def read_input_registers(self, address: int, *, count: int, **call_options: Unpack[CallOptions]) -> list[int]:
         """Read input registers as ints 0…65535, the first at ``address`` (MODBUS Application Protocol V1.1b3 §6.4).
+
+        If the option ``register_width`` of the link is above 2, they are unsigned ints of so many bytes.
 
         Args:
             address: first register, 0…65535.
@@ -581,7 +592,7 @@ class BlockingUnit:
         self.execute(WriteFileRecord.of(file, record, values), **call_options)
 
     def read_exception_status(self, **call_options: Unpack[CallOptions]) -> int:
-        """Read eight status bits whose meaning the device defines, 0…255, function 07 (§6.7)."""
+        """Read eight status bits, whose meaning the device defines, as a number 0…255, function 07 (§6.7)."""
         reply = self.execute(ReadExceptionStatus(), **call_options)
         assert isinstance(reply, ReadExceptionStatus.Reply)
         return reply.status
@@ -598,13 +609,19 @@ class BlockingUnit:
         return diagnostic_data(reply)
 
     def get_comm_event_counter(self, **call_options: Unpack[CallOptions]) -> GetCommEventCounter.Reply:
-        """Read the status word and the counter of successful messages, function 11 (§6.9)."""
+        """Read the status word and the counter of successful messages, function 11 (§6.9).
+
+        They are ``status`` (0xFFFF while the device is busy with a command, else 0) and ``event_count``, 0…65535.
+        """
         reply = self.execute(GetCommEventCounter(), **call_options)
         assert isinstance(reply, GetCommEventCounter.Reply)
         return reply
 
     def get_comm_event_log(self, **call_options: Unpack[CallOptions]) -> GetCommEventLog.Reply:
-        """Read status word, event and message counts and up to 64 event bytes, function 12 (§6.10)."""
+        """Read status word, event and message counts and up to 64 event bytes, function 12 (§6.10).
+
+        They are ``status``, ``event_count``, ``message_count`` and ``events``, the newest event first.
+        """
         reply = self.execute(GetCommEventLog(), **call_options)
         assert isinstance(reply, GetCommEventLog.Reply)
         return reply
@@ -716,7 +733,7 @@ class BlockingLink:
         return BlockingUnit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
     def connect(self) -> None:
-        """Connect now, instead of at the first request. Raises `LinkDown`."""
+        """Connect now, instead of at the first request. Does nothing if the link is connected. Raises `LinkDown`."""
         self._bound().connect()
 
     def disconnect(self) -> None:
@@ -767,9 +784,10 @@ class BlockingLink:
         self.close()
 
     def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
-        """Send requests to a unit and return a list with a reply or an error for each, in order.
+        """Send requests to a unit and return a list with a reply or a `ModbusError` for each, in order.
 
-        All methods of `unit` use this.
+        All methods of a unit use this. It raises an error only if nothing was sent for any of the requests, such as
+        `LinkDown`, `Overloaded`, `UnitSuspended` or `InvalidRequest`.
         """
         link = self._link
         if link is None or self._closed:

@@ -65,9 +65,10 @@ class BlockingConnection:
             unsent.popleft()
 
     def wait(self, seconds: float) -> bool:
-        """Wait until bytes can be received, or unsent frames can be sent. Returns False if the time is over first.
+        """Wait until bytes can be received, or unsent frames can be sent; return whether they can.
 
-        Call it without the lock of the link. At a serial port it may return early.
+        Returns False if ``seconds`` were over first, or if another thread closed the connection. Call it without the
+        lock of the link. At a serial port it can return False earlier.
         """
         return self._poll.wait(self.channel, seconds, bool(self.unsent))
 

@@ -296,7 +296,7 @@ class BlockingLinkDriver:
             self._guard.is_torn = False
 
     def serve(self, now: float) -> None:
-        """Send waiting requests: another link of the client has ended requests, so the common limit has room.
+        """Send waiting requests, because the limit that all links of the client share has room again.
 
         Call it with the lock held.
         """
@@ -385,7 +385,7 @@ class BlockingLinkDriver:
     def _follow(self, call: Call) -> None:
         """Wait until the call is complete, or this thread becomes the leader.
 
-        ``call.owner`` is then the leader's lock.
+        If it becomes the leader, ``call.owner`` is the leader's lock; otherwise None.
         """
         guard = self._guard
         is_late = False  # whether this thread has waited, so that something may be due
@@ -547,7 +547,10 @@ class BlockingLinkDriver:
                 self._release(now, reason)
 
     def _transmit(self, now: float) -> None:
-        """Send all requests that are due at ``now``. With ``precise_timing`` ``now`` may be shortly in the future."""
+        """Send all requests that are due at ``now``, if there is a connection and it has no unsent bytes.
+
+        With ``precise_timing`` ``now`` can be shortly in the future: the frame is prepared at once, and sent then.
+        """
         if self.session.recycle:
             self._recycle(now)
         connection = self._connection

@@ -12,7 +12,7 @@ from .shared_links import SharedLinks
 
 
 class BlockingPool:
-    """The blocking links of this process: users of the same endpoint share one link, unless it is not to be shared.
+    """The blocking links of this process: users of the same endpoint share one link, except with ``shared=False``.
 
     Safe to use from any thread.
     """
@@ -34,7 +34,7 @@ class BlockingPool:
             return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> BlockingLinkDriver:
-        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
+        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if there is no link to it.
 
         ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
         connected, it is the link created first.

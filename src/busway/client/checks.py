@@ -41,10 +41,10 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 
 
 def with_assumed_unit(outcome: object, unit: int) -> None:
-    """Add to an error the hint that ``unit`` was assumed, because the user gave none, if another unit may help.
+    """Add to the message of an error the hint that ``unit`` was assumed, because the user gave none.
 
-    That is so for errors of a gateway (0A, 0B), for no reply, and for exception 01: the default unit may be the gateway
-    itself, which has no registers. Other errors, and replies, stay unchanged.
+    Only to errors that another unit could avoid: those of a gateway (0A, 0B), no reply, and exception 01, because the
+    default unit may be the gateway itself, which has no registers. Other errors, and replies, stay unchanged.
     """
     if isinstance(outcome, ExceptionReply):
         may_help = outcome.from_gateway or outcome.code == ExceptionCode.ILLEGAL_FUNCTION
@@ -56,7 +56,7 @@ def with_assumed_unit(outcome: object, unit: int) -> None:
 
 
 def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientCounters) -> None:
-    """Add to an error which settings of the serial port were assumed because the user did not give them.
+    """Add to the message of an error which settings of the serial port were assumed, because the user gave none.
 
     Only if nothing was received, or only damaged bytes, and no unit has answered with these settings so far. Other
     errors, and replies, stay unchanged.
@@ -87,12 +87,12 @@ def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusErr
 
 
 def closed_error(settings: LinkSettings) -> LinkClosed:
-    """Create the error for a call on a link that the program has closed."""
+    """Return the error for a call on a link that the program has closed."""
     return LinkClosed("this link was closed by its user; nothing was sent", endpoint=settings.endpoint.url)
 
 
 def no_connection_of_its_own(settings: LinkSettings) -> InvalidRequest:
-    """Create the error for managing the connection of a link opened with ``select``, which has none of its own."""
+    """Return the error for managing the connection of a link opened with ``select``, which has none of its own."""
     return InvalidRequest("a link opened with select has no connection of its own", endpoint=settings.endpoint.url)
 
 

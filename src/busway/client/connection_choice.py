@@ -16,7 +16,7 @@ class Choosable(Protocol):
 
     Attributes:
         shared: whether all users of the endpoint share the link.
-        opened: when the connection was opened, by the clock of the link; compared only with other links of its kind.
+        opened: when the present connection was opened, in seconds by the clock of the link.
     """
 
     shared: bool

@@ -108,7 +108,8 @@ class TcpConnector:
 class UdpConnector:
     """Opens the UDP sockets of a link; each frame is one datagram.
 
-    Received datagrams that are not one whole frame are counted as damaged by ``session``, the session of the link.
+    Received datagrams that are not one whole frame are dropped, and counted as damaged frames in the counters of
+    ``session``, the session of the link.
     """
 
     def __init__(
@@ -121,7 +122,7 @@ class UdpConnector:
         self._is_whole = WHOLE[endpoint.framing]
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """Open a UDP socket to the endpoint for an asyncio link. Raises `LinkDown`."""
+        """Open a UDP socket to the endpoint for an asyncio link, and return its transport. Raises `LinkDown`."""
         from ..transport.udp import open_datagram
 
         return await open_datagram(
@@ -134,7 +135,7 @@ class UdpConnector:
         )
 
     def dial(self) -> Channel:
-        """Open a UDP socket to the endpoint for a blocking link. Raises `LinkDown`."""
+        """Open a UDP socket to the endpoint for a blocking link, and return it. Raises `LinkDown`."""
         from ..transport.udp import BlockingDatagramSocket
 
         return BlockingDatagramSocket(

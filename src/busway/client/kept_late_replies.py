@@ -42,7 +42,7 @@ class KeptDoubts:
                 self._by_url.popitem(last=False)
 
     def hand_over(self, url: str, doubts: Doubts) -> None:
-        """Move what is stored for ``url`` to ``doubts``, the record of a new link to the same URL."""
+        """Add what is stored for ``url`` to ``doubts``, the record of a new link to that URL, and forget it here."""
         if not self._by_url:
             return
         with self._lock:
@@ -58,4 +58,4 @@ class KeptDoubts:
 
 
 KEPT: Final = KeptDoubts()
-"""The store of this process."""
+"""The record of late replies that all serial links of this process use."""

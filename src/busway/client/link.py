@@ -213,13 +213,14 @@ class AsyncLinkDriver:
     # Calls of the public interface.
 
     def send_only_while(self, may_send: Callable[[], bool]) -> None:
-        """Let the link send only while ``may_send`` returns True; takes effect with its next connection."""
+        """Let the link send only while ``may_send`` returns True; this takes effect with its next connection."""
         self._connector = PermittedConnector(self._connector, may_send)
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
         """Begin a call; return a future that is done when all its requests have a reply or an error.
 
-        A caller that stops waiting for the future must call `give_up`.
+        The replies and errors are then in ``call.outcomes``; the result of the future is None. A caller that stops
+        waiting for the future must call `give_up`.
 
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
@@ -232,7 +233,8 @@ class AsyncLinkDriver:
     def begin(self, call: Call, now: float) -> None:
         """Begin a call; its end is reported to ``call.owner``: a future, or an object with ``done`` and ``set_result``.
 
-        ``set_result`` of ``call.owner`` is called at once when the last request has its reply or error.
+        ``call.owner.set_result(None)`` is called at once when the last request has its reply or error, unless
+        ``call.owner.done()`` is True.
 
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
@@ -398,7 +400,7 @@ class AsyncLinkDriver:
         return True
 
     def serve(self, now: float) -> None:
-        """Send waiting requests: another link of the client has ended requests, so the common limit has room."""
+        """Send waiting requests, because the limit that all links of the client share has room again."""
         if self.session.has_calls and self._transport is not None:
             self._pump(now)
             self._rearm()
@@ -439,7 +441,10 @@ class AsyncLinkDriver:
         self._rearm()
 
     def peer_ended(self, protocol: _LinkProtocol) -> None:
-        """Handle the end of the peer's stream: drop unsent bytes, because they can no longer be answered."""
+        """Handle the end of the peer's stream: if bytes are unsent, drop them and close the connection at once.
+
+        They can no longer be answered. Ignored if ``protocol`` is that of an earlier connection.
+        """
         if protocol is self._protocol and self._held is not None and self._held():
             self._abort()
 
@@ -458,7 +463,7 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """Stop sending because the transport's write buffer is full; resume if ``paused`` is False."""
+        """Stop sending if ``paused``, because the transport's write buffer is full; otherwise send again."""
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -483,7 +488,7 @@ class AsyncLinkDriver:
     def _pump(self, now: float) -> None:
         """Send all requests that are due; without a connection, open one if requests wait.
 
-        Closes the connection instead if the session asks for a new one. With ``precise_timing`` ``now`` may be shortly
+        Closes the connection instead if the session asks for a new one. With ``precise_timing`` ``now`` can be shortly
         in the future: the frame is prepared at once, and sent at that time.
         """
         session = self.session

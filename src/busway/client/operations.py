@@ -53,7 +53,8 @@ def read_values(
     """Read values from an address, as a generator of requests. Its result is a list; one value if ``count`` is None.
 
     Args:
-        address: where the first value is, in any notation that names its table.
+        address: where the first value is, in any notation that names its table. With a bit (``4x1.3``) the values are
+            bools, and ``kind`` is ignored.
         kind: type of the values; None: unsigned integers of one register. Must be None for coils and discrete inputs.
         order: order of bytes and registers in values, such as ``ABCD``.
         count: number of values; None: one.
@@ -62,6 +63,7 @@ def read_values(
 
     Raises:
         InvalidRequest: an argument is invalid or too large. Nothing was sent.
+        BadReply: bytes of a reply are no value of the type.
     """
     place = place_of(address)
     number = 1 if count is None else count
@@ -103,7 +105,8 @@ def write_values(
     """Write one value or several to an address with one request, as a generator of requests. It has no result.
 
     Args:
-        address: where the first value goes, in any notation that names its table.
+        address: where the first value goes, in any notation that names its table. With a bit (``4x1.3``), ``values`` is
+            one bool, which a mask write (function 22) sets, and ``kind`` is ignored.
         values: one value, or an iterable of values for consecutive addresses.
         kind: type of the values; None: ``uint16``. Must be None for coils.
         order: order of bytes and registers in values, such as ``ABCD``.
@@ -154,7 +157,7 @@ def read_identification(level: str, object_id: int | None) -> Operation:
 
     Raises:
         InvalidRequest: ``level`` is none of the three. Nothing was sent.
-        BadReply: the device says that more objects follow, but names no later one than those it has sent.
+        BadReply: a reply says that more objects follow, but names none after the one from which it was asked.
     """
     if object_id is not None:
         code, start = INDIVIDUAL, object_id

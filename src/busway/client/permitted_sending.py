@@ -16,7 +16,7 @@ NOT_PERMITTED: Final = "sending is not permitted now; this request was not sent"
 
 
 class PermittedConnector:
-    """Opens the connections of a link that may send only at times.
+    """Opens the connections of a link that may send only while a function returns True.
 
     Args:
         connector: opens the connections.
@@ -27,7 +27,7 @@ class PermittedConnector:
         self._connector, self._may_send = connector, may_send
 
     async def connect(self, protocol: Callable[[], Any]) -> Any:  # Any: of whatever transport
-        """Open a connection and return its transport, which resets the connection where sending is not permitted.
+        """Open a connection and return its transport, a `PermittedTransport`.
 
         ``protocol`` returns the object that gets the events of the transport.
 
@@ -72,9 +72,9 @@ class PermittedTransport:
         return getattr(self._transport, name)
 
     def write(self, data: bytes) -> None:
-        """Send bytes if that is permitted now; otherwise reset the connection.
+        """Send bytes if that is permitted now; otherwise drop them and reset the connection.
 
-        Then ``connection_lost`` of the protocol is called in the event loop's next turn.
+        After a reset, ``connection_lost`` of the protocol is called in the event loop's next turn.
         """
         if self._may_send():
             self._transport.write(data)

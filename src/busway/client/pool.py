@@ -14,7 +14,7 @@ from .shared_links import SharedLinks
 
 
 class LinkPool:
-    """The asyncio links of one event loop: users of the same endpoint share one link, unless it is not to be shared."""
+    """The asyncio links of one event loop: users of the same endpoint share one link, except with ``shared=False``."""
 
     def __init__(self) -> None:
         self._links: SharedLinks[AsyncLinkDriver] = SharedLinks(_made)
@@ -31,7 +31,7 @@ class LinkPool:
         return self._links.acquire(settings, shared=shared)
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AsyncLinkDriver:
-        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
+        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if there is no link to it.
 
         ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
         connected, it is the link created first.

@@ -59,7 +59,7 @@ class _Item:
 
 @dataclass(slots=True)
 class _Range:
-    """One read request: the addresses from ``offset`` to before ``end``, and the named values that lie in them."""
+    """One read request: the addresses from ``offset`` to ``end - 1``, and the named values that lie in them."""
 
     table: Table
     offset: int

@@ -35,10 +35,11 @@ class LocalConnectionStatus:
         endpoint: URL of the peer, without options.
         kind: ``asyncio`` or ``blocking``.
         shared: whether all users of the endpoint share the link; False: it belongs to one user (``shared=False``).
-        state: ``down``, ``connecting``, ``up``, ``suspect`` or ``backing off``.
+        state: ``down``, ``connecting``, ``up``, ``suspect`` (open, after a timeout) or ``backing off`` (a pause before
+            an attempt to connect).
         local: local address and port of the connection; empty while not connected, and on a serial port.
         age: seconds since the connection was opened; None while not connected.
-        idle: seconds since it was last used, 0 while a reply is awaited; None while not connected.
+        idle: seconds since the connection was last used, 0 while a reply is awaited; None while not connected.
         sent_bytes, received_bytes: bytes on all connections of the link so far.
         transactions: number of requests sent.
         failures: number of timeouts, invalid replies and lost connections together.
@@ -165,7 +166,7 @@ class LocalConnections:
 
 
 LOCAL: Final = LocalConnections()
-"""The registry of this process."""
+"""The registry of all links of this process."""
 
 counted_by(LOCAL.count)
 
@@ -174,8 +175,7 @@ def local_connections() -> tuple[LocalConnectionStatus, ...]:
     """Return the status of every link of this process that is not closed, asyncio and blocking.
 
     They are sorted by endpoint, then by kind. Links that are not connected are in the list as well; links whose event
-    loop is closed are not. Nothing is sent. Links in use on other threads may change
-    while the list is made.
+    loop is closed are not. Nothing is sent. Links in use on other threads can change while the list is made.
     """
     return tuple(sorted((link.status() for link in LOCAL.links()), key=lambda one: (one.endpoint, one.kind)))
 

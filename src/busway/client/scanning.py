@@ -194,7 +194,7 @@ class UnitScan:
         self._link: BlockingLink = connect(endpoint, shared=False, **chosen)
 
     def found(self) -> Iterator[FoundUnit]:
-        """Ask the units one after the other, and yield each unit that answers at once. Raises `LinkDown`.
+        """Ask the units one after the other, and yield each one as soon as it has answered. Raises `LinkDown`.
 
         If an answer came late, silent units that were given less than the full time are asked a second time. Can be
         used once: the link is closed at the end.
@@ -221,7 +221,7 @@ class UnitScan:
         """Ask a unit for one holding register; return it if it answered, even with an exception or a damaged reply.
 
         Returns None if there was no answer, if a gateway answered instead (exceptions 0A and 0B), or if the connection
-        was closed. Raises `LinkDown` if then a new one cannot be opened.
+        was closed; then a new one is opened. Raises `LinkDown` if that fails.
         """
         counters, timeout = self._link.counters, self.adaptive_timeout.timeout
         late_before = counters.late_replies

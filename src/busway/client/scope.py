@@ -61,7 +61,7 @@ class ClientScope:
         return any(link() is not None for link in self._links)
 
     def enter(self, link: ScopedLink) -> None:
-        """Add a new link, whose requests count towards this limit; it is held weakly."""
+        """Add a new link, whose requests count towards this limit. Only a weak reference to it is kept."""
         self._links.append(weakref.ref(link))
 
     def leave(self, link: ScopedLink) -> None:
@@ -88,9 +88,7 @@ class ClientScope:
 
 
 def same_scope(scope: ClientScope | None, limit: int) -> ClientScope:
-    """Return the limit that a new link of a client shares with its other links.
-
-    It is ``scope``, or a new object if that has no open links.
+    """Return the `ClientScope` for a new link of a client: ``scope``, or a new one if ``scope`` has no open links.
 
     Args:
         scope: the common limit of the client's links so far; None before the first link.

@@ -138,9 +138,9 @@ class SerialStream:
         self._puts_off = 0
 
     def opened(self, connection: "SerialConnection") -> None:
-        """Use ``connection`` from now on, and tell the session whether sending takes the time of its characters.
+        """Use ``connection`` from now on, and tell the session whether characters take time to leave the port.
 
-        On a pseudo-terminal it does not.
+        They do, except on a pseudo-terminal.
         """
         self._connection = connection
         self._session.characters_take_time = not connection.pseudo_terminal
@@ -151,7 +151,8 @@ class SerialStream:
     def received(self, data: bytes, errors: int) -> None:
         """Pass received bytes to the link.
 
-        ``errors`` is how many of them the port marked as damaged; if it is not 0, they are passed on as damaged.
+        ``errors`` is how many of them the port marked as damaged. If it is not 0, or if the driver of the port reports
+        lost characters, all of ``data`` is passed on as damaged.
         """
         overrun = self._overruns is not None and self._overruns.more()
         if errors or overrun:

@@ -169,7 +169,7 @@ def reconnect_for(settings: LinkSettings) -> Reconnect:
 
 
 def timing_of(port: SerialSettings | None) -> SerialTiming:
-    """Return the duration of characters and silences on a serial port; on a network if ``port`` is None."""
+    """Return the character time and the silences for a serial port; those for a network if ``port`` is None."""
     if port is None:
         return SerialTiming.of_network()
     return SerialTiming.of_line(

@@ -32,7 +32,7 @@ class LineSettings:
 
     Attributes:
         conversation: pauses between requests, and how late replies are treated.
-        breaker: after how many timeouts requests to a unit fail at once, and for how long.
+        breaker: after how many timeouts in a row requests to a unit fail at once, and for how long.
         framing: how frames are found in the received bytes.
         port: baud rate, parity and other settings of the serial port; None over a network.
         opening: how long to wait for a missing port, the pauses between attempts to open it, and whether frames are

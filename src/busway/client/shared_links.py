@@ -26,7 +26,7 @@ class _Shared(Generic[AnyLink]):
     """The link that the users of one endpoint share.
 
     Attributes:
-        settings: those of the first user; the others must ask for the same.
+        settings: the settings of the first user; the connection settings of further users must be equal.
         users: number of present users of the link.
     """
 
@@ -71,7 +71,7 @@ class SharedLinks(Generic[AnyLink]):
         return entry.link
 
     def choose(self, settings: LinkSettings, rule: LinkSelection) -> AnyLink:
-        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if no link is open to it.
+        """Return one of the links to an endpoint, for one request. Raises `LinkDown` if there is no link to it.
 
         ``rule`` chooses among the connected links: the one created first, or the one connected longest. If none is
         connected, it is the link created first.

@@ -21,7 +21,7 @@ OnState = Callable[[str, str], None]
 
 
 class StateObservers:
-    """The callbacks of one link. ``state`` is the present state of its connection."""
+    """The callbacks of one link, which `tell` calls for each new state. ``state`` is the present one."""
 
     __slots__ = ("_callbacks", "_state")
 

@@ -5,7 +5,7 @@ communication.
 
 1. Settings are attributes of ``instrument.serial`` and of the instrument. Each call checks them: after a change the
    link is closed and another one opened.
-2. Instruments on one port share its settings and its link.
+2. Instruments created with the same name of a port share its settings and its link.
 3. No request is repeated. A write without a reply raises `NoResponseError`, and may have been executed.
 """
 
@@ -62,7 +62,7 @@ class IllegalRequestError(SlaveReportedException):
 
 
 class MasterReportedException(InstrumentError):
-    """The port cannot be opened or failed; base of the exceptions for a missing or invalid reply."""
+    """The serial port cannot be opened, or failed; base of the exceptions for a missing or invalid reply."""
 
 
 class NoResponseError(MasterReportedException):
@@ -70,9 +70,9 @@ class NoResponseError(MasterReportedException):
 
 
 class LocalEchoError(MasterReportedException):
-    """minimalmodbus' exception for an echo that differs from the request; never raised here.
+    """minimalmodbus' exception for a local echo that differs from the request; never raised here.
 
-    Such bytes are treated as a reply or as noise.
+    Bytes that differ from the request are treated as a reply or as noise.
     """
 
 
@@ -95,7 +95,11 @@ REFUSALS: dict[int, type[SlaveReportedException]] = {
 
 
 def exception_for(error: ModbusError) -> InstrumentError:
-    """Create the exception of this module for an error of busway; the caller raises it."""
+    """Create the exception of this module for an error of busway; the caller raises it.
+
+    Its class follows from the exception code of the device (`REFUSALS`), or is `InvalidResponseError` for a bad or
+    partial reply, `NoResponseError` for none, and `MasterReportedException` for anything else, such as a lost port.
+    """
     cause = error.__cause__ if isinstance(error.__cause__, ModbusError) else error
     if isinstance(cause, ExceptionReply):
         return REFUSALS.get(cause.code, SlaveReportedException)(str(error))
@@ -108,6 +112,8 @@ def exception_for(error: ModbusError) -> InstrumentError:
 
 class InstrumentPort:
     """A serial port's settings by pyserial's names, and the link that was opened with them.
+
+    Settings can be changed at any time; they apply from the next call of an instrument on.
 
     Attributes:
         port: name of the port.
@@ -147,20 +153,20 @@ class InstrumentPort:
 
     @property
     def is_open(self) -> bool:
-        """Whether the port is open now."""
+        """Whether the serial port is open now."""
         return self._link is not None and self._link.is_connected
 
     def open(self) -> None:
-        """Do nothing: each call opens the port when it needs it."""
+        """Do nothing: each call of an instrument opens the port if it is not open."""
 
     def close(self) -> None:
-        """Close the port; the next call opens it again."""
+        """Close the serial port; the next call of an instrument opens it again."""
         link, self._link = self._link, None
         if link is not None:
             link.close()
 
     def link(self, mode: str, local_echo: bool) -> BlockingLink:
-        """Return the link with the current settings; if they have changed, the link with the old ones is closed first.
+        """Return the link with the current settings; a link with other settings is closed and replaced.
 
         Args:
             mode: ``rtu`` or ``ascii``.
@@ -187,9 +193,10 @@ _ports: dict[str, InstrumentPort] = {}
 
 
 def _port_for(port: Any) -> InstrumentPort:
-    """Return the settings of a port, by its name; instruments on one port share them.
+    """Return the settings object of a port. Calls with the same name return the same object.
 
-    If ``port`` is an object of pyserial, its settings are copied, and it is closed, because a port has one user.
+    If ``port`` is an object of pyserial, return a new object with a copy of its settings, and close ``port``, because a
+    serial port has one user.
     """
     if isinstance(port, str):
         return _ports.setdefault(port, InstrumentPort(port))
@@ -278,14 +285,17 @@ class Instrument:
         return self.read_bits(registeraddress, 1, functioncode)[0]
 
     def read_bits(self, registeraddress: int, number_of_bits: int, functioncode: int = 2) -> list[int]:
-        """Return bits, each 0 or 1: discrete inputs (function code 2) or coils (1); none for address 0, a broadcast."""
+        """Return bits, each 0 or 1: discrete inputs (function code 2) or coils (1), ``registeraddress`` first.
+
+        At most 2000. If ``address`` of the instrument is 0 (broadcast), nothing can be read: ``ValueError`` is raised.
+        """
         _one_of("functioncode", functioncode, (1, 2))
         kind = ReadCoils if functioncode == 1 else ReadDiscreteInputs
         reply = self._ask(kind(_address(registeraddress), number_of_bits))
         return [int(bit) for bit in reply.bits(number_of_bits)] if self.address else []
 
     def write_bit(self, registeraddress: int, value: int, functioncode: int = 5) -> None:
-        """Write one coil, 0 or 1, by function code 5 or 15."""
+        """Write one coil, 0 or 1, by function code 5 or 15. ``value`` must be an int, not a bool."""
         _one_of("functioncode", functioncode, (5, 15))
         state = bool(_whole("value", value, 0, 1))
         if functioncode == 5:
@@ -294,30 +304,37 @@ class Instrument:
             self._ask(WriteMultipleCoils.of(_address(registeraddress), [state]))
 
     def write_bits(self, registeraddress: int, values: Sequence[int]) -> None:
-        """Write coils, each 0 or 1, by function code 15."""
+        """Write coils from ``registeraddress`` on, by function code 15. ``values``: a list or tuple of ints, 0 or 1."""
         states = [bool(_whole("value", value, 0, 1)) for value in _list(values)]
         self._ask(WriteMultipleCoils.of(_address(registeraddress), states))
 
     # --- registers ----------------------------------------------------------------------------------------------------
 
     def read_registers(self, registeraddress: int, number_of_registers: int, functioncode: int = 3) -> list[int]:
-        """Return registers as numbers 0…65535: holding registers (function code 3) or input registers (4)."""
+        """Return registers as numbers 0…65535: holding registers (function code 3) or input registers (4).
+
+        At most 125, from ``registeraddress`` on.
+        """
         _one_of("functioncode", functioncode, (3, 4))
         kind = ReadHoldingRegisters if functioncode == 3 else ReadInputRegisters
         found: list[int] = self._ask(kind(_address(registeraddress), number_of_registers)).registers
         return found
 
     def write_registers(self, registeraddress: int, values: Sequence[int]) -> None:
-        """Write holding registers, each 0…65535, by function code 16."""
+        """Write holding registers from ``registeraddress`` on, by function code 16.
+
+        ``values`` is a list or tuple of ints, 0…65535.
+        """
         registers = [_whole("value", value, 0, LAST_REGISTER) for value in _list(values)]
         self._ask(WriteMultipleRegisters.of(_address(registeraddress), registers))
 
     def read_register(
         self, registeraddress: int, number_of_decimals: int = 0, functioncode: int = 3, signed: bool = False
     ) -> int | float:
-        """Return the number in one register, divided by 10 to the power of ``number_of_decimals``.
+        """Return the number in one register, divided by 10 to the power of ``number_of_decimals`` (0…10).
 
-        It is an int if it is whole. ``signed``: whether registers above 32767 are negative numbers.
+        The result is an int if it is a whole number, else a float. ``functioncode``: 3 for a holding register, 4 for an
+        input register. ``signed``: whether registers above 32767 are negative numbers (two's complement).
         """
         _whole("number_of_decimals", number_of_decimals, 0, MOST_DECIMALS)
         number = _decoded(self.read_registers(registeraddress, 1, functioncode), _integer_code(1, signed))
@@ -334,8 +351,8 @@ class Instrument:
     ) -> None:
         """Write a number to one holding register, by function code 16 or 6.
 
-        It is multiplied by 10 to the power of ``number_of_decimals``; decimals left after that are cut off. ``signed``:
-        whether the number may be negative.
+        ``value`` is multiplied by 10 to the power of ``number_of_decimals`` (0…10), and decimals left after that are
+        cut off. ``signed``: whether the register holds -32768…32767 (two's complement) instead of 0…65535.
         """
         _one_of("functioncode", functioncode, (6, 16))
         _whole("number_of_decimals", number_of_decimals, 0, MOST_DECIMALS)
@@ -356,7 +373,8 @@ class Instrument:
     ) -> int:
         """Return the whole number in two or four registers; holding registers by default.
 
-        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
+        ``functioncode``: 3 for holding registers, 4 for input registers. ``signed``: whether it is a number in two's
+        complement, which can be negative. ``byteorder`` is one of the ``BYTEORDER_…`` constants.
         """
         _one_of("number_of_registers", number_of_registers, (2, 4))
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
@@ -372,7 +390,8 @@ class Instrument:
     ) -> None:
         """Write a whole number to two or four holding registers, by function code 16.
 
-        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
+        ``signed``: whether it is written in two's complement, so that it can be negative. ``byteorder`` is one of the
+        ``BYTEORDER_…`` constants.
         """
         _one_of("number_of_registers", number_of_registers, (2, 4))
         number = _whole("value", value, -(1 << 63), (1 << 64) - 1)
@@ -385,9 +404,10 @@ class Instrument:
         number_of_registers: int = 2,
         byteorder: int = BYTEORDER_BIG,
     ) -> float:
-        """Return the float in two or four registers; holding registers by default.
+        """Return the float (IEEE 754) in two or four registers; holding registers by default.
 
-        ``byteorder`` is one of the ``BYTEORDER_…`` constants.
+        ``functioncode``: 3 for holding registers, 4 for input registers. ``byteorder`` is one of the ``BYTEORDER_…``
+        constants.
         """
         _one_of("number_of_registers", number_of_registers, tuple(FLOATS))
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
@@ -406,14 +426,17 @@ class Instrument:
         )
 
     def read_string(self, registeraddress: int, number_of_registers: int = 16, functioncode: int = 3) -> str:
-        """Return a text of two ASCII characters for each register; zeros and spaces at its end are kept."""
+        """Return a text of two ASCII characters for each register; zeros and spaces at its end are kept.
+
+        ``functioncode``: 3 for holding registers, 4 for input registers. Raises ``ValueError`` if a byte is not ASCII.
+        """
         registers = self.read_registers(registeraddress, number_of_registers, functioncode)
         return struct.pack(f">{len(registers)}H", *registers).decode("ascii")
 
     def write_string(self, registeraddress: int, textstring: str, number_of_registers: int = 16) -> None:
-        """Write an ASCII text to holding registers, by function code 16.
+        """Write an ASCII text to ``number_of_registers`` (1…123) holding registers, by function code 16.
 
-        The rest of the registers is filled with spaces.
+        Two characters fit into a register; the rest of the registers is filled with spaces.
 
         Raises:
             ValueError: the text has more than two characters for each register, or is not ASCII.

@@ -9,7 +9,10 @@ from ..server.listener_settings import listener_settings
 def tls_of(listener: Listener) -> TlsParameters | None:
     """Return the TLS options of a listener: those of its `TlsParameters`, overridden by those of its URL.
 
-    None for a listener without TLS. Raises `ConfigError`.
+    None for a listener without TLS.
+
+    Raises:
+        ConfigError: the URL or an option is invalid, or the certificate is missing.
     """
     return listener_settings(listener, limits=ListenerParameters()).tls
 

@@ -2,9 +2,9 @@
 
 Knows points and the hooks of devices.
 
-1. A write is judged by the values that it would leave. If a value is outside its point's range, or has no name where
-   the numbers have names, the write is answered with exception 04 and changes nothing. Exception 03 is about how a
-   request is built, and never about a register's value (Application Protocol V1.1b3 §7).
+1. A write is judged by the values that the points would have after it. If such a value is outside its point's range, or
+   has no name although the point names its numbers, the write is answered with exception 04 and changes nothing.
+   Exception 03 is about how a request is built, and never about a register's value (Application Protocol V1.1b3 §7).
 2. A write of some of a point's registers is a write of the point.
 """
 
@@ -23,13 +23,13 @@ from .files.points import PointSection
 
 
 class PlacedItems:
-    """The address ranges of a device's points, arranged to find those that a write touches.
+    """The address ranges of points in one table, sorted to find quickly those that a write touches.
 
     Args:
-        spans: the ranges, each as its first item and the item after its last one; they may overlap.
+        spans: the ranges, each as its first item and the item after its last one; overlaps are allowed.
 
     Attributes:
-        order: indices of ``spans``, in ascending order of the ranges.
+        order: the indices of ``spans``, sorted by the ranges: first item, then end.
     """
 
     def __init__(self, spans: Sequence[tuple[int, int]]) -> None:
@@ -39,7 +39,7 @@ class PlacedItems:
         self._ends = list(accumulate((end for _, end in self._spans), max))
 
     def touched(self, first: int, end: int) -> list[int]:
-        """Return the indices of the ranges that share an item with ``first``…``end - 1``."""
+        """Return the indices in ``spans`` of the ranges that share an item with ``first``…``end - 1``, in ``order``."""
         found = []
         at = bisect_left(self._ends, first + 1)
         while at < len(self._spans) and self._spans[at][0] < end:
@@ -53,8 +53,8 @@ def judge_writes(device: Device, points: Sequence[PointSection]) -> None:
     """Add hooks to a device that refuse Modbus writes with exception 04 if a value does not fit its point.
 
     Args:
-        device: the device.
-        points: its points in tables; those without range and names accept every value.
+        device: the device; it gets at most one hook for each writable table.
+        points: its points in tables. Only those with a minimum, a maximum or named numbers are checked.
     """
     for table in Table:
         limited = [point for point in points if point.table is table and _is_limited(point)]
@@ -75,7 +75,7 @@ class _Limits:
         self._items = PlacedItems([(point.place.offset, point.place.offset + point.size) for point in points])
 
     def judge(self, change: Change) -> None:
-        """Raise `Refusal` if a write does not fit one of the points that it touches."""
+        """Raise `Refusal` with exception 04 if a write would leave a value that does not fit its point."""
         for index in self._items.touched(change.address, change.address + change.count):
             point = self._points[index]
             try:
@@ -87,7 +87,7 @@ class _Limits:
                 raise Refusal(reason=f"{point.name}: {error.message}") from error
 
     def _after(self, point: PointSection, change: Change) -> Any:  # what the point's type says
-        """Return the number that a point's registers would hold after a write, which may change only some of them."""
+        """Return the raw number that a point's registers would hold after a write of all or some of them."""
         form, start = point.form, point.place.offset
         assert form is not None  # only numbers have ranges and names
         registers = list(change.new)

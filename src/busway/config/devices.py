@@ -16,12 +16,15 @@ from .files.points import PointSection
 
 
 def build_units(file: DeviceFile) -> dict[int, Device]:
-    """Build the devices that a device file declares, by unit, each with its own memory."""
+    """Build the devices that a device file declares; returns them by unit number, each with its own memory."""
     return {number: build_device(section) for section in file.unit for number in section.unit}
 
 
 def build_device(section: UnitSection) -> Device:
-    """Build the device of one unit of a device file, with the initial values of its points."""
+    """Build the device of one unit of a device file, with the initial values of its points.
+
+    Modbus writes that do not fit a point are refused (`judge_writes`).
+    """
     # Any: arguments of different types
     options: dict[str, Any] = {
         table.value: _cells(section.table(table), section.points_in(table), section.hole(table)) for table in Table
@@ -63,7 +66,8 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
     """Return the items of a table: those that the file declares, else those of its points and of the gaps between.
 
-    None if the table has neither. ``hole`` is the value that is read in the gaps; with None the gaps have no items.
+    None if the file declares no such table and no points in it. ``hole`` is the value that is read in the gaps, which
+    Modbus cannot write; with None the gaps have no items.
     """
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable

@@ -2,8 +2,9 @@
 
 Knows the garbage collector and lists; knows nothing of what is in them.
 
-A thread shares the interpreter with the event loop, and gives it up every few milliseconds (``sys.getswitchinterval``),
-but neither while the garbage collector looks at all objects nor while one large container is freed.
+A thread shares the interpreter with the event loop, and lets the event loop run every few milliseconds
+(``sys.getswitchinterval``), but neither while the garbage collector looks at all objects nor while one large container
+is freed.
 """
 
 import gc
@@ -17,7 +18,10 @@ _AT_ONCE: Final = 256
 
 @contextmanager
 def collecting_paused() -> Iterator[None]:
-    """Context manager that switches the garbage collector off, for code that creates or frees many objects."""
+    """Context manager that switches the garbage collector off, for code that creates or frees many objects.
+
+    Afterwards it is on again if it was on before.
+    """
     was_enabled = gc.isenabled()
     gc.disable()
     try:
@@ -28,7 +32,7 @@ def collecting_paused() -> Iterator[None]:
 
 
 def let_go(lists: list[list[Any]]) -> None:  # Any: nothing is asked of them
-    """Free the elements of lists in small steps, so that other threads can run in between.
+    """Empty lists in small steps, so that other threads can run while their elements are freed.
 
     Args:
         lists: the lists; the caller must hold the only references to them and to their elements.

@@ -1,11 +1,11 @@
 """The links that a configuration names: endpoint and options, checked as `busway.open` would.
 
-Knows the order of precedence of options; the client knows what they mean.
+Knows which source of an option has precedence; the client knows what options mean.
 
-1. An option of the link's section overrides one in its URL, and that overrides one of ``[client]``; defaults of the
-   program that uses the links come last.
-2. An option of ``[client]`` applies to the links whose scheme has it, and to no other; so do the certificates of
-   ``[security]``, which every other source overrides.
+1. For each option the first source that sets it counts: the link's section, its URL, ``[client]``, the defaults of the
+   program that uses the links, and for certificates ``[security]``.
+2. An option of ``[client]``, of the program or of ``[security]`` applies only to links whose scheme has it; other links
+   ignore it.
 """
 
 from collections.abc import Callable, Mapping
@@ -26,7 +26,7 @@ class NamedLink:
     """A link that a configuration declares: its name, endpoint and options.
 
     Attributes:
-        name: its name.
+        name: the name that the configuration gives it.
         url: the endpoint, with the options in the URL.
         options: the options that are not in the URL, as `busway.open` and `busway.connect` take them.
         settings: endpoint and all options, checked.
@@ -48,9 +48,9 @@ def named_links(
 
     Args:
         file: the file.
-        root: joins the paths among options to the file's folder.
+        root: takes options by name, and returns them with relative paths joined to the file's folder.
         report: collects problems.
-        defaults: options for which the program that uses the links has other defaults.
+        defaults: options for which the program that uses the links has other defaults than a client.
     """
     offered = options_for("client", TlsParameters)
     security = {name: value for name, value in file.security.options().items() if name in offered}
@@ -75,9 +75,9 @@ def _named_link(
 
     Args:
         section: the link's section in the file.
-        general: options of ``[client]`` for all links.
+        general: options of ``[client]``, and the program's defaults, for all links.
         security: certificates of ``[security]`` for all links.
-        root: joins the paths among options to the file's folder.
+        root: takes options by name, and returns them with relative paths joined to the file's folder.
         at: the path of the section in the file.
         report: collects problems.
     """

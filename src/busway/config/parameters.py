@@ -4,9 +4,10 @@ Knows TOML data and the names of parameters; what a file contains is known by it
 
 1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
    text. Between the braces an expression is allowed: ``${base + 10 * index}``. ``$${`` is ``${`` unchanged.
-2. ``[parameters]`` of a file gives defaults, and ``required`` lists those without any, which the including file sets.
-   ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
-3. The characters that are inserted into one text are limited: `LONGEST_TEXT`.
+2. ``[parameters]`` of a file gives defaults, and ``required`` lists parameters without a default, which the including
+   file has to set. Two names are always there: ``unit`` is the number of the unit that is created, and ``index`` is its
+   position, from 0 on, among the units that one include creates.
+3. The number of characters that are inserted into one text is limited: `LONGEST_TEXT`.
 """
 
 import re
@@ -33,11 +34,11 @@ def declared_parameters(
 ) -> dict[str, Parameter]:
     """Return the parameters of a file with their values: its defaults, overridden by the given values.
 
-    Returns only the given values if ``parameters`` or ``required`` has a wrong type, which the file's schema reports.
+    Returns only the given values if ``parameters`` is no table or ``required`` no list; the file's schema reports that.
 
     Args:
-        source: the file.
-        given: values from the include that names the file.
+        source: the file that declares the parameters.
+        given: values from the include that names the file; empty for a file that is not included.
         asked: the file that includes this one and the path of its include, for errors; None for a file that is not
             included.
 
@@ -77,11 +78,11 @@ def _there_are(names: Sequence[str]) -> str:
 
 
 class FilledSource:
-    """The data of a file in which parameters are replaced by their values.
+    """A file and the values of its parameters; `filled` returns its data with the parameters replaced.
 
     Args:
         source: the file.
-        parameters: values by name.
+        parameters: the values of the parameters, by name.
 
     Attributes:
         source: the file.
@@ -94,18 +95,18 @@ class FilledSource:
         self._parameters = dict(parameters)
 
     def with_more(self, more: Mapping[str, Parameter]) -> "FilledSource":
-        """Return a filled source of the same file with further parameters."""
+        """Return a new object for the same file with further parameters; its ``used`` is empty."""
         return FilledSource(self.source, {**self._parameters, **more})
 
     def filled(self, node: Any, path: Path) -> Any:  # what TOML has
-        """Return a copy of a part of the data, with parameters replaced by their values.
+        """Return a copy of a part of the file's data, with parameters in its texts replaced by their values.
 
         Args:
-            node: the part.
+            node: the part: a value, a list or a table. Keys of tables stay as they are.
             path: its path in the file, for errors.
 
         Raises:
-            FileError: an expression is invalid, or a parameter does not exist.
+            FileError: an expression is invalid, a parameter does not exist, or a text becomes too long.
         """
         if isinstance(node, str):
             return self._text(node, path)
@@ -174,13 +175,13 @@ def _written(value: Parameter) -> str:
 
 
 def own_units(filled: FilledSource) -> dict[str, Any]:  # what TOML has
-    """Return all data of a file that is not included with ``units``: its units keep their own numbers.
+    """Return all data of a file with the parameters replaced by their values; its units keep their own numbers.
 
-    Parameters are replaced by their values. In a ``[[unit]]`` with one number, ``unit`` is that number and ``index`` is
-    0.
+    For a file that is not included, or is included without the key ``units``. Inside a ``[[unit]]`` with one number,
+    the parameter ``unit`` is that number and ``index`` is 0; elsewhere both do not exist.
 
     Raises:
-        FileError: an expression is invalid, or a parameter does not exist.
+        FileError: an expression is invalid, a parameter does not exist, or a text becomes too long.
     """
     data = filled.source.data
     rest: dict[str, Any] = filled.filled({key: value for key, value in data.items() if key != "unit"}, ())

@@ -1,6 +1,6 @@
 """Checks of a configuration before it runs: access rules that can never match, files that cannot be used.
 
-Knows what goes together; opens files, and no connection.
+Knows which parts of a configuration have to fit together; opens files, and no connection.
 """
 
 import os
@@ -23,7 +23,10 @@ _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 
 
 def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
-    """Add a warning to the report for each access rule for roles if no listener uses TLS: then no client has a role."""
+    """Add a warning to the report for each access rule with ``roles`` if no listener uses TLS.
+
+    Only the certificate of a client gives it a role, so such a rule never matches.
+    """
     if file.policy is None or any(parse_endpoint(url).carrier == "tls" for _, url in file.places()):
         return
     for index, rule in enumerate(file.policy.rule):
@@ -32,7 +35,10 @@ def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
-    """Add a warning to the report for each access rule for a listener that the file does not have."""
+    """Add a warning to the report for each listener that an access rule names and the file does not have.
+
+    None if the file has no listeners at all.
+    """
     known = [parse_endpoint(url) for _, url in file.places()]
     if file.policy is None or not known:
         return
@@ -44,11 +50,12 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether the text ``wanted`` of an access rule may mean a listener, as it is configured or will be bound.
+    """Whether the text ``wanted`` of an access rule can mean a listener, as it is configured or as it will be bound.
 
-    ``tcp://`` alone means all listeners of the scheme. The port may be that of the listener or 502, since the server
-    may add a listener there (`standard_port`). A listener given by a host name fits any host. True also for a text that
-    is no URL: another check reports that.
+    ``tcp://`` alone means all listeners of the scheme. The port is that of the listener, or with ``tcp://`` also 502,
+    where the server can add a listener (`standard_port`). A listener given by a host name fits any host, one on all
+    addresses only the hosts that mean all: ``0.0.0.0``, ``::`` and none. True also for a text that is no URL: another
+    check reports that.
     """
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
@@ -69,9 +76,12 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
 def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:
     """Open the files that a configuration names, and add a problem to the report for each that cannot be used.
 
+    Those are the files of certificates and keys, and the folder of the audit log, which must be writable. If all are
+    there, the certificates of each listener are loaded too.
+
     Args:
         file: the configuration.
-        name: its path, from which relative paths start.
+        name: path of the configuration file; relative paths start from its folder.
         listeners: its listeners, in the order of ``file.places()``.
         report: collects problems.
     """
@@ -89,7 +99,9 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """Returns the path in the file at which a TLS option of a listener is set: its own section, or ``[security]``.
+    """Function that returns the path in the file where a TLS option of a listener is set.
+
+    That is in the listener's own section or in ``[security]``; the path of the listener if it is set in neither.
 
     Args:
         file: the configuration.

@@ -1,4 +1,4 @@
-"""Reads the text of a configuration file, and refuses one that is not UTF-8."""
+"""Reads the text of a configuration file, and refuses one that is not UTF-8 or is too large."""
 
 from typing import Final
 
@@ -6,14 +6,15 @@ from ..errors import ConfigError
 from ..safe_files import read_safely, size_text
 
 MOST_BYTES: Final = 32 * 1024 * 1024
-"""Most bytes of a file in TOML: several times a policy with as many rules as are allowed."""
+"""Most bytes of a configuration file: several times what the largest allowed policy needs."""
 
 
 def read_text(name: str) -> str:
-    """Return the text of a UTF-8 file that the command line or the program names; it may be a pipe.
+    """Return the text of a UTF-8 file that the command line or the program names; a pipe is allowed.
 
     Raises:
-        ConfigError: it cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; the error names the file.
+        ConfigError: the file cannot be read, is larger than `MOST_BYTES`, or is no UTF-8; ``file`` of the error is its
+            path.
     """
     try:
         with open(name, "rb") as file:
@@ -27,10 +28,13 @@ def read_text(name: str) -> str:
 
 
 def read_named_text(name: str) -> str:
-    """Return the text of a UTF-8 file that another file names; it must be regular and no other user's link.
+    """Return the text of a UTF-8 file that another file names, which must be a regular file.
+
+    The path must not lead through a symbolic link of another user (root excepted), who could choose what is read.
 
     Raises:
-        ConfigError: as `read_text`, or the file is not regular or another user's link; the error names the file.
+        ConfigError: the file cannot be read, is larger than `MOST_BYTES`, is no UTF-8, is no regular file, or is
+            reached through such a link; ``file`` of the error is its path.
     """
     return _decoded(read_safely(name, most=MOST_BYTES), name)
 

@@ -3,8 +3,9 @@
 Knows rules and listeners; knows no connection.
 
 1. A listener that the network can reach, and for which no policy was written, is read-only unless writes were allowed
-   by name. This does not concern serial lines, which have to take broadcast writes, nor loopback addresses.
-2. Which listeners those are is only known when the server is bound: until then all network listeners are read-only.
+   explicitly. This does not concern serial lines, which have to take broadcast writes, nor loopback addresses.
+2. Which listeners the network can reach is only known when the server is bound: until then all network listeners are
+   read-only.
 """
 
 from collections.abc import Iterable, Sequence
@@ -22,13 +23,16 @@ _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 
 class ReloadableAllowList:
-    """Decides by address lists whether a host may connect; the lists can be replaced. Used as a server's ``authorize``.
+    """Function of a host that returns whether it may connect, by address lists that can be replaced.
+
+    Used as a server's ``authorize``.
 
     Args:
-        lists: the first lists.
+        lists: the lists to begin with.
 
     Attributes:
-        lists: a host may connect if all of them permit it.
+        lists: the current lists; assign others to replace them. A host may connect if all of them permit it; with no
+            list, every host may.
     """
 
     def __init__(self, lists: Iterable[AddressList] = ()) -> None:
@@ -41,13 +45,17 @@ class ReloadableAllowList:
 def reaches_network(url: str) -> bool:
     """Whether other hosts can reach a listener with this URL.
 
-    False for ``localhost``, loopback addresses and serial lines.
+    False for ``localhost``, numeric loopback addresses and serial lines; True for all others, also for other names.
     """
     endpoint = parse_endpoint(url)
     return endpoint.carrier != "serial" and endpoint.host not in _LOCAL_NAMES and not is_loopback(endpoint.url)
 
 
 def read_only_for(listeners: Sequence[str]) -> Policy:
-    """Return a policy that makes some listeners (URLs or schemes) read-only and allows everything else."""
+    """Return a policy that makes some listeners read-only and allows everything else; with none, it allows everything.
+
+    Args:
+        listeners: URLs of listeners, or schemes, ``tcp://``.
+    """
     rules = (Rule(name=UNASKED, action=Action.READ_ONLY, listeners=tuple(listeners)),) if listeners else ()
     return Policy(rules, Action.ALLOW)

@@ -1,6 +1,6 @@
 """The report of a configuration file's problems, each with the line of its key.
 
-Knows how an error of a component names its key; knows no component.
+Knows that an error of a component names its key; knows no component.
 """
 
 from collections.abc import Callable, Iterable
@@ -15,14 +15,14 @@ Made = TypeVar("Made")
 
 
 class ConfigurationReport:
-    """Collects problems and warnings of a file, so that one error names all of them.
+    """Collects problems and warnings of a file, so that one error names all problems.
 
     Args:
         source: the file.
 
     Attributes:
-        problems: the errors found so far.
-        warnings: the warnings found so far.
+        problems: the errors found so far, each with file, line and key.
+        warnings: the warnings found so far, as errors that are not raised, each with file, line and key.
     """
 
     def __init__(self, source: Source) -> None:
@@ -35,7 +35,8 @@ class ConfigurationReport:
 
         Args:
             make: builds a part of the configuration.
-            place: returns the path in the file at which an error with a given key is reported.
+            place: takes the key of an error (None for an error without one), and returns the path in the file at which
+                it is reported.
         """
         try:
             return make()
@@ -54,21 +55,22 @@ class ConfigurationReport:
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:
-        """Return the warnings about the file. Raises `FileError` with all problems if there are any."""
+        """Return the warnings about the file, by line. Raises `FileError` with all problems if there are any."""
         if self.problems:
             raise FileError(in_order(self.problems))
         return tuple(in_order(self.warnings))
 
 
 def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
-    """Return the path in a file at which an error about a key is reported.
+    """Return the path in a file at which an error about a key is reported: the section that sets the key.
 
-    A listener, for example, has a section of its own, and ``[security]`` holds for all listeners.
+    A listener, for example, has a section of its own, and ``[security]`` is the common section of all listeners. The
+    own section comes first.
 
     Args:
         key: the key; None for an error without one.
         own: keys that the component's own section sets.
-        at: path of that section; the result for a key that neither section sets.
+        at: path of the own section; it is the result if neither section sets the key.
         general: keys that the common section sets.
         elsewhere: path of the common section.
     """

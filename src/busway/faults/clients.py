@@ -14,12 +14,12 @@ from ..options.endpoints import parse_endpoint
 
 @dataclass(frozen=True, slots=True)
 class ClientFaultProfile:
-    """A named way in which clients misbehave; `FaultProfile` is the same for devices.
+    """A named way in which a Modbus client misbehaves, to test servers with.
 
     Attributes:
         name: name of the profile, as in the documentation.
         happens: what the client does, in words.
-        seen_in: where it was reported, repository and issue.
+        seen_in: repositories and issues where such a client was reported.
         answer: the right reaction of a server, in words.
         make: function that returns the bytes sent before the silence; its keyword arguments are the parameters.
     """
@@ -32,7 +32,7 @@ class ClientFaultProfile:
 
 
 def _slow_loris(size: int = 3) -> bytes:
-    """Return the first ``size`` bytes of a request, 1…11, after which the client falls silent."""
+    """Return the first ``size`` bytes, 1…11, of a request of 12 bytes; a client that sends only these never ends it."""
     return bytes.fromhex("0001 0000 0006 01 03 0000 0001")[:size]
 
 
@@ -54,10 +54,12 @@ def misbehaving_client(
 ) -> Iterator[socket.socket]:  # Any: what the fault profile takes
     """Context manager that connects to a server and sends the bytes of a client fault profile; yields the open socket.
 
+    The connection is plain TCP, without TLS, and is closed at the end of the ``with`` block.
+
     Args:
         endpoint: URL of the server, with host and port.
-        fault_profile: the client fault profile.
-        options: values for the parameters of the fault profile.
+        fault_profile: the client fault profile, such as `SLOW_LORIS`.
+        options: values for the parameters of the fault profile; parameters that are left out have their defaults.
 
     Raises:
         ConfigError: the URL is invalid.

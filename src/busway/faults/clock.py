@@ -3,7 +3,7 @@
 Knows times and callbacks; knows no Modbus.
 
 1. `FakeClock` moves only in `FakeClock.advance`, which makes the scheduled calls in order, in the thread that calls it.
-2. Functions may be scheduled with a `FakeClock` from any thread; with a `LoopClock` only in the thread of its loop.
+2. Functions can be scheduled with a `FakeClock` from any thread; with a `LoopClock` only in the thread of its loop.
 """
 
 import asyncio
@@ -28,7 +28,7 @@ class Clock(Protocol):
         """Return the current time in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call ``callback`` once, when ``now()`` has reached ``when`` (seconds); returns the scheduled call."""
+        """Schedule one call of ``callback`` for the time ``when`` (seconds of this clock); returns the timer."""
 
 
 class LoopClock:
@@ -46,7 +46,7 @@ class LoopClock:
         return self._loop.time()
 
     def call_at(self, when: float, callback: Callable[[], object]) -> Timer:
-        """Call ``callback`` once, when the event loop's time has reached ``when``; returns the scheduled call."""
+        """Schedule one call of ``callback`` for the time ``when`` (seconds of the loop's clock); returns the timer."""
         return self._loop.call_at(when, callback)
 
 
@@ -89,9 +89,9 @@ class FakeClock:
         return self._now
 
     def call_at(self, when: float, callback: Callable[[], object]) -> FakeTimer:
-        """Call ``callback`` once, when the clock has reached ``when`` (seconds); returns the scheduled call.
+        """Schedule one call of ``callback`` for the time ``when`` (seconds of this clock); returns the timer.
 
-        If ``when`` is over already, the next `advance` makes the call.
+        `advance` makes the call when it reaches ``when``; if ``when`` is over already, the next `advance` makes it.
         """
         timer = FakeTimer(when, callback)
         with self._lock:
@@ -100,6 +100,8 @@ class FakeClock:
 
     def advance(self, seconds: float) -> None:
         """Move time forward by ``seconds`` (0 or more), and make each scheduled call at its time, in this thread.
+
+        Calls that these calls schedule within the time are made too. Returns when all are made.
 
         Raises:
             ValueError: ``seconds`` is negative.

@@ -1,11 +1,11 @@
-"""Carries faults out on a server's connections: sends delayed and changed replies, and closes connections.
+"""Carries out faults on a server's connections: sends delayed and changed replies, and closes connections.
 
 Knows tapped connections, an event loop and a clock; which bytes are sent, and when, is decided by `FaultyConversation`.
 
 1. A connection has one timer, for its next action, and none while it has nothing to do.
 2. All actions run in the thread of the server's event loop, also if another thread moves the clock or switches a fault.
-3. While all faults are off, requests are not recorded. When the first fault is switched on, each open connection counts
-   as used at that moment.
+3. While all faults are off, requests are not recorded. When the first fault is switched on, each open connection
+   without a recorded request counts as used at that moment.
 """
 
 import asyncio
@@ -20,18 +20,18 @@ _CONNECTED = frozenset({"tcp", "tls"})
 
 
 class FaultyTap:
-    """Observer of a server's connections that carries faults out on them; to be given to the server as ``tap``.
+    """Observer of a server's connections that carries out faults on them; to be given to the server as ``tap``.
 
     Its length is the number of open connections; iterating yields each as a `FaultyConnection`.
 
     Args:
         faults: the faults to apply.
-        clock: clock of delays; the event loop's by default.
-        changed: called when a connection was opened or closed.
+        clock: clock that times delays; None for the clock of the event loop.
+        changed: called without arguments after a connection was opened or closed.
 
     Attributes:
-        accepted: number of connections so far.
-        drained: how often a connection has sent the last of its delayed replies.
+        accepted: number of connections opened so far, those included that a fault refused.
+        drained: how often a connection has sent, or dropped when it was closed, the last of its delayed replies.
     """
 
     def __init__(
@@ -54,18 +54,21 @@ class FaultyTap:
         return iter(list(self._faulty.values()))
 
     def find(self, listener: str, peer: str) -> "FaultyConnection | None":
-        """Return the open connection of a request, by listener and client; None if it is not known."""
+        """Return the open connection with this listener URL and client address; None if there is none.
+
+        Both are texts as in `RequestContext`.
+        """
         return self._faulty.get((listener, peer))
 
     @property
     def has_any_unsent(self) -> bool:
-        """Whether any connection has delayed replies that are not sent yet."""
+        """Whether any open connection has delayed replies that are not sent yet."""
         return bool(self._with_unsent)
 
     # What the server tells.
 
     def connection_opened(self, connection: TappedConnection) -> None:
-        """Record a newly opened connection, or close it if a fault refuses it; called by the server."""
+        """Record a newly opened connection, and close it at once if a fault refuses it; called by the server."""
         loop = asyncio.get_running_loop()
         clock = LoopClock(loop) if self._clock is None else self._clock
         faulty = FaultyConnection(connection, self._faults, clock, loop, others=len(self._faulty), moved=self._moved)
@@ -75,7 +78,7 @@ class FaultyTap:
         self._changed()
 
     def connection_closed(self, connection: TappedConnection) -> None:
-        """Remove a closed connection, a moment later, when its socket is closed; called by the server."""
+        """Drop the delayed replies of a closed connection, and forget it in the next turn; called by the server."""
         faulty = self._faulty.get((connection.listener, connection.peer))
         if faulty is not None and faulty.connection is connection:
             faulty.end()
@@ -88,7 +91,7 @@ class FaultyTap:
         self._changed()
 
     def _moved(self, faulty: "FaultyConnection") -> None:
-        """Add ``faulty`` to the connections with delayed replies, or remove it, after its replies have changed."""
+        """Note whether ``faulty`` has delayed replies now; called whenever replies were planned, sent or dropped."""
         if faulty.has_unsent:
             self._with_unsent.add(faulty)
         elif faulty in self._with_unsent:
@@ -105,7 +108,7 @@ class FaultyTap:
 
 
 class FaultyConnection:
-    """A connection on which faults are carried out: sends what its `FaultyConversation` plans, when it is due.
+    """A connection on which faults are carried out: sends the bytes that its `FaultyConversation` plans, when due.
 
     Args:
         connection: the connection of the server.
@@ -113,7 +116,7 @@ class FaultyConnection:
         clock: clock of delays.
         loop: the event loop of the connection.
         others: number of connections that were open when this one was opened.
-        moved: called when replies may have been planned or sent.
+        moved: called with this object when replies may have been planned, sent or dropped.
 
     Attributes:
         connection, clock: as given.
@@ -145,18 +148,21 @@ class FaultyConnection:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether delayed replies wait to be sent, which later replies must not overtake."""
+        """Whether planned replies are not sent yet; a later reply must wait for them. False once it has ended."""
         return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:
-        """Arrange that due replies are sent at the end of this turn of the event loop."""
+        """Arrange that due replies are sent in the next turn of the event loop; call it in the loop's thread."""
         self._moved(self)
         if not self._is_due:
             self._is_due = True
             self._loop.call_soon(self.pump)
 
     def pump(self) -> None:
-        """Send the replies that are due, and set the timer for the next action: a reply, or closing the connection."""
+        """Send the replies that are due, close the connection if a fault says so, and set the timer for what is next.
+
+        Next is another reply, or closing the connection. Does nothing after `end`.
+        """
         self._is_due = False
         if self._has_ended:
             return
@@ -176,7 +182,7 @@ class FaultyConnection:
             self._timer = self.clock.call_at(deadline, self.ask_to_pump)
 
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
-        """Make the event loop send due replies soon; may be called from any thread.
+        """Make the event loop call `pump` soon; can be called from any thread, and does nothing if the loop is closed.
 
         With ``is_used_now``, a connection without a recorded request counts as used from this moment.
         """
@@ -195,7 +201,7 @@ class FaultyConnection:
         self._moved(self)
 
     def end(self) -> None:
-        """Send nothing more on this connection: delayed replies are dropped."""
+        """Stop sending on this connection for good; its delayed replies are dropped. The socket is not closed."""
         self._has_ended = True
         self._stop_timer()
         self._moved(self)
@@ -211,7 +217,12 @@ def _carriers(connection: TappedConnection) -> frozenset[Carrier]:
 
 
 def carriers_of(framing: str, carrier: str) -> frozenset[Carrier]:
-    """Return the kinds of transport of a connection, from its framing and its carrier (``tcp``, ``serial`` …)."""
+    """Return the kinds of transport on which faults of a connection can occur, one or two of `Carrier`.
+
+    Args:
+        framing: ``mbap``, ``rtu`` or ``ascii``.
+        carrier: ``tcp``, ``tls``, ``udp`` or ``serial``.
+    """
     found = {Carrier.TCP if framing == "mbap" else Carrier.SERIAL}
     if carrier in _CONNECTED:
         found.add(Carrier.CONNECTION)

@@ -1,15 +1,15 @@
 """Faults: what they change in the requests and replies of a connection, when they are active, how they are switched.
 
-Knows requests, replies and ``now``; knows no socket, no clock and no device. The same objects serve tests and the
-simulator.
+Knows requests, replies and ``now``, the time in seconds of the driver's clock; knows no socket, no clock and no device.
+Tests and the simulator use these objects.
 
 1. A `Fault` is up to four functions: whether a connection is admitted, what answers a request in place of the device,
    how its reply is changed, and when an idle connection is closed. It acts only on carriers where it exists: faults of
    connections on connections, faults of lines on lines.
 2. An `AppliedFault` is a fault added to a server: it applies to requests selected by unit, function, address range,
    probability and schedule, and can be switched at any time from any thread.
-3. Which faults apply to a request is decided once, before any of them acts. A fault counts a request as struck if it
-   has changed something: a limit of 50 registers does not strike a request for 2.
+3. Which faults apply to a request is decided once, before any of them acts. A fault counts a request as struck only if
+   it has changed the answer: the fault "at most 50 registers" does not count a request for 2.
 4. Random choices depend on the seed alone: equal requests meet equal faults.
 """
 
@@ -30,7 +30,7 @@ from ..values.refusal import shown
 SILENCE = b""
 """The result of ``Fault.asked`` that suppresses the reply."""
 SAME_MOMENT = 1e-6
-"""Largest difference of equal times, in seconds: sums of equal times differ in their last bits."""
+"""Times that differ by at most so many seconds count as equal: sums of floats differ in their last bits."""
 
 
 class Carrier(Enum):
@@ -50,12 +50,13 @@ EVERYWHERE = frozenset(Carrier)
 
 @dataclass(slots=True, eq=False, weakref_slot=True)
 class Contact:
-    """Facts about one connection that decide which faults apply. Times are seconds in the clock of ``now``.
+    """Facts about one connection that decide which faults apply. Times are seconds of the clock that times the faults.
 
     Attributes:
         opened: when the connection was opened.
-        others: number of connections that were open then.
+        others: number of other connections of the server that were open then.
         last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
+            Requests that were received while all faults were off can be missing.
         carriers: the kinds of transport that the connection belongs to.
     """
 
@@ -72,14 +73,14 @@ class Exchange:
 
     Attributes:
         contact: the connection.
-        transaction: transaction identifier, 0…65535.
+        transaction: transaction identifier, 0…65535; 0 on serial lines, which have none.
         unit: unit identifier, 0…255.
         pdu: the PDU of the request as received.
-        request: the decoded request.
+        request: the decoded request; also one that is malformed or of an unknown function.
         now: the time at which the request was complete, in seconds.
-        random: random number generator of the faults.
+        random: random number generator; a fault's functions get the exchange with the fault's own generator.
         adu: the frame of the request.
-        is_broadcast: whether the request went to all units of a line, so that no unit may answer.
+        is_broadcast: whether the request went to all units of a line, so that no unit is allowed to answer.
     """
 
     contact: Contact
@@ -99,26 +100,26 @@ class Exchange:
 
     @property
     def spans(self) -> tuple[Span, ...]:
-        """The ranges of items that the request names; none if it is malformed or unknown."""
+        """The ranges of items that the request reads or writes; empty if it is malformed or of an unknown function."""
         return self.request.spans() if isinstance(self.request, Request) else ()
 
     @property
     def is_write(self) -> bool:
-        """Whether the request may change data of the device; False if it is malformed or unknown."""
+        """Whether the request can change data of the device: False if it is malformed, True for an unknown function."""
         return (isinstance(self.request, Request) and self.request.is_write) or any(one.writes for one in self.spans)
 
 
 @dataclass(frozen=True, slots=True)
 class Emission:
-    """A frame that a faulty device is to send to the client, and when.
+    """A frame that a faulty device is to send to the client, and when; faults change these before they are sent.
 
     Attributes:
-        transaction, unit, pdu: content of the frame. Without a PDU no frame is sent.
-        before, after: bytes before and after the frame, which belong to no frame.
-        length: length field of the header; None for the true one. Frames of serial lines have none.
+        transaction, unit, pdu: content of the frame. With an empty PDU no frame is sent, only ``before``.
+        before, after: further bytes that are sent before and after the frame and belong to no frame.
+        length: value of the length field in the MBAP header; None for the right one. Ignored for RTU and ASCII.
         delay: seconds from the reply of the device until the frame is sent.
-        piece: bytes per write; 0 to send the whole frame with one write.
-        pause: seconds between pieces.
+        piece: number of bytes in one write; 0 to send all bytes with one write.
+        pause: seconds between two pieces.
         glued: whether the frame leaves in one write with other glued frames that are due at the same moment.
         closes: whether the connection is closed after the frame.
     """
@@ -147,12 +148,12 @@ class Fault:
     """One way to misbehave: functions that replace parts of a device's behaviour; None leaves a part unchanged.
 
     Args:
-        name: the name of the fault profile.
-        admits: returns whether a new connection may stay.
+        name: the name of the fault profile; empty for none.
+        admits: returns whether a new connection may stay open; False closes it at once.
         asked: returns the PDU that answers a request instead of the device; `SILENCE` for no reply; None to let the
             device answer.
         answered: is called with the frames that are to be sent as the reply, and returns those to send instead.
-        closes_at: returns when an idle connection is closed, in the clock of ``now``; None for never.
+        closes_at: returns the time, in seconds, at which an idle connection is closed; None for never.
         carriers: the kinds of transport on which the fault can occur.
         options: the parameters of its fault profile, with the values that it was created with.
     """
@@ -210,11 +211,14 @@ class Schedule:
 
     @property
     def is_timed(self) -> bool:
-        """Whether the schedule depends on the time: the fault begins with a delay, or ends after a time."""
+        """Whether time alone starts or ends the fault: ``after`` is above 0, or ``lasts`` is given."""
         return self.after > 0 or self.lasts is not None
 
     def next_change(self, elapsed: float) -> float | None:
-        """Return when the fault begins or ends next, in seconds after it was switched on; None if it does neither."""
+        """Return when the fault becomes active or inactive next; None if it never changes again by time.
+
+        ``elapsed`` and the result are seconds since the fault was switched on.
+        """
         if elapsed < self.after:
             return self.after
         if self.lasts is None:
@@ -226,21 +230,25 @@ class Schedule:
         return begun + self.lasts if elapsed < begun + self.lasts else begun + self.every
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether ``skip`` and ``times`` let a fault apply to a selected request, after ``chosen`` earlier ones."""
+        """Whether ``skip`` and ``times`` let a fault apply to a selected request.
+
+        ``chosen`` is the number of earlier requests that were selected since the fault was switched on.
+        """
         return chosen >= self.skip and (self.times is None or chosen < self.skip + self.times)
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """Which requests a fault applies to: by unit, function and items; None selects all.
+    """Which requests a fault applies to. A request must fit all arguments that are given; None fits every request.
 
     Args:
         units: unit identifiers, 0…255.
         functions: function codes, 1…127.
-        addresses: range of items, 0-based, in every table; a request that reads or writes one of them is selected.
-        probability: share of the selected requests that the fault applies to, 0…1.
+        addresses: range of items, 0-based, in every table; a request that reads or writes one of them fits.
+        probability: share of the selected requests that the fault applies to, 0…1; chosen at random.
         schedule: when the fault is active.
-        items: items by table, as ranges: the first item, and the one after the last.
+        items: items by table, as pairs: the first item, 0-based, and the item after the last. A request that reads or
+            writes one of them fits.
 
     Raises:
         ConfigError: a value is out of its range, or ``addresses`` is empty or has a step.
@@ -262,7 +270,7 @@ class Selection:
         _refuse_numbers_outside("functions", self.functions, 1, 127)
 
     def means(self, exchange: Exchange) -> bool:
-        """Whether a request is selected by its unit, function and items; probability and schedule are not checked."""
+        """Whether a request fits by unit, function and items; ``probability`` and ``schedule`` are not checked."""
         if self.units is not None and exchange.unit not in self.units:
             return False
         if self.functions is not None and exchange.function not in self.functions:
@@ -289,11 +297,13 @@ def _touches(span: Span, first: int, end: int) -> bool:
 class AppliedFault:
     """A fault that was added to a server: the requests it applies to, whether it is on, and how often it applied.
 
+    `Faults.add` creates it.
+
     Attributes:
         label: its name, unique in the server.
         fault: how it changes the device's behaviour.
         selection: which requests it applies to.
-        enabled: whether it is switched on.
+        enabled: whether it is switched on; set by `on` and `off`. Its schedule can keep it inactive nevertheless.
         struck: number of requests it has changed and of connections it has refused or closed.
     """
 
@@ -325,14 +335,14 @@ class AppliedFault:
         return self.fault.name
 
     def on(self) -> None:
-        """Switch the fault on; its schedule starts again."""
+        """Switch the fault on; its schedule starts again, also if it was on already."""
         self._since = None
         self._chosen = 0
         self.enabled = True
         self._changed()
 
     def off(self) -> None:
-        """Switch the fault off. Replies that it has suppressed or delayed are not restored."""
+        """Switch the fault off. Replies that it has suppressed stay suppressed, delayed ones stay delayed."""
         self.enabled = False
         self._changed()
 
@@ -348,9 +358,10 @@ class AppliedFault:
         return self.selection.schedule.is_time(now - self._since)
 
     def next_change(self, now: float) -> float | None:
-        """Return when the schedule of the fault begins or ends next, in seconds of ``now``; None if it does not.
+        """Return the time at which the schedule makes the fault active or inactive next, in seconds of ``now``.
 
-        As with `is_on`, the schedule of a fault that was just switched on starts at the first call.
+        None if the fault is switched off, or its schedule changes nothing any more. The schedule of a fault that was
+        just switched on starts at the first call of this method or of `is_on`.
         """
         if not self.enabled:
             return None
@@ -360,13 +371,13 @@ class AppliedFault:
         return None if change is None else self._since + change
 
     def strikes(self, exchange: Exchange) -> Exchange | None:
-        """Decide whether the fault applies to a request; to be called once for each request.
+        """Decide whether the fault applies to a request; call it once for each request, because it counts them.
 
-        A request that is selected while the fault is on counts for ``skip`` and ``times`` of the schedule, whether the
-        fault then applies to it or not.
+        Each selected request counts for ``skip`` and ``times`` of the schedule, also if ``skip``, ``times`` or
+        ``probability`` then spare it.
 
         Returns:
-            The request with the fault's own random number generator; None if the fault does not apply.
+            A copy of the request with the fault's own random number generator; None if the fault does not apply.
         """
         if not self.is_on(exchange.now) or not self.fault.is_met(exchange.contact):
             return None
@@ -387,8 +398,8 @@ class Faults:
         seed: seed of random choices; with equal seeds, equal requests meet equal faults.
 
     Attributes:
-        generation: a number that changes whenever a fault is added, removed or switched.
-        is_any_on: whether any fault is switched on.
+        generation: a number that grows whenever a fault is added, removed or switched.
+        is_any_on: whether any fault is switched on, whatever its schedule.
     """
 
     def __init__(self, seed: int = 0) -> None:
@@ -412,7 +423,7 @@ class Faults:
             fault: the fault.
             selection: the requests it applies to; None for all.
             enabled: whether it is switched on.
-            label: its name; by default that of its fault profile, with a number if it is taken.
+            label: its name; empty for that of its fault profile, with a number if that is taken: ``late-2``.
 
         Raises:
             ConfigError: the label is taken.
@@ -463,7 +474,10 @@ class Faults:
 
     @contextmanager
     def during(self, fault: Fault, selection: Selection | None = None) -> Iterator[AppliedFault]:
-        """Add a fault for the duration of a ``with`` block: ``with server.faults.during(BUSY()): …``."""
+        """Add a fault for the duration of a ``with`` block: ``with server.faults.during(BUSY()): …``.
+
+        Yields the added fault.
+        """
         applied = self.add(fault, selection)
         try:
             yield applied
@@ -471,7 +485,7 @@ class Faults:
             self.remove(applied)
 
     def find(self, label: str) -> AppliedFault:
-        """Return the fault with this label. Raises `ConfigError` that lists the known labels."""
+        """Return the fault with this label. Raises `ConfigError`, which lists the known labels, if there is none."""
         for one in self._applied:
             if one.label == label:
                 return one
@@ -481,7 +495,10 @@ class Faults:
     # What a conversation asks.
 
     def admit(self, contact: Contact) -> bool:
-        """Whether a new connection may stay open; False if a fault closes it at once."""
+        """Return whether a new connection may stay open; False if a fault refuses it.
+
+        ``struck`` of that fault then grows by 1.
+        """
         for one in self._applied:
             if one.fault.admits is None or not one.fault.is_met(contact) or not one.is_on(contact.opened):
                 continue
@@ -491,7 +508,10 @@ class Faults:
         return True
 
     def strike(self, exchange: Exchange) -> list[tuple[AppliedFault, Exchange]]:
-        """Return the faults that apply to a request, in order, each with the request and its own random numbers."""
+        """Return the faults that apply to a request, in the order in which they act; call it once for each request.
+
+        Each fault comes with a copy of the request that holds the fault's own random number generator.
+        """
         found = []
         for one in self._applied:
             seen = one.strikes(exchange)
@@ -500,11 +520,14 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """Return when a fault will close a connection because it is idle; None for never."""
+        """Return the earliest time, in seconds, at which a fault will close an idle connection; None for never.
+
+        Only faults that are on at ``now`` count.
+        """
         return min((when for when, _ in self._closing(contact, now)), default=None)
 
     def closes(self, contact: Contact, now: float) -> bool:
-        """Whether a fault closes a connection now because it is idle; counts the fault as applied."""
+        """Return whether a fault closes an idle connection at ``now``; ``struck`` of that fault then grows by 1."""
         due = [one for when, one in self._closing(contact, now) if when <= now + SAME_MOMENT]
         for one in due[:1]:
             one.struck += 1

@@ -1,6 +1,7 @@
 """One connection of a faulty device, without IO: takes requests, and plans which bytes are sent when.
 
-Knows frames, the faults and ``now``; knows no socket, no clock and no device: its driver asks the device.
+Knows frames, the faults and ``now``, a time in seconds; knows no socket, no clock and no device. Its driver passes it
+the requests and the device's replies.
 
 1. For each request: `strike` decides which faults apply; `asked` returns the reply of a fault that replaces the
    device's, if any; `answered` gets the reply and plans what is sent.
@@ -32,15 +33,19 @@ ENCODERS: Final[Mapping[str, Callable[[int, int, bytes, int | None], bytes]]] = 
     "rtu": lambda transaction, unit, pdu, length: encode_rtu(unit, pdu),
     "ascii": lambda transaction, unit, pdu, length: encode_ascii(unit, pdu),
 }
-"""By framing, the function that returns a frame: from transaction, unit, PDU and length field.
+"""By framing (``mbap``, ``rtu``, ``ascii``), the function that returns a frame.
 
-The length field may be a wrong one; None for the right one. CRC and LRC of serial frames are always right.
+Its arguments are transaction, unit, PDU, and the value of the length field, right or wrong; None for the right one. RTU
+and ASCII ignore transaction and length; their CRC or LRC is always right.
 """
 
 
 @dataclass(frozen=True, slots=True)
 class _Due:
-    """The bytes of one write, to be sent at the time ``when``."""
+    """The bytes of one write, to be sent at the time ``when`` (seconds).
+
+    ``glued``: joined with glued bytes that are due before them. ``closes``: the connection is closed after them.
+    """
 
     when: float
     data: bytes
@@ -55,10 +60,10 @@ class FaultyConversation:
         faults: the faults to apply.
         contact: the facts about the connection that faults depend on.
         framing: ``mbap``, ``rtu`` or ``ascii``.
-        gap: seconds of silence before each reply.
+        gap: seconds of silence that a serial line needs before a frame: each reply is sent so much later.
 
     Attributes:
-        contact: as given.
+        contact: as given; its times are updated.
         closed: whether the connection is to be closed, after the bytes that `tick` returned have been written.
     """
 
@@ -73,17 +78,20 @@ class FaultyConversation:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether delayed replies wait to be sent, which later replies must not overtake."""
+        """Whether planned bytes are not sent yet; a later reply must wait for them."""
         return bool(self._outbox)
 
     # Requests.
 
     def frame(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """Return a PDU as a frame in the framing of the connection."""
+        """Return the frame (ADU) of a PDU in the framing of the connection, without any fault."""
         return self._encode(transaction, unit, pdu, None)
 
     def strike(self, exchange: Exchange) -> Struck:
-        """Return the faults that apply to a received request; the request counts for their schedules."""
+        """Return the faults that apply to a received request, in the order in which they act.
+
+        Call it once for each request, because it counts requests for the schedules of faults.
+        """
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now
         return struck
@@ -103,12 +111,14 @@ class FaultyConversation:
         return None
 
     def answered(self, exchange: Exchange, struck: Struck, answer: bytes, now: float) -> bool:
-        """Plan the bytes to send for a reply of the device, as faults change it. Returns whether a frame is sent.
+        """Plan the bytes to send for a reply, as the faults change it. Returns whether any frame is going to be sent.
+
+        Nothing is sent here; `tick` returns the bytes when they are due.
 
         Args:
             exchange: the request.
-            struck: the result of `strike` for it.
-            answer: the PDU of the reply; empty for none.
+            struck: the result of `strike` for the request.
+            answer: the PDU of the reply, of the device or of a fault; empty for none. For a broadcast it is not sent.
             now: the time of the reply, in seconds.
         """
         is_said = answer and not exchange.is_broadcast
@@ -148,7 +158,10 @@ class FaultyConversation:
         return writes
 
     def deadline(self, now: float) -> float | None:
-        """Return when `tick` has bytes to send or must close the connection; None if it has nothing to do."""
+        """Return the time, in seconds, at which `tick` has something to do next; None for never.
+
+        `tick` then has bytes to send, or must close the connection.
+        """
         closes_at = self._faults.closes_at(self.contact, now)
         due = self._outbox[0].when if self._outbox else None
         return min((when for when in (closes_at, due) if when is not None), default=None)

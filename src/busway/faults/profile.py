@@ -31,7 +31,7 @@ class FaultProfile:
     Attributes:
         name: name of the profile, as in the documentation.
         happens: what the device does, in words.
-        seen_in: where it was reported, repository and issue.
+        seen_in: repositories and issues where such a device was reported.
         answer: the right reaction of a client, in words.
         make: function that creates the fault; its keyword arguments are the parameters, each with a default.
         carriers: the kinds of transport on which the fault can occur.
@@ -59,7 +59,11 @@ class FaultProfile:
         }
 
     def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
-        """Create the fault with these parameters. Raises `ConfigError` for an unknown one or an invalid value."""
+        """Create the fault; parameters that are left out have their defaults.
+
+        Raises:
+            ConfigError: a parameter is unknown, or its value has a wrong type or is out of range; has its name as key.
+        """
         parameters = self.parameters
         for name, value in options.items():
             if name not in parameters:
@@ -71,7 +75,7 @@ class FaultProfile:
 
 
 def _check(option: Option, value: object) -> None:
-    """Raise `ConfigError`, with the name as key, for a value of a wrong type or out of range."""
+    """Raise `ConfigError`, with the parameter's name as key, for a value of a wrong type or out of range."""
     kinds = tuple(kind for kind in option.kinds if kind in _TYPE_WORDS)
     if not kinds or (value is None and option.is_optional):  # without a declared type any value is accepted
         return
@@ -98,11 +102,11 @@ class FaultProfileTable(Mapping[str, FaultProfile]):
             self._by_name[one.name] = one
 
     def with_fault_profiles(self, *fault_profiles: FaultProfile) -> "FaultProfileTable":
-        """Return a new table with the profiles of this one and further ones."""
+        """Return a new table with the profiles of this one and more. Raises `ConfigError` if a name is taken."""
         return FaultProfileTable(*self.values(), *fault_profiles)
 
     def named(self, name: str) -> FaultProfile:
-        """Return the fault profile with this name. Raises `ConfigError` that lists the known ones."""
+        """Return the fault profile with this name. Raises `ConfigError`, which lists the names, if there is none."""
         found = self._by_name.get(name)
         if found is None:
             raise ConfigError(f"there is no fault profile {name!r}; there are {', '.join(self._by_name)}", key=name)

@@ -3,7 +3,7 @@
 Knows requests, faults and faulty connections; knows no socket.
 
 1. While no fault is on, requests take the fast path as without faults, at no cost. Switching a fault changes
-   ``generation``, and sessions then ask the responder again before their next request.
+   ``generation``; sessions then call `FaultyResponder.serves` again before their next request.
 2. A request to which no fault applies is answered by the wrapped responder directly, unless earlier replies on the same
    connection are delayed: then its reply waits for them.
 3. The reply to a request to which a fault applies is sent by its `FaultyConnection`. The session gets `SILENCE`, so its
@@ -58,7 +58,10 @@ class FaultyResponder:
 
     @property
     def generation(self) -> int:
-        """A number that changes with the faults, with the wrapped responder, and after the last delayed reply."""
+        """A number that changes when earlier results of `serves` are no longer right.
+
+        It changes with the faults, with the wrapped responder, and when a connection has no more delayed replies.
+        """
         return self.inner.generation + self._faults.generation + self._tap.drained
 
     @property
@@ -66,15 +69,20 @@ class FaultyResponder:
         return not (self._faults.is_any_on or self._heard or self._tap.has_any_unsent)
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return what the wrapped responder returns; while a fault is on, with ``is_direct`` False: no fast path."""
+        """Return the wrapped responder's entry for a unit; None if the unit is not served.
+
+        ``is_direct`` is False, so that requests do not take the fast path, while a fault is on or a reply is delayed,
+        and always if ``heard`` was given.
+        """
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Answer a request, with the faults that apply to it.
 
-        Returns the wrapped responder's outcome if no fault applies and no earlier reply is delayed. Otherwise the reply
-        is sent by the tap, and the outcome is `SILENCE`, now or later.
+        Returns the wrapped responder's outcome, or raises its `Refusal`, if no fault applies to the request and no
+        earlier reply on the connection is delayed. Otherwise the tap sends the reply, and the session is told that
+        there is none: this method returns `SILENCE`, or the session gets `SILENCE` later.
         """
         faulty = self._tap.find(context.listener, context.peer)
         if faulty is None or self._is_aside:
@@ -114,7 +122,8 @@ class _Turn:
     def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
         """Let the wrapped responder answer a request, now or later, and send its reply through the faulty connection.
 
-        ``perform`` calls that responder.
+        ``perform`` calls the wrapped responder with the context that it is given. The result is the outcome for the
+        session, as of `FaultyResponder.answer`.
         """
         inside = context.inside(lambda _, reply: self._later(context, reply))
         try:

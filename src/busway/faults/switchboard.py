@@ -35,8 +35,8 @@ class FaultStatus:
     Attributes:
         name: the name of the fault.
         fault_profile: the name of its fault profile.
-        happens: what it does, in words.
-        is_on: whether it is switched on.
+        happens: what the faulty device does, in words; empty if the fault profile is not in the table.
+        is_on: whether it is switched on, whatever its schedule.
         struck: number of requests it has changed and of connections it has refused or closed.
         parameters: all parameters of the fault profile, with their values.
         selection: which requests it applies to.
@@ -58,7 +58,7 @@ class FaultSwitchboard:
 
     Args:
         seed: seed of random choices: with equal seeds, equal requests meet equal faults.
-        clock: clock of delays and schedules; the event loop's by default.
+        clock: clock of delays and schedules; None for the clock of the event loop.
         fault_profiles: the fault profiles to choose from.
 
     Attributes:
@@ -97,7 +97,7 @@ class FaultSwitchboard:
         on: bool = True,
         parameters: Mapping[str, Any] | None = None,  # as `FaultStatus.parameters`
     ) -> str:
-        """Add a fault to the server by name of its profile; it acts after the existing faults.
+        """Create a fault from a fault profile and add it to the server; it acts after the existing faults.
 
         Args:
             fault_profile: the name of a fault profile.
@@ -115,7 +115,7 @@ class FaultSwitchboard:
             The name of the fault.
 
         Raises:
-            ConfigError: a name is unknown or taken, or an argument is invalid; its key says which.
+            ConfigError: a name is unknown or taken, or an argument is invalid; ``key`` of the error says which.
         """
         fault = self.fault_profiles.named(fault_profile)(**(parameters or {}))
         selection = Selection(units, functions, addresses, probability, schedule or Schedule(), items)
@@ -147,7 +147,9 @@ class FaultSwitchboard:
         return self._status(self.faults.find(name))
 
     def watch(self, changed: Callable[[], None]) -> Callable[[], None]:
-        """Register a function called after faults were added, removed or switched, in the thread that did so.
+        """Register a function that is called after a fault was added, removed or switched.
+
+        The call is made without arguments, in the thread that made the change.
 
         Returns:
             A function that unregisters ``changed``.

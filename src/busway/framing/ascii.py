@@ -4,8 +4,8 @@ Knows characters and the times at which they were read; knows no port and no fun
 
 1. ``:`` begins a frame wherever it is received, also after CR. An unfinished frame before the colon is discarded. It is
    reported when the next frame ends, together with other unfinished frames before that one, as one disturbance. CR and
-   the delimiter end a frame; the delimiter is LF until function 08/03 changes it.
-2. Between two characters of a frame at most ``character_timeout`` may pass, 1 s by default.
+   the delimiter, one character each, end a frame; the delimiter is LF until function 08/03 changes it.
+2. A pause above ``character_timeout``, 1 s by default, between two characters of a frame damages the frame.
 3. A frame has at most 513 characters. Characters between frames are skipped; they are no error.
 4. Frames are sent in upper case. Lower case is received too, unless ``upper_case_only`` is set: devices send it, and
    the LRC protects the content. With ``strip_parity`` the eighth bit is ignored: ports without 7 data bits deliver it.
@@ -44,7 +44,7 @@ def encode_ascii(unit: int, pdu: bytes, delimiter: int = LF) -> bytes:
     Args:
         unit: unit identifier, 0…255.
         pdu: function code and data, 1…253 bytes.
-        delimiter: character that ends the frame after CR, 0…127; LF by default.
+        delimiter: code of the character that ends the frame after CR, 0…127; LF by default.
     """
     body = bytes((unit,)) + pdu
     return b":%b%02X\r%c" % (body.hex().upper().encode(), lrc(body), delimiter)
@@ -65,11 +65,11 @@ class AsciiReceiver:
 
     Attributes:
         state: which part of a frame is expected next.
-        delimiter: the character that ends a frame after CR; may be changed at any time (function 08/03).
-        conversation: role, own units and the expected reply; they tell requests from replies.
+        delimiter: code of the character that ends a frame after CR; can be set at any time (function 08/03).
+        conversation: role, own units and the expected reply; used to tell requests from replies.
         echo: the filter that removes the echo of what this station sends.
-        timing: the times of the line; used only for the times of frames, because ASCII needs no silence.
-        character_timeout: seconds that may pass between two characters of a frame.
+        timing: the times of the line; only its character time is used, to estimate when frames began and ended.
+        character_timeout: longest allowed pause between two characters of a frame, in seconds.
     """
 
     __slots__ = (
@@ -111,9 +111,9 @@ class AsciiReceiver:
             role: master, server or observer.
             timing: the times of the line.
             functions: the functions whose lengths are known.
-            units: the own units of a server; a container whose content changes may be given.
-            delimiter: the character that ends a frame after CR, 0…127.
-            character_timeout: seconds that may pass between two characters of a frame, above 0.
+            units: the own units of a server; a container whose content changes is allowed.
+            delimiter: code of the character that ends a frame after CR, 0…127.
+            character_timeout: longest allowed pause between two characters of a frame, in seconds, above 0.
             upper_case_only: whether a frame with lower-case digits is damaged.
             strip_parity: whether the eighth bit of each character is ignored.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
@@ -154,10 +154,11 @@ class AsciiReceiver:
         return found
 
     def tick(self, now: float) -> list[Received]:
-        """Return the unfinished frame as damaged if ``character_timeout`` has passed since its last character.
+        """Return the frames and damaged bytes that the silence until ``now`` (seconds) completes, in order.
 
-        Also releases bytes that were held back as a possible echo, when they turn out to be none; they may complete
-        frames. ``now`` is the time in seconds.
+        An unfinished frame is returned as damaged if more than ``character_timeout`` has passed since its last
+        character. Bytes that were held back as a possible echo are taken as received if the rest of the echo did not
+        come in time; they can complete frames, which are returned too.
         """
         found: list[Received] = []
         released = self.echo.tick(now)
@@ -168,7 +169,7 @@ class AsciiReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`, because an unfinished frame or a possible echo expires.
+        """Return the time, in seconds, at which to call `tick`: when an unfinished frame or a possible echo expires.
 
         None if there is neither.
         """
@@ -183,7 +184,7 @@ class AsciiReceiver:
         """Announce the request of this master that is sent next, so that the reply to it is recognised.
 
         Args:
-            unit: unit of the request.
+            unit: unit of the request, 0…255.
             function: its function code, 1…127.
             size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
         """
@@ -201,7 +202,8 @@ class AsciiReceiver:
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
         """Discard the unfinished frame, because the port reports a parity or framing error or lost characters.
 
-        Returns the discarded frame as damaged bytes; without an unfinished frame, a `Damaged` without bytes.
+        Returns what `tick` returns for ``now``, then one `Damaged`: the discarded frame, or no bytes if no frame was
+        unfinished.
 
         Args:
             now: time of the report, in seconds.
@@ -226,7 +228,10 @@ class AsciiReceiver:
         return found
 
     def clear_at(self) -> float:
-        """Return the earliest time at which a frame may be sent: the end of the last character received or sent."""
+        """Return the earliest time, in seconds, at which a frame may be sent: after the last character on the line.
+
+        That is the later of the last read and the end of the last sent frame; ASCII needs no silence between frames.
+        """
         return max(self._last, self._sent_until)
 
     # From characters to frames.
@@ -243,7 +248,10 @@ class AsciiReceiver:
             at += len(part) + 1
 
     def _colon(self, time: float, found: list[Received]) -> None:
-        """Begin a frame at a colon received at ``time``; an unfinished frame before it is reported later."""
+        """Begin a frame at a colon received at ``time`` (seconds); an unfinished frame before it is reported later.
+
+        If the delimiter is a colon and is expected now, the colon ends the current frame instead.
+        """
         if self.state is AsciiState.WAITING_FOR_DELIMITER and self.delimiter == COLON:
             self._complete(time + self.timing.character, found)
             return
@@ -259,7 +267,7 @@ class AsciiReceiver:
         self._began = time
 
     def _content(self, part: bytes, began: float, found: list[Received]) -> None:
-        """Process characters of a frame, none of which is a colon; the first of them began at the time ``began``."""
+        """Process characters of a frame, none of which is a colon; the first of them began at ``began`` (seconds)."""
         if self.state is AsciiState.RECEIVING:
             end = part.find(CR)
             self._text += part[: ASCII_ADU_LIMIT if end < 0 else min(end, ASCII_ADU_LIMIT)]
@@ -300,7 +308,10 @@ class AsciiReceiver:
             self._text.clear()
 
     def _direction(self, content: bytes, now: float) -> Direction:
-        """Return whether a frame is likelier a request or a reply, by its length and by the frames before it."""
+        """Return the likelier direction of a frame, by its length and the frames before it; UNKNOWN if undecided.
+
+        ``content`` has unit, PDU and LRC; ``now`` is the time of the frame, in seconds.
+        """
         frame = bytearray(content) + b"\0"
         length_of_frame = len(content) - 2 + AROUND_PDU
         for direction in self.conversation.order(content[0], content[1], now):
@@ -309,7 +320,10 @@ class AsciiReceiver:
         return self.conversation.guess(content[0], content[1], now)
 
     def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
-        """Report the unfinished frame as damaged, and skip characters until the next colon."""
+        """Add the unfinished frame to ``found`` as damaged, with those before it that colons cut off.
+
+        Characters are skipped then until the next colon.
+        """
         in_frame = self.state is not AsciiState.IDLE
         raw = b":" + bytes(self._text) if in_frame else b""
         began = self._began if in_frame else ended
@@ -322,9 +336,9 @@ class AsciiReceiver:
         self._text.clear()
 
     def _report_interrupted(self, ended: float, found: list[Received]) -> None:
-        """Report the unfinished frames that colons ended, as one `Damaged`.
+        """Add the unfinished frames that colons cut off to ``found``, as one `Damaged`; no effect if there are none.
 
-        Called before the next frame is reported.
+        Called before the next frame is added. ``ended`` is the time at which that frame began.
         """
         if self._interrupted_size:
             raw = bytes(self._interrupted[:ASCII_ADU_LIMIT])

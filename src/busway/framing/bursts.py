@@ -24,7 +24,7 @@ _place = attrgetter("place")
 
 
 class Bursts:
-    """The times at which the bytes in a buffer were on the line; positions count from the first byte in the buffer."""
+    """Estimates of when each byte in a buffer was on the serial line; position 0 is the first byte in the buffer."""
 
     __slots__ = ("_bursts", "_forgotten")
 
@@ -48,7 +48,7 @@ class Bursts:
         self._bursts.append(_Burst(self._forgotten + place, began, each))
 
     def forget(self, count: int) -> None:
-        """Forget the first ``count`` bytes of the buffer; positions then count from the byte after them."""
+        """Note that the first ``count`` bytes were removed from the buffer; the byte after them has position 0 then."""
         self._forgotten += count
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 

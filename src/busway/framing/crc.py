@@ -70,7 +70,7 @@ def crc_bytes(data: bytes | bytearray) -> bytes:
 
 
 def running_states(data: Iterable[int], state: int = 0) -> list[int]:
-    """Return the value of the CRC register after each byte of ``data``, starting from ``state``."""
+    """Return the value of the CRC register, 0…65535, after each byte of ``data``; before the first it is ``state``."""
     table = BYTE_TABLE
     return [state := state >> 8 ^ table[(state ^ byte) & 0xFF] for byte in data]
 
@@ -78,9 +78,12 @@ def running_states(data: Iterable[int], state: int = 0) -> list[int]:
 class SpanCheck:
     """Test whether the CRC of a frame of one fixed length is right, from the CRC register before and after the frame.
 
+    `span_check` creates it. The register is that of the whole stream, started with 0 (`running_states`), although the
+    CRC of a frame starts with FFFF: the tables make up for the difference.
+
     Attributes:
         low, high: tables of 256 values. The CRC is right if ``low[before & 0xFF] ^ high[before >> 8] == after``, where
-            ``before`` and ``after`` are running states (`running_states`). The tables allow for the preset.
+            ``before`` and ``after`` are the register before the first and after the last byte of the frame.
     """
 
     __slots__ = ("high", "low")
@@ -91,19 +94,22 @@ class SpanCheck:
         self.high: list[int] = _combinations(images[8:])[::-1]
 
     def fits(self, before: int, after: int) -> bool:
-        """Whether the CRC of a frame is right, given the CRC register before its first and after its last byte."""
+        """Whether the CRC of a frame is right, given the register (0…65535) before its first and after its last byte.
+
+        The last two bytes of the frame are its CRC.
+        """
         return self.low[before & 0xFF] ^ self.high[before >> 8] == after
 
 
 @cache
 def span_check(length: int) -> SpanCheck:
-    """Return the CRC test for frames of ``length`` bytes; computed at its first use, then cached."""
+    """Return the CRC test for frames of ``length`` bytes, CRC included; computed at its first use, then cached."""
     return SpanCheck(_images(length))
 
 
 @cache
 def _images(length: int) -> list[int]:
-    """Return what the CRC register becomes after ``length`` zero bytes, for each start with a single bit set."""
+    """Return 16 values: what the register becomes after ``length`` zero bytes if only bit 0, 1, … 15 was set before."""
     if length == 0:
         return [1 << bit for bit in range(16)]
     if length > 1:
@@ -121,7 +127,10 @@ def _apply(images: list[int], state: int) -> int:
 
 
 def _combinations(images: list[int]) -> list[int]:
-    """Return a table of 256 CRC registers, one for each byte, from ``images``, those for its eight single bits."""
+    """Return a table of 256 values, one for each byte: the XOR of the ``images`` of the bits set in it.
+
+    ``images`` has eight values, that of the lowest bit first.
+    """
     values = [0]
     for image in images:
         values += [value ^ image for value in values]

@@ -58,4 +58,4 @@ WHOLE: Final[dict[str, Callable[[bytes], bool]]] = {
     "rtu": is_whole_rtu,
     "ascii": is_whole_ascii,
 }
-"""The functions of this file by the name of the framing."""
+"""By framing (``mbap``, ``rtu``, ``ascii``), the function that tells whether a datagram is exactly one whole frame."""

@@ -6,7 +6,7 @@ Knows bytes and times; knows no frame.
    converter that was switched over), nothing is removed.
 2. ``AUTOMATIC``: the first sent frames decide. A copy proves the echo; other bytes first, or none within the window
    after the end of the frame, prove that there is none. A later frame that behaves otherwise changes the decision.
-3. A reply may be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
+3. A reply can be the same bytes as the request (05, 06, 08, 22). While it is not known whether the line echoes, such a
    copy is held back. If more bytes follow, it was the echo; if the response timeout passes first (`release`), it was
    the reply. Once it is known whether the line echoes, no copy is held.
 """
@@ -20,9 +20,9 @@ ECHO_WINDOW: Final = 0.050
 
 
 class Echo(Word):
-    """Values of the option ``echo``: whether this station receives what it sends itself.
+    """Values of the option ``echo``: whether this station receives the bytes that it sends itself.
 
-    AUTOMATIC: found out from the first exchange.
+    AUTOMATIC: not known in advance; the first frames that this station sends show it.
     """
 
     OFF = "off"
@@ -35,7 +35,7 @@ class EchoFilter:
 
     Attributes:
         mode: the configured option.
-        present: whether the line echoes: True, False, or None while that is not known.
+        present: whether the line echoes: True, False, or None while that is not known. It changes with AUTOMATIC only.
         window: seconds after the end of a frame within which its echo begins.
     """
 
@@ -52,15 +52,19 @@ class EchoFilter:
 
     @property
     def pending(self) -> bool:
-        """Whether received bytes are held back because they may be an echo."""
+        """Whether received bytes are held back because they could be an echo."""
         return bool(self._held)
 
     def deadline(self) -> float | None:
-        """Return the time at which `tick` releases held bytes; None if none are held or they are a complete copy."""
+        """Return the time, in seconds, at which `tick` gives out bytes that are held as the beginning of an echo.
+
+        None if no bytes are held, or they are a complete copy of the sent frame: only more bytes or `release` decide
+        about that.
+        """
         return self._until if self._held and len(self._held) < len(self._awaited) else None
 
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
-        """Announce a frame that this station sends, so that `receive` removes its echo.
+        """Announce a frame that this station sends, so that `receive` removes its echo; no effect with the mode OFF.
 
         Args:
             raw: the bytes of the frame.
@@ -75,7 +79,7 @@ class EchoFilter:
     def receive(self, data: bytes, now: float) -> bytes:
         """Return received bytes without the echo; bytes held earlier that turn out to be no echo come first.
 
-        Empty if all bytes are echo, or are held because they may be.
+        Empty if all bytes are echo, or are held because they could be.
 
         Args:
             data: the received bytes.
@@ -101,7 +105,7 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Return the held bytes if the rest of the echo has not been received in time; nothing otherwise.
+        """Return the held bytes, as received, if the rest of the echo has not come in time; otherwise no bytes.
 
         ``now`` is the time in seconds.
         """
@@ -109,7 +113,10 @@ class EchoFilter:
         return b"" if deadline is None or now < deadline else self._no_copy(self._held)
 
     def release(self) -> bytes:
-        """Return all held bytes as received, and stop waiting for the echo: at a response timeout, or when closing."""
+        """Return all held bytes as received, and stop waiting for the echo; empty if none are held.
+
+        Called at a response timeout, or when closing.
+        """
         if not self._held:
             self._awaited = b""
             return b""

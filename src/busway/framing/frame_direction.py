@@ -54,7 +54,10 @@ class Due:
     until: float = float("inf")
 
     def answers(self, unit: int, code: int, now: float) -> bool:
-        """Whether a frame with this unit and function code, at the time ``now``, may be the expected reply."""
+        """Whether a frame with this unit and function code, at the time ``now`` (seconds), can be the expected reply.
+
+        The exception bit, 0x80 of ``code``, is ignored.
+        """
         return unit == self.unit and code & 0x7F == self.function and now <= self.until
 
 
@@ -63,8 +66,8 @@ class Conversation:
 
     Attributes:
         role: the role of the station that receives.
-        units: the own units of a server; a container whose content changes may be given.
-        due: the reply that is expected, or None.
+        units: the own units of a server; a container whose content changes is allowed.
+        due: the reply that is expected; None for none. A master's driver sets it, otherwise `follow`.
         reply_window: seconds for which a server or observer expects the reply to a request to another unit.
     """
 
@@ -77,9 +80,9 @@ class Conversation:
         self.reply_window: float = reply_window
 
     def order(self, unit: int, code: int, now: float) -> tuple[Direction, ...]:
-        """Return the directions that a frame with this unit and function code can have, the likelier first.
+        """Return the directions, one or two, that a frame with this unit and function byte can have, likelier first.
 
-        ``now`` is the time of the frame, in seconds.
+        ``code`` has 0x80 set in an exception reply. ``now`` is the time of the frame, in seconds.
         """
         if code & 0x80:
             return _REPLY_ONLY
@@ -93,9 +96,10 @@ class Conversation:
         return _REPLY_FIRST if due is not None and due.answers(unit, code, now) else _REQUEST_FIRST
 
     def guess(self, unit: int, code: int, now: float) -> Direction:
-        """Return the likelier direction of a complete frame whose length fits neither a request nor a reply.
+        """Return the direction of a complete frame whose length fits neither a request nor a reply of its function.
 
-        `Direction.UNKNOWN` if both are equally likely. ``now`` is the time of the frame, in seconds.
+        `Direction.UNKNOWN` if unit, code and the expected reply do not tell it. ``now`` is the time of the frame, in
+        seconds.
         """
         if code & 0x80 or (self.due is not None and self.due.answers(unit, code, now)):
             return Direction.REPLY
@@ -104,14 +108,14 @@ class Conversation:
         return Direction.UNKNOWN
 
     def is_own(self, unit: int) -> bool:
-        """Whether this station is a server and answers for ``unit`` itself."""
+        """Whether this station is a server and ``unit`` is one of its own; False for a master and an observer."""
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:
         """Record a frame that ended on the line at ``now`` (seconds), to predict the direction of the next one.
 
-        After a request to another station its reply is expected, after any other frame none. Ignored for a master: its
-        driver sets ``due``.
+        After a frame that is not a reply, to a unit of another station, a reply is expected for ``reply_window``
+        seconds; after any other frame none is. Ignored for a master: its driver sets ``due``.
         """
         if self.role is LineRole.MASTER:
             return

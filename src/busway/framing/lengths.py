@@ -35,12 +35,15 @@ _ANSWERS_KEPT: Final = 4096
 """Most lengths and rules that are cached for each direction: noise must not fill the memory."""
 
 LengthRule = Callable[[bytes, int, int], int]
-"""Function that takes bytes with the start and end of a PDU in them, and returns the length of the PDU."""
+"""Function that takes bytes with the start and end of a PDU in them, and returns the length of the whole PDU in bytes.
+
+It returns `NEED_MORE` or `UNKNOWN_LENGTH` if the bytes do not tell it.
+"""
 
 
 @cache
 def lengths_of(functions: FunctionTable) -> "FrameLengths":
-    """Return the frame lengths of a table of functions, computed once for all receivers that use it."""
+    """Return the frame lengths of a table of functions; computed at the first call for a table, then cached."""
     return FrameLengths(functions)
 
 
@@ -51,7 +54,8 @@ class FrameLengths:
         requests, replies: lists of the length rules (rule 2 of this file); the index is the function byte 0…255.
         shapes: for each function byte 0…255, the rules of its reply and of its request in the form of `shape_of`;
             equal ones once, and rules of unknown functions and `ASK` are left out.
-        asked_requests, asked_replies: compute the length of each frame whose function byte has the rule `ASK`.
+        asked_requests, asked_replies: objects that compute the length of a frame whose function byte has the rule
+            `ASK`.
     """
 
     __slots__ = ("asked_replies", "asked_requests", "replies", "requests", "shapes")
@@ -89,7 +93,7 @@ class AskedLengths:
     """Lengths of the frames of one direction whose function code has the rule `ASK`: each is computed from its content.
 
     Attributes:
-        answers: recently computed lengths, by the first three bytes of the PDU.
+        answers: cached lengths of whole frames, by the first three bytes of the PDU as a number of 24 bits.
     """
 
     __slots__ = ("_ask", "_find", "_is_reply", "_rules", "answers")
@@ -102,11 +106,11 @@ class AskedLengths:
         self._rules: dict[int, LengthRule] = {}
 
     def length(self, data: bytearray, at: int, end: int) -> int:
-        """Return the length of the frame whose PDU starts at ``at``; the results are those of `FrameLengths.length`.
+        """Return the length in bytes of the whole frame whose PDU, not whose unit, starts at ``at``.
 
-        The length follows from the first three bytes of the PDU and is cached under them. Only for identification
-        objects (function 43) more bytes are needed. For these the length rule is cached instead, so that noise which
-        looks like such a reply costs little.
+        It is `NEED_MORE` or `UNKNOWN_LENGTH` as in `FrameLengths.length`. The length follows from the first three bytes
+        of the PDU and is cached under them. Only for identification objects (function 43) more bytes are needed. For
+        these the length rule is cached instead, so that noise which looks like such a reply costs little.
         """
         shown = bytes(data[at:end])
         if len(shown) < _DECIDING:
@@ -138,8 +142,9 @@ def _around(length: int) -> int:
 def shape_of(rule: int) -> tuple[int, int] | None:
     """Return a length rule as two numbers: offset of the byte count, and the number of bytes that it does not count.
 
-    The rule of replies of function 03 gives (2, 5). Without a byte count they are 0 and the fixed length: the rule of
-    requests of function 03 gives (0, 8). (0, 0) for `ASK`; None for an unknown function.
+    The rule of replies of function 03 gives (2, 5): the byte count is at offset 2 of the frame, whose length is that
+    count plus 5. Without a byte count the numbers are 0 and the fixed length: the rule of requests of function 03 gives
+    (0, 8). The result is (0, 0) for `ASK`, and None for the rule 0 of an unknown function.
     """
     if rule == 0:
         return None

@@ -17,10 +17,10 @@ class LostBytes:
     """The bytes of one disturbance on a serial line, collected until it ends.
 
     Attributes:
-        reason: the error that `mark` reported; None without one, and then `report` finds the reason by the size: too
-            long, too short or a wrong CRC.
-        size: the number of all bytes, also of those that were not stored.
-        is_marked: whether the port or the receiver reported an error among them (`mark`).
+        reason: why the bytes are no frame, as `mark` or the receiver has set it; None if neither has, and then `report`
+            finds the reason by the size: too long, too short or a wrong CRC.
+        size: the number of all bytes added, also of those that were not stored: at most 256 are.
+        is_marked: whether `mark` was called; then there is a disturbance even if ``size`` is 0.
     """
 
     __slots__ = ("_began", "_ended", "_overrun", "_raw", "is_marked", "reason", "size")
@@ -44,7 +44,10 @@ class LostBytes:
             self._raw += data[:room]
 
     def mark(self, reason: Damage, now: float) -> None:
-        """Add an error that was noticed at ``now`` (seconds) to the disturbance, such as wrong parity."""
+        """Add an error that was noticed at ``now`` (seconds) to the disturbance, such as wrong parity.
+
+        The latest error is the ``reason``.
+        """
         if self._began == _NEVER:
             self._began = now
         self._ended = now
@@ -53,7 +56,7 @@ class LostBytes:
         self.is_marked = True
 
     def report(self) -> Damaged:
-        """Return the whole disturbance as one `Damaged`. Create a new object for the next disturbance."""
+        """Return the whole disturbance as one `Damaged`; use a new `LostBytes` for the next disturbance."""
         reason = self.reason
         if reason is None:
             reason = Damage.TOO_LONG if self.size > RTU_ADU_LIMIT else Damage.CHECKSUM

@@ -27,7 +27,10 @@ HEAD_AND_FUNCTION = struct.Struct(">HHHBB")
 
 
 class FrameKind(Enum):
-    """What kind of frame the MBAP receiver found: valid, of another protocol, or a broken stream."""
+    """What the MBAP receiver found: a valid frame, a frame of another protocol, or that the stream is broken.
+
+    A stream is broken by a length field that no frame can have: the next frame cannot be found.
+    """
 
     FRAME = "frame"
     FOREIGN_PROTOCOL = "foreign protocol"
@@ -36,14 +39,15 @@ class FrameKind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class MbapFrame:
-    """One received frame (ADU) of a TCP stream, or the position at which the stream is broken.
+    """One received frame (ADU) of a TCP stream, or the notice that the stream is broken.
 
     Attributes:
         kind: a valid frame, a frame of another protocol, or a broken stream.
         transaction: transaction identifier, 0…65535.
         protocol: protocol identifier; 0 for Modbus.
-        unit: unit identifier, 0…255.
-        pdu: the PDU; for ``BROKEN``, the rest of the stream, header included.
+        unit: unit identifier, 0…255; 0 for ``BROKEN``.
+        pdu: the PDU, or what another protocol has in its place; for ``BROKEN``, the received bytes from the header with
+            the impossible length on.
         reason: for ``BROKEN``, what is wrong; otherwise empty.
     """
 
@@ -87,9 +91,9 @@ class StreamBuffer:
         self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and the number of bytes in all.
+        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and how many bytes that is.
 
-        Afterwards nothing is kept.
+        If no bytes are kept, ``buffer`` itself is returned, with ``size``. Afterwards nothing is kept.
         """
         if not self.kept:
             return buffer, size
@@ -121,9 +125,10 @@ class MbapReceiver:
         return self._buffer.kept
 
     def receive(self, data: bytes | bytearray, now: float = 0.0) -> list[MbapFrame]:
-        """Return all frames that ``data`` completes, in order. ``now`` is ignored: on TCP only the length ends a frame.
+        """Return all frames that ``data`` completes, in order; empty if more bytes are needed.
 
-        A broken stream gives one frame `FrameKind.BROKEN`, and no more frames after it.
+        A broken stream gives one frame `FrameKind.BROKEN`, and no more frames after it. ``now`` is ignored: on TCP only
+        the length ends a frame.
         """
         frames: list[MbapFrame] = []
         if self.broken:

@@ -43,12 +43,12 @@ class SerialFrame:
 
     Attributes:
         unit: address byte, 0…255.
-        pdu: function code and data, 1…253 bytes; 254 if a peer breaks that limit.
+        pdu: function code and data, 1…253 bytes.
         raw: the bytes as received: address to CRC, or ``:`` to the delimiter (without parity bits).
-        direction: request or reply, guessed from the frames before it, or UNKNOWN.
+        direction: request or reply, guessed from its length and the frames before it, or UNKNOWN.
         began, ended: when its first byte began and its last one ended on the line, in seconds, estimated from the
             reads.
-        recovered: whether it was found inside a damaged chunk; never True for a server.
+        recovered: whether it was found inside damaged bytes; never True in the receiver of a server.
     """
 
     unit: int
@@ -93,10 +93,10 @@ class Receiver(Protocol[Found]):
     """
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Found]:
-        """Return the frames that ``data``, read at ``now``, completes, in order."""
+        """Return the frames that ``data``, read at ``now``, completes, in order; empty if more bytes are needed."""
 
     def tick(self, now: float) -> list[Found]:
-        """Return the frames that the silence until ``now`` completes."""
+        """Return the frames that the silence until ``now`` completes, in order; empty if none."""
 
     def deadline(self) -> float | None:
         """Return the time at which to call `tick`; None if only further bytes can complete a frame."""
@@ -109,7 +109,7 @@ class SerialReceiver(Receiver[Received], Protocol):
         """Announce the request of this master that is sent next, so that the reply to it is recognised.
 
         Args:
-            unit: unit of the request.
+            unit: unit of the request, 0…255.
             function: its function code, 1…127.
             size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
         """
@@ -138,4 +138,4 @@ class SerialReceiver(Receiver[Received], Protocol):
         """
 
     def clear_at(self) -> float:
-        """Return the earliest time at which a frame may be sent on the line."""
+        """Return the earliest time, in seconds, at which this station may send a frame on the line."""

@@ -3,9 +3,9 @@
 Knows bytes and the times at which they were read; knows no port, no request table and no device.
 
 1. Length and CRC together complete a frame of a known function at once, without waiting for a silence to confirm it.
-2. Silence alone makes no frame. If the function is unknown, or the byte count contradicts the frame, the chunk of bytes
-   between two silences of t3.5 is the frame if its CRC is right. Several frames without a visible silence between them
-   are told apart if they fill the chunk exactly.
+2. Silence alone makes no frame. If the function is unknown, or the byte count contradicts the frame, all bytes between
+   two silences of t3.5, a *chunk*, are the frame if its CRC is right. Several frames without a visible silence between
+   them are told apart if they fill the chunk exactly.
 3. Bytes of one frame may be read in bursts: adapters and operating systems add gaps far above t1.5. An unfinished frame
    waits for the rest up to ``gap_limit``. If a master has received the beginning of the reply that it expects (unit,
    function and size fit), it waits for the rest until the response timeout: nothing else may be sent before that
@@ -66,7 +66,7 @@ class RtuReceiver:
     that are not yet known to be a frame or damaged are called *undecided*.
 
     Attributes:
-        conversation: role, own units and the expected reply; they tell requests from replies.
+        conversation: role, own units and the expected reply; used to tell requests from replies.
         echo: the filter that removes the echo of what this station sends.
         timing: character time, t1.5 and t3.5.
         gap_limit: seconds that an unfinished frame waits for its rest, at least t3.5.
@@ -112,7 +112,7 @@ class RtuReceiver:
             role: master, server or observer.
             timing: the times of the line, as `SerialTiming.of_line` or `SerialTiming.of_network` gives them.
             functions: the functions whose lengths are known.
-            units: the own units of a server; a container whose content changes may be given.
+            units: the own units of a server; a container whose content changes is allowed.
             gap_limit: seconds that an unfinished frame waits for its rest. None: 50 ms or t3.5, whichever is longer,
                 and for the reply that a master expects, until `flush`.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
@@ -170,7 +170,7 @@ class RtuReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`; None if only further bytes can complete a frame."""
+        """Return the time, in seconds, at which to call `tick`; None if only further bytes can complete a frame."""
         echo = self.echo.deadline()
         if not self._undecided:
             return echo
@@ -240,11 +240,11 @@ class RtuReceiver:
         return found
 
     def skip_requests(self, now: float) -> bool:
-        """Record that the caller has answered requests to own units itself; their bytes do not pass this receiver.
+        """Record that the caller answers requests to own units itself, without passing their bytes to `receive`.
 
-        ``now`` is when they were read, in seconds. Returns False, and records nothing, if the bytes must go through
-        `receive`: earlier bytes are undecided, the receiver waits for a silence after damage, or an echo may have to be
-        removed.
+        ``now`` is when they were read, in seconds. Returns True if that is recorded. Returns False, and records
+        nothing, if the bytes must go through `receive`: earlier bytes are undecided, the receiver waits for a silence
+        after damage, or an echo could have to be removed.
         """
         if self._undecided or not self._in_step or self.echo.mode is not Echo.OFF:
             return False
@@ -254,7 +254,7 @@ class RtuReceiver:
         return True
 
     def clear_at(self) -> float:
-        """Return the earliest time at which a frame may be sent: t3.5 after the last byte on the line."""
+        """Return the earliest time, in seconds, at which a frame may be sent: t3.5 after the last byte on the line."""
         return max(self._last, self._sent_until) + self.timing.t3_5
 
     # Time and bytes.
@@ -317,7 +317,10 @@ class RtuReceiver:
     # Decisions that need no silence (rule 1).
 
     def _follow(self, found: list[Received]) -> None:
-        """Report each complete frame among the undecided bytes, and drop bytes that are more than a frame can have."""
+        """Add each frame that is complete by length and CRC to ``found``.
+
+        Of more undecided bytes than a frame has, the first are dropped: no frame begins there.
+        """
         server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
             end, direction = self._look(self._at)
@@ -329,9 +332,10 @@ class RtuReceiver:
                 self._give_up_beginning(found)
 
     def _look(self, at: int) -> tuple[int, Direction]:
-        """Return the end and direction of the frame at ``at``.
+        """Return the end and direction of the frame that begins at position ``at``, by length rule and CRC.
 
-        The end is `WAITS` while the frame is unfinished, and `DEAD` if no frame begins there.
+        The end is the position after the frame, `WAITS` while the frame is unfinished, and `DEAD` if no frame of a
+        known function begins there.
         """
         buffer = self._buffer
         size = len(buffer)
@@ -353,8 +357,8 @@ class RtuReceiver:
     def _length(self, direction: Direction, at: int, end: int) -> int:
         """Return the length of the frame at ``at``, taken for a request or a reply, as `FrameLengths.length` does.
 
-        For a reply whose bytes do not tell its length, the length of the expected reply is returned if it may be that
-        one.
+        For a reply whose bytes do not tell its length, the length of the expected reply is returned if unit and
+        function are those of the expected reply.
         """
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
@@ -367,7 +371,7 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """Drop undecided bytes from the first on: they are more than a frame can have, so no frame begins there."""
+        """Drop the first undecided bytes: no frame begins there, because more than a frame can have were received."""
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)
@@ -394,7 +398,7 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _after_limit(self, found: list[Received]) -> None:
-        """Report unfinished frames as damaged after a silence of ``gap_limit``."""
+        """Report all undecided bytes after a silence of ``gap_limit``: the frames among them, the rest as damaged."""
         while self._at < len(self._buffer):
             self._follow(found)
             if not self._take_divided(self._at, found) and not self._take_inner(found, at_limit=True):
@@ -404,7 +408,10 @@ class RtuReceiver:
         self._report_lost(found)
 
     def _take_divided(self, at: int, found: list[Received]) -> bool:
-        """If the bytes from ``at`` on are exactly one or several frames, report these; return whether they are."""
+        """Add the frames to ``found`` if all bytes from ``at`` on are whole frames, one or several; return whether so.
+
+        Bytes before ``at`` are then reported as damaged.
+        """
         pieces = self._divide(at)
         if not pieces:
             return False
@@ -434,7 +441,7 @@ class RtuReceiver:
         return pieces if at == size else []
 
     def _end_of_known(self, at: int, size: int) -> int:
-        """Return the end of the frame at ``at`` if length rule (of request or reply) and CRC fit; 0 otherwise."""
+        """Return the end of the frame at ``at`` if its length by rule (request or reply) and CRC fit; 0 otherwise."""
         if size - at < SHORTEST:
             return 0
         for direction in self.conversation.order(self._buffer[at], self._buffer[at + 1], self._bursts.latest):
@@ -444,9 +451,9 @@ class RtuReceiver:
         return 0
 
     def _end_of_unknown(self, at: int, size: int) -> int:
-        """Return the end of the shortest frame at ``at`` with a right CRC; 0 if there is none.
+        """Return the end of the shortest frame at ``at`` with a right CRC, whatever the length rules; 0 for none.
 
-        For functions of unknown length.
+        Used where the length rules give no frame.
         """
         if size - at < SHORTEST or self._look(at)[0] == WAITS:
             return 0
@@ -468,9 +475,10 @@ class RtuReceiver:
         return self.conversation.guess(unit, code, self._bursts.latest)
 
     def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
-        """Report a frame that begins inside damaged bytes, and return whether there is one.
+        """Add a frame that begins inside the undecided bytes, after the first, to ``found``; return whether one does.
 
-        For a server a frame begins only after a silence; for a master or observer anywhere.
+        The bytes before it are reported as damaged. For a server a frame begins only after a silence; for a master or
+        observer anywhere. Without ``at_limit``, a frame that is unfinished there is waited for: the result is False.
         """
         if self.conversation.role is LineRole.SERVER:
             return any(self._take_divided(place, found) for place in self._silences if place > self._at)
@@ -489,10 +497,11 @@ class RtuReceiver:
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 
     def _search(self, *, at_limit: bool) -> tuple[int, Direction]:
-        """Find the next position after the first undecided byte where a frame begins or may begin; set ``_scan`` to it.
+        """Find the next position after the first undecided byte where a frame begins or can begin; set ``_scan`` to it.
 
-        Returns the frame's end and direction. The end is `WAITS` if the frame may be unfinished (with ``at_limit`` such
-        a position is rejected too), and `DEAD` if nothing is found; then ``_scan`` is the end of the buffer.
+        Returns the frame's end and direction. The end is `WAITS` if an unfinished frame can begin there (with
+        ``at_limit`` such a position is rejected), and `DEAD` if nothing is found; then ``_scan`` is the end of the
+        buffer.
         """
         start = max(self._scan, self._at + 1)
         if self.conversation.role is LineRole.MASTER:
@@ -506,7 +515,10 @@ class RtuReceiver:
     # Giving and losing.
 
     def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
-        """Report the lost bytes and the frame that ends at ``end``; the undecided bytes begin after it then."""
+        """Add the lost bytes, then the frame from the first undecided byte to ``end``, to ``found``.
+
+        The undecided bytes begin after the frame then.
+        """
         self._report_lost(found)
         raw = bytes(self._buffer[self._at : end])
         ended = self._bursts.ended(end)

@@ -33,9 +33,9 @@ first is the end of the bytes.
 def find_reply(
     buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
 ) -> Place:
-    """Find the first position from ``start`` where the expected reply, or its exception reply, begins or may begin.
+    """Find the first position from ``start`` where the expected reply, or its exception reply, begins or can begin.
 
-    Returns the position, and the end of the frame there, or `WAITS` or `DEAD`.
+    Returns the position, and the end of the frame there; instead of the end `WAITS` or `DEAD`, as `Place` says.
 
     Args:
         buffer: bytes received from the line.
@@ -79,7 +79,7 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """Find the first position from ``start`` where a request or reply begins or may begin.
+    """Find the first position from ``start`` where a request or reply begins or can begin.
 
     Only functions whose length is fixed or told by a byte count are looked for. Arguments and result are those of
     `find_reply`.
@@ -105,9 +105,10 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
 
 
 def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
-    """Return the result of a search without a hit: the bytes from ``start`` to ``size`` hold no whole frame.
+    """Return the result of a search that has found no frame in the bytes from ``start`` to ``size``.
 
-    In the last bytes, which are too few for a frame, one may still begin, unless ``at_limit``.
+    In the last three bytes, too few for a frame, one can still begin: the result is `WAITS` there. With ``at_limit`` it
+    is ``size`` and `DEAD`.
     """
     place = max(start, size if at_limit else size - SHORTEST + 1)
     return place, DEAD if place == size else WAITS

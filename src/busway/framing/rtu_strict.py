@@ -65,7 +65,7 @@ class StrictRtuReceiver:
 
     Attributes:
         state: the state of the line.
-        conversation: role, own units and the expected reply; they tell requests from replies.
+        conversation: role, own units and the expected reply; used to tell requests from replies.
         echo: the filter that removes the echo of what this station sends.
         timing: character time, t1.5 and t3.5.
     """
@@ -89,7 +89,7 @@ class StrictRtuReceiver:
             role: master, server or observer.
             timing: character time, t1.5 and t3.5.
             functions: the functions whose lengths are known.
-            units: the own units of a server; a container whose content changes may be given.
+            units: the own units of a server; a container whose content changes is allowed.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
             echo: whether this station receives what it sends.
             started: when the port was opened: the state is "initial" until t3.5 of silence. None: the line is idle.
@@ -104,10 +104,10 @@ class StrictRtuReceiver:
         self._began = self._last = float("-inf") if started is None else started
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
-        """Return the frame, or damaged bytes, completed by the silence before ``data``; empty if there are none.
+        """Take bytes read at ``now`` (seconds); return the frame, or damaged bytes, that the silence before them ends.
 
-        ``data``, read at ``now`` (seconds), count as characters without gaps. Their own frame is returned after the
-        silence that follows them.
+        The result is empty if no t3.5 has passed before ``data``. The bytes count as characters without gaps; their own
+        frame is returned by a later call, after the silence that follows them.
         """
         if not data:
             return []
@@ -135,7 +135,7 @@ class StrictRtuReceiver:
         return self._processed_or_deleted() if received else []
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`: when t3.5 of silence is over, or a possible echo expires.
+        """Return the time, in seconds, at which to call `tick`: at the end of t3.5, or when a possible echo expires.
 
         None while the line is idle and no bytes are held as a possible echo.
         """
@@ -149,7 +149,7 @@ class StrictRtuReceiver:
         """Announce the request of this master that is sent next, so that the reply to it is recognised.
 
         Args:
-            unit: unit of the request.
+            unit: unit of the request, 0…255.
             function: its function code, 1…127.
             size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
         """
@@ -198,7 +198,7 @@ class StrictRtuReceiver:
         return self.tick(max(now, self._last + self.timing.t3_5))
 
     def clear_at(self) -> float:
-        """Return the earliest time at which a frame may be sent on the line."""
+        """Return the earliest time, in seconds, at which a frame may be sent: t3.5 after the last byte on the line."""
         return self._last + self.timing.t3_5
 
     def _move(self, event: LineEvent) -> None:

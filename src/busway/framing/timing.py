@@ -18,12 +18,11 @@ FIXED_ABOVE_BAUD: Final = 19_200
 FIXED_T1_5: Final = 0.000_750
 FIXED_T3_5: Final = 0.001_750
 NETWORK_SILENCE: Final = 0.020
-"""Seconds used as t3.5 for RTU over a network: longer than the delay between two segments on a LAN.
-"""
+"""Seconds used as t3.5 for RTU over a network: longer than the delay between two segments on a LAN."""
 
 
 class Parity(Word):
-    """The parity bit of characters; also accepted as its first letter, as on data sheets: ``N``, ``E``, ``O``."""
+    """The parity bit of characters: ``Parity("even")``; the first letter is accepted too, as on data sheets: ``E``."""
 
     EVEN = "even"
     ODD = "odd"
@@ -104,7 +103,7 @@ class SerialTiming:
 
     @classmethod
     def of_network(cls, silence: float = NETWORK_SILENCE) -> "SerialTiming":
-        """Return the times for RTU or ASCII over a network, where ``silence`` seconds end a frame."""
+        """Return the times for RTU or ASCII over a network: t1.5 and t3.5 are ``silence`` seconds, characters 0."""
         return cls(0.0, silence, silence)
 
     def duration(self, characters: int) -> float:

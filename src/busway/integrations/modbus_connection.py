@@ -89,7 +89,8 @@ class ModbusConnection(BaseModbusConnection):
         timeout, message_spacing, connect_delay: seconds, as modbus-connection defines them; None for its defaults.
 
     Raises:
-        ValueError: busway cannot make such a connection; its cause, a `ConfigError`, says why.
+        ConfigError: busway cannot make such a connection, for example because RTU needs 8 data bits; it is a
+            ``ValueError``. Nothing was opened.
     """
 
     def __init__(
@@ -106,7 +107,11 @@ class ModbusConnection(BaseModbusConnection):
         self._client: AsyncLink | None = None
 
     def for_unit(self, unit_id: int) -> "BuswayUnit":
-        """Return the object that reads and writes a unit. Nothing is sent."""
+        """Return the object that reads and writes a unit. Nothing is sent.
+
+        Raises:
+            InvalidRequest: there cannot be such a unit on this connection; it is a ``ValueError``.
+        """
         return BuswayUnit(self, unit_id)
 
     def _new_link(self, context: ssl.SSLContext | None = None) -> AsyncLink:
@@ -188,7 +193,7 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
 
 
 def _translated(error: BaseException, prefix: str) -> ModbusError:
-    """Create the error of modbus-connection for an error of busway; its text begins with ``prefix``, the operation."""
+    """Return the error of modbus-connection for an error of busway; its text begins with ``prefix``, the operation."""
     message = f"{prefix}: {error}"
     match error:
         case WriteOutcomeUnknown() if error.__cause__ is not None:
@@ -211,7 +216,7 @@ def _translated(error: BaseException, prefix: str) -> ModbusError:
 def _operation(
     function: "Callable[Concatenate[BuswayUnit, P], Awaitable[R]]",
 ) -> "Callable[Concatenate[BuswayUnit, P], Coroutine[Any, Any, R]]":
-    """Decorator of a unit's operations: connects first, keeps the spacing of requests, and translates errors."""
+    """Decorate an operation of a unit: it connects first, keeps the spacing of requests, and translates errors."""
 
     @functools.wraps(function)
     async def operation(self: "BuswayUnit", /, *args: P.args, **kwargs: P.kwargs) -> R:

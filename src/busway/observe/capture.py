@@ -39,9 +39,12 @@ LARGEST_SEGMENT: Final = 32_768
 """Most bytes of one packet; a larger receive becomes several packets."""
 _MASTER_PORT: Final = 50_000
 _UNIT_PORT: Final = 1
-"""Port that stands for units. No Modbus server uses it, so the preference for lines does not affect TCP."""
+"""Port number that stands for the units of a serial line in its packets.
+
+No Modbus server uses it, so Wireshark's preference for lines does not affect TCP.
+"""
 _SHORTEST_DISSECTED: Final = 5
-"""Fewest bytes of an RTU frame that Wireshark's dissector takes (4.0)."""
+"""Fewest bytes of an RTU frame that Wireshark 4.0 dissects; shorter frames are written as data."""
 _MARK: Final = "Made by busway"
 _HINT: Final = (
     f"{_MARK} from payloads; packet headers are synthetic. On serial lines the master is 0.0.0.0 and unit n is"
@@ -51,17 +54,19 @@ _HINT: Final = (
 
 
 def is_capture(head: bytes) -> bool:
-    """Whether the first bytes of a file are those of a capture file that busway wrote."""
+    """Whether a file is a capture file that busway wrote; ``head`` has its first bytes, at least 42."""
     return head.startswith(SECTION_HEADER) and _MARK.encode("ascii") in head
 
 
 class Capture:
-    """A capture file for Wireshark, into which connections and lines write; a context manager that closes it.
+    """A capture file for Wireshark; a context manager that closes it.
+
+    Connections and serial lines write into it through recorders, which `connection`, `stream` and `line` return.
 
     Its methods may be called from several threads.
 
     Attributes:
-        failure: why writing ended; empty while the file can be written.
+        failure: why nothing more is written: the error of the file, or ``closed``; empty while packets are written.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
@@ -127,7 +132,7 @@ class Capture:
         return LineCapture(self, number)
 
     def close(self) -> None:
-        """Write the received bytes that are not a complete frame yet, and close the file; later packets are dropped.
+        """Write the incomplete frames that serial lines have received, and close the file; later packets are dropped.
 
         May be called twice.
         """
@@ -158,7 +163,7 @@ class Capture:
 
         Args:
             interface: number of the line's interface in the file.
-            packet: the frame with the headers of a capture file.
+            packet: the frame, with the tags that `line_pdu` puts before it.
             at: when the frame began, in seconds since 1970; None for now.
             flow: whether it was received or sent, or UNKNOWN.
             comment: comment of the packet; empty for none.
@@ -171,7 +176,7 @@ class Capture:
         self._guarded(write)
 
     def _guarded(self, write: Callable[[], int]) -> int:
-        """Call a function that writes, under the lock, and return its result; 0 if writing is impossible.
+        """Call ``write`` under the lock, and return its result; 0 if it fails, or if the file has ended already.
 
         The first failure ends the capture file and is logged.
         """
@@ -198,7 +203,7 @@ class StreamCapture:
         self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
 
     def received(self, data: bytes) -> None:
-        """Write bytes that the connection received to the capture file, as TCP packets."""
+        """Record bytes that the connection received: write them to the capture file as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
@@ -206,7 +211,7 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write bytes that the connection sent to the capture file, as TCP packets."""
+        """Record bytes that the connection sent: write them to the capture file as TCP packets."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
@@ -224,11 +229,11 @@ class DatagramCapture:
         self._ends = ends
 
     def received(self, data: bytes) -> None:
-        """Write a received datagram to the capture file."""
+        """Record a received datagram: write it to the capture file."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Write a sent datagram to the capture file."""
+        """Record a sent datagram: write it to the capture file."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
 
 
@@ -249,12 +254,12 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """Write a frame, or damaged bytes, that were on the serial line to the capture file.
+        """Record a frame, or damaged bytes, of the serial line: write them to the capture file as one packet.
 
         Args:
             found: the frame or damaged bytes.
             at: seconds since 1970 at which they began; None for now.
-            direction: request or reply, if the caller knows better than the receiver.
+            direction: request or reply; None for the direction that the receiver has found.
             is_outgoing: whether this program sent them.
         """
         flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING

@@ -42,7 +42,10 @@ class Node:
 
     @classmethod
     def of(cls, socket_address: object) -> "Node":
-        """Return address and port of a socket address; 0.0.0.0:0 for any other object."""
+        """Return address and port of a socket address of asyncio or `socket`: a tuple of IP address and port.
+
+        0.0.0.0:0 for any other object. An IPv4-mapped IPv6 address becomes IPv4.
+        """
         if isinstance(socket_address, tuple) and len(socket_address) >= 2:
             host, port = socket_address[:2]
             try:
@@ -64,7 +67,7 @@ def tcp_packet(source: Node, destination: Node, payload: bytes, sequence: int, a
     Args:
         source, destination: addresses and ports.
         payload: at most 65 000 bytes.
-        sequence, acknowledged: numbers of the segment, taken modulo 2³².
+        sequence, acknowledged: sequence number and acknowledgement number of the segment, taken modulo 2³².
     """
     header = _TCP.pack(
         source.port,

@@ -49,7 +49,7 @@ class Dissection:
 
     Attributes:
         framing: framing around the PDU.
-        direction: request or reply.
+        direction: request, reply, or ``EITHER`` if the bytes can be both.
         title: framing, addressing, function and direction in words.
         parts: all fields; offsets count from the first byte of the frame, in ASCII from its first character.
         problems: what is wrong, one sentence each; empty for a valid frame.
@@ -66,7 +66,15 @@ class Dissection:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """A frame split into its framing (addresses, checksum) and its PDU."""
+    """A frame split into its framing (addresses, checksum) and its PDU.
+
+    Attributes:
+        framing: the framing; `Framing.PDU` for none.
+        pdu: function code and data; empty if the frame is too short to have them.
+        head, tail: the fields before and after the PDU.
+        unit, transaction: None where the framing has none.
+        pdu_at: offset of the PDU in the frame, in bytes, in ASCII in characters.
+    """
 
     framing: Framing
     pdu: bytes
@@ -76,7 +84,7 @@ class _Frame:
     transaction: int | None = None
     pdu_at: int = 0
     characters: int = 1
-    """Places that a byte takes in the frame: two in ASCII."""
+    """Characters that one byte takes in the frame: 2 in ASCII, else 1."""
 
     @property
     def title(self) -> str:
@@ -110,7 +118,7 @@ class Dissector:
         direction: the direction of all frames; None to detect it for each frame.
 
     Attributes:
-        direction: the direction of the frames that follow; None to detect it.
+        direction: the direction of the frames that follow; None to detect it. May be set at any time.
     """
 
     def __init__(
@@ -144,8 +152,8 @@ class Dissector:
     def _is_stream(self, data: bytes) -> bool:
         """Whether the bytes are to be cut into MBAP frames.
 
-        If no framing is given, they must begin with a whole MBAP frame of a known function, be longer than it, and not
-        end in a valid CRC.
+        If no framing is given, they must begin with a whole MBAP frame of a known function, another MBAP header must
+        follow it, and they must not end in a valid CRC.
         """
         if self._framing is not None:
             return self._framing is Framing.MBAP
@@ -205,7 +213,10 @@ class Dissector:
         )
 
     def _directed(self, frame: _Frame) -> tuple[MessageDirection, Description, bool, tuple[str, ...]]:
-        """Return a frame's direction, its fields, whether it answers the last request, and if not why, as sentences."""
+        """Return a frame's direction, its fields, whether it answers the last request, and problems as sentences.
+
+        There is a problem only if the frame is a reply to the last request's function, but not to that request.
+        """
         asked = self._asked
         due = asked is not None and bool(frame.pdu) and frame.pdu[0] & 0x7F == asked.code
         as_request = describe_request(frame.pdu, self._functions)
@@ -254,7 +265,7 @@ def _mismatch(asked: _Asked, frame: _Frame) -> str:
 
 
 def _is_mbap(data: bytes) -> bool:
-    """Whether bytes are an MBAP frame, by its protocol and length fields."""
+    """Whether bytes are exactly one MBAP frame, by its protocol and length fields."""
     return len(data) > HEADER_SIZE and data[2:4] == b"\x00\x00" and data[4] << 8 | data[5] == len(data) - 6
 
 

@@ -100,14 +100,21 @@ class HttpService(ThreadingMixIn, TCPServer):
         self.server_close()
 
     def heard(self, accepted: socket.socket) -> None:
-        """Extend the time limit of an HTTP connection, because its whole request was received."""
+        """Extend the time limit of an HTTP connection, because its whole request was received.
+
+        Called by the connection's thread. The limit is then ``seconds`` of `HttpLimits` instead of ``request_seconds``,
+        both from when the connection was accepted.
+        """
         self._unheard.pop(accepted, None)
         self._deadlines[accepted] += self._limits.seconds - self._limits.request_seconds
 
     # Called by the standard library.
 
     def get_request(self) -> tuple[socket.socket, Any]:  # Any: the address of a peer has the shape of its family
-        """Accept an HTTP connection; after a failure wait a tenth of a second, as the next would fail too."""
+        """Accept an HTTP connection. Returns its socket and the peer's address.
+
+        Raises the `OSError` of a failed accept, but only after a tenth of a second: the next would fail too.
+        """
         try:
             return super().get_request()
         except OSError:

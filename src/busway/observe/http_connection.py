@@ -13,7 +13,7 @@ from typing import Any, Final, NoReturn, cast
 from .http_messages import BODY_LIMIT, HEAD_LIMIT, HttpError, HttpRequest, HttpResponse
 
 _SINGLE: Final = ("host", "content-length", "authorization")
-"""Headers that must not stand twice: it would be unclear which one counts."""
+"""Headers that a request may have only once: with two it would be unclear which one counts, so it is answered 400."""
 
 
 class HttpConnection(BaseHTTPRequestHandler):
@@ -102,7 +102,10 @@ class _Head:
         self._left = HEAD_LIMIT
 
     def readline(self, limit: int = -1) -> bytes:
-        """Return the next line of a request's head. Raises `HttpError` if it is too long, `EOFError` at its end."""
+        """Return the next line of a request's head, line end included. ``limit`` is ignored.
+
+        Raises `HttpError` if the head exceeds `HEAD_LIMIT`, `EOFError` if the connection ends inside the line.
+        """
         line: bytes = self._received.readline(self._left + 1)
         self._left -= len(line)
         if self._left < 0:
@@ -113,7 +116,10 @@ class _Head:
 
 
 def drain(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes of a response, then discard received bytes: otherwise closing would reset the connection."""
+    """Send the last bytes of a response, then discard received bytes: otherwise closing would reset the connection.
+
+    It does not wait: bytes that the socket does not take at once are not sent. Errors of the socket are ignored.
+    """
     with contextlib.suppress(OSError):
         accepted.setblocking(False)
         accepted.send(last)

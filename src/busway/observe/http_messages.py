@@ -49,7 +49,7 @@ class HttpResponse:
 
     Attributes:
         body: the bytes of the body.
-        content_type: type of the body.
+        content_type: value of the header ``Content-Type``.
         status: HTTP status code, 200 for success.
     """
 

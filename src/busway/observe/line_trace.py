@@ -26,7 +26,7 @@ from .trace import TRACE, StreamTrace, TraceLevel
 _log = logging.getLogger("busway.trace")
 
 _SOONEST: Final = 0.001
-"""Least seconds of a timer, so that one that fires a little early is not restarted at once again and again."""
+"""Fewest seconds that the silence timer is set to: one that fires a little early would be restarted again and again."""
 
 
 class ConnectionTrace(Protocol):
@@ -46,7 +46,7 @@ class SilenceTimer(Protocol):
     """Interface of a timer that calls a function after a silence of the line, such as `threading.Timer`."""
 
     def start(self) -> None:
-        """Start the time that the timer waits."""
+        """Start the timer: it calls its function once, after its time."""
 
     def cancel(self) -> None:
         """Stop the timer, so that its function is not called."""
@@ -59,7 +59,8 @@ def trace_for(framing: str, name: str, *, is_server: bool, carrier: object = Non
         framing: ``mbap``, ``rtu`` or ``ascii``.
         name: name of the connection in the log.
         is_server: whether requests are received here, and replies sent.
-        carrier: socket or transport of the connection, from which a capture file has its addresses.
+        carrier: socket or transport of the connection, from which a capture file has its addresses; used for ``mbap``
+            only.
     """
     if framing == "mbap":
         return StreamTrace(name, is_server=is_server, carrier=carrier)
@@ -73,7 +74,10 @@ def _timer(delay: float, call: Callable[[], None]) -> SilenceTimer:
 
 
 class LineTrace:
-    """Log of the traffic of one serial line. Its methods may be called from several threads."""
+    """Log of the traffic of one serial line. Its methods may be called from several threads.
+
+    If a capture file is in use (``TRACE.capture``) when the log is created, the frames are recorded there too.
+    """
 
     __slots__ = (
         "__weakref__",
@@ -106,7 +110,8 @@ class LineTrace:
             functions: the functions whose lengths are known.
             is_server: whether replies are sent here, and not requests.
             clock: returns the time in seconds, monotonic.
-            make_timer: returns a timer that calls a function after so many seconds.
+            make_timer: called with a number of seconds and a function; returns a timer, not started yet, that calls the
+                function after these seconds.
         """
         from ..session.line_framing import line_framing  # here: Modbus TCP does without it
 

@@ -23,9 +23,12 @@ from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
 
 SURE_REPLIES: Final = 3
-"""How many replies that differ from their requests are needed before their slowest is a measure (rule 4)."""
+"""Number of sure replies (different from their requests) whose slowest then limits how late a reply can be (rule 4)."""
 MUCH_LATER: Final = 3.0
-"""Multiple of the slowest such reply: hardly a unit needs three times as long for a write as the slowest for a read."""
+"""Multiple of the response time of the slowest sure reply. A frame equal to its request that begins later is no reply.
+
+Hardly a unit needs three times as long for a write as the slowest unit for a read.
+"""
 NEVER_LATE_BEFORE: Final = 0.1
 """Seconds within which a frame equal to the request is always a reply: masters wait longer before they ask again."""
 
@@ -49,11 +52,11 @@ class Heard:
         kind: the kind of event.
         frame: the frame; for `Kind.UNANSWERED` the request; None for damaged bytes.
         damaged: the damaged bytes; for `Kind.UNANSWERED` those that came in place of the reply, if any did.
-        gap: seconds of silence before the frame; None for the first frame and for `Kind.UNANSWERED`.
-        request: for a reply, the request that it answers.
+        gap: seconds of silence before the frame or damaged bytes; None for the first ones and for `Kind.UNANSWERED`.
+        request: for a reply, the request that it answers; otherwise None.
         response_time: for a reply, seconds from the end of the request to the beginning of the reply; for
-            `Kind.UNANSWERED`, seconds that were waited.
-        is_repeat: for a request, whether the same was asked just before and not answered.
+            `Kind.UNANSWERED`, seconds that were waited; otherwise None.
+        is_repeat: for a request, whether the request before it had the same bytes and got no reply.
     """
 
     kind: Kind
@@ -66,7 +69,10 @@ class Heard:
 
     @property
     def at(self) -> float:
-        """Time in seconds at which the frame began; for `Kind.UNANSWERED`, at which waiting for the reply ended."""
+        """Time in seconds, by the clock of the frames, at which the frame or the damaged bytes began.
+
+        For `Kind.UNANSWERED`, the time at which waiting for the reply ended.
+        """
         if self.kind is Kind.UNANSWERED and self.frame is not None and self.response_time is not None:
             return self.frame.ended + self.response_time
         found = self.frame if self.frame is not None else self.damaged
@@ -175,9 +181,9 @@ class Pairing:
         self._sure = ResponseTimes()
 
     def heard(self, found: Received) -> list[Heard]:
-        """Process a frame or damaged bytes, and return the resulting events in order.
+        """Process a frame or damaged bytes. Returns the resulting events in order.
 
-        The first may be a missing reply.
+        The event of a missing reply comes first, if the frame shows that the request before it got none.
         """
         events = self.tick(found.began)
         gap = None if self._last_end is None else max(found.began - self._last_end, 0.0)
@@ -192,7 +198,7 @@ class Pairing:
         return events
 
     def tick(self, now: float) -> list[Heard]:
-        """Return the event of a missing reply, if the reply to the last request has not come by ``now`` (seconds)."""
+        """Return the event of a missing reply, if waiting for it has ended by ``now`` (seconds); else an empty list."""
         deadline = self.deadline()
         return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
 

@@ -25,7 +25,7 @@ _APPLICATION: Final = 4
 _FLAGS: Final = 2
 _MICROSECONDS: Final = 6
 _LONGEST_TEXT: Final = 4000
-"""Most bytes of a comment; the format has room for 65 535, more than is readable."""
+"""Most bytes of a comment or name; a longer one is cut off. The format has room for 65 535, more than is readable."""
 
 
 class LinkType(IntEnum):

@@ -45,7 +45,8 @@ class Ear(Protocol):
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return received bytes, after waiting for up to ``timeout`` seconds, and how many of them are damaged.
 
-        Empty if none came in time; a timeout of None waits for ever. Raises `LinkDown`.
+        Empty if none came in time; a timeout of None waits for ever. Raises `LinkDown` if the port has vanished or the
+        connection has ended.
         """
 
     def close(self) -> None:
@@ -68,7 +69,7 @@ class SocketEar:
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return received bytes, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
 
-        Empty if none came in time. Raises `LinkDown`.
+        Empty if none came in time. Raises `LinkDown` if the connection has ended.
         """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
@@ -115,7 +116,7 @@ class DatagramEar:
     def read(self, timeout: float | None) -> tuple[bytes, int]:
         """Return the next datagram, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
 
-        Empty if none came in time. Raises `LinkDown`.
+        Empty if none came in time. Raises `LinkDown` if the system reports an error.
         """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
@@ -145,8 +146,8 @@ class LineToHear:
         endpoint: its endpoint.
         framing: options of the framing.
         port: settings of the serial port; None over a network.
-        sockets: options of the connection, over a network.
-        opening: how often opening is tried again after the port has vanished.
+        sockets: options of the connection; without effect for a serial port.
+        opening: the pauses between attempts to open a port that has vanished; without effect over a network.
     """
 
     endpoint: Endpoint
@@ -157,9 +158,7 @@ class LineToHear:
 
     @property
     def timing(self) -> SerialTiming:
-        """Times of the line, such as the silence between frames: by the settings of its port, or fixed ones over a
-        network.
-        """
+        """Times of the line, such as the silence between frames: from the port's settings, or fixed over a network."""
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
     def open(self) -> Ear:
@@ -226,7 +225,7 @@ class Listening:
     """Listens to one serial line and pairs requests and replies; a context manager that closes it.
 
     Attributes:
-        pairing: pairs the frames to events, and has the statistics.
+        pairing: turns the frames into events, and has the statistics.
         bytes_heard: number of bytes received, good or not.
         lost: the error with which the port vanished, while opening it is tried again; None while the port is open.
     """
@@ -244,8 +243,8 @@ class Listening:
 
         Args:
             line: the line to listen to.
-            pairing: pairs the frames to events; a new one if None.
-            clock: returns the time in seconds, in which `hear` reports.
+            pairing: turns the frames into events; None for a new one.
+            clock: returns the time in seconds; all times in events and of `hear` are of this clock.
             vanished: called when a serial port vanishes, which is then opened again as soon as possible; None ends the
                 listening instead.
             returned: called when the port is open again.
@@ -279,12 +278,15 @@ class Listening:
         self.close()
 
     def hear(self, until: float) -> list[Heard]:
-        """Return the next events on the line; none if nothing is complete before ``until`` (seconds of the clock).
+        """Wait for bytes from the line, and return the events that they or the silence complete; often none.
 
-        Returns after a fifth of a second at the latest, also while a vanished port is awaited.
+        Returns as soon as bytes have come, or a silence has ended a frame or the wait for a reply. Returns at ``until``
+        (seconds of the clock) at the latest, and never later than after a fifth of a second, also while a vanished port
+        is awaited. So an empty list does not mean that ``until`` has come.
 
         Raises:
-            LinkDown: the port vanished and is not opened again, or the connection ended.
+            LinkDown: the port vanished and is not to be opened again, or the connection ended.
+            ConfigError: a vanished port is there again, but is in use in this process or refuses its settings.
         """
         now = self._clock()
         if self.lost is not None and not self._try_again(now, until):

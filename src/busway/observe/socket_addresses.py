@@ -27,7 +27,7 @@ class SocketAddresses:
 def socket_addresses_of(carrier: object) -> SocketAddresses:
     """Return the addresses of a socket, of an asyncio transport, or of an object with the descriptor of a socket.
 
-    Both are None if ``carrier`` has no socket, or is not connected.
+    Both are None if ``carrier`` has no socket, or is not connected. A `SocketAddresses` object is returned unchanged.
     """
     if isinstance(carrier, SocketAddresses):
         return carrier

@@ -3,7 +3,7 @@
 Knows frames and messages; knows no connection: a driver passes in what it received and sent.
 
 1. ``message``: each request and reply with its fields. ``frame``: the ADU in hexadecimal too. ``bytes``: the bytes of
-   each receive and send, however they were cut.
+   each receive and send too, in the pieces in which they were received or sent.
 2. Off costs a driver one attribute test (``TRACE.level``). A capture file switches it on too, without log lines.
 3. Lines go to the logger ``busway.trace`` at level DEBUG, lazily formatted.
 """
@@ -88,7 +88,11 @@ class Trace:
         self.undecided: set[Undecided] = set()
 
     def set(self, level: TraceLevel) -> None:
-        """Log the traffic at this level from now on; the logger ``busway.trace`` must let DEBUG pass."""
+        """Log the traffic at this level from now on.
+
+        Above OFF, the level of the logger ``busway.trace`` is set to DEBUG; its handlers must let DEBUG pass. OFF
+        becomes CAPTURE while there is a recorder.
+        """
         if level is TraceLevel.OFF and self.capture is not None:
             level = TraceLevel.CAPTURE
         self.level = level
@@ -96,7 +100,11 @@ class Trace:
             _log.setLevel(logging.DEBUG)
 
     def capture_into(self, capture: Recorder | None) -> None:
-        """Record the traffic of connections opened from now on into a capture file or recorder; None ends it."""
+        """Record the traffic into a capture file or another recorder; None ends that.
+
+        A connection that has been logged before keeps the recorder that it began with, or none: only connections whose
+        log begins later use the new one.
+        """
         self.settle()
         self.capture = capture
         self.set(TraceLevel.OFF if self.level is TraceLevel.CAPTURE else self.level)
@@ -108,11 +116,13 @@ class Trace:
 
 
 TRACE = Trace()
-"""The switch for the traffic log of this process."""
+"""The switch of the traffic log of this process: the only `Trace` object."""
 
 
 class StreamTrace:
     """Log of the traffic of one MBAP connection.
+
+    If a capture file is in use (``TRACE.capture``) when the log is created, the bytes are recorded there too.
 
     Args:
         name: name of the connection in the log.

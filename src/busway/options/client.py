@@ -10,19 +10,23 @@ from ..pdu.wide_registers import NARROW, WIDEST
 from .declaration import ByFraming, Mark, Name, On, Range, Strict, check
 
 CLIENT_DEADLINE = 2.5
-"""Default seconds within which a gateway answers a request: half a second less than its clients wait.
+"""Default seconds within which a gateway answers a request: half a second less than the default ``timeout`` with MBAP.
 
-They suffice for one second on a line and one more for the repetition.
+They suffice for two attempts on a serial line, of one second each.
 """
 
 
 class MismatchPolicy(Enum):
     """How a client treats a reply with another transaction identifier or unit than that of its request.
 
+    Values of the options ``transaction_policy`` and ``unit_policy``. If ``transaction_policy`` is not STRICT, every
+    timeout ends the connection, so that no late reply is taken for the next one.
+
     Attributes:
-        STRICT: a reply to another transaction is dropped and counted; a reply of another unit is a broken reply.
-        AUTOMATIC: accepted if exactly one request is in flight and all else fits; every timeout ends the connection.
-        IGNORE: accepted for the one request in flight if function and length fit; every timeout ends the connection.
+        STRICT: a reply with another identifier is dropped and counted; one of another unit is a `BadReply`.
+        AUTOMATIC: the reply is accepted if exactly one request is in flight and all else of the reply fits.
+        IGNORE: a reply with another identifier is taken for that of the only request in flight, and then checked like
+            any other; one of another unit is accepted.
     """
 
     STRICT = "strict"
@@ -44,7 +48,7 @@ class TransactionScope(Enum):
 
 
 ONE_AT_A_TIME = On("mbap")
-"""Mark of options about transactions: they have an effect with MBAP alone, whose requests have identifiers."""
+"""Mark of options about transactions: they have an effect with MBAP framing only, which has identifiers for them."""
 ON_STREAMS = On("mbap tcp", "mbap tls")
 
 
@@ -152,7 +156,7 @@ class Hold(Enum):
 
 
 class LinkSelection(Enum):
-    """Which of several connections to one peer gets a request (Messaging on TCP/IP V1.0b §4.2.1.2).
+    """Which of several connections to one peer sends a request (Messaging on TCP/IP V1.0b §4.2.1.2).
 
     Attributes:
         FIRST: the connection of the link that was created first.
@@ -213,12 +217,10 @@ class ManagementParameters:
 
 
 def selection(name: "str | LinkSelection | None") -> LinkSelection | None:
-    """Return the rule with this name for choosing a request's connection.
-
-    None and a `LinkSelection` are returned unchanged.
+    """Return the `LinkSelection` named ``first`` or ``oldest``. None and a `LinkSelection` are returned unchanged.
 
     Raises:
-        ConfigError: there is no such rule.
+        ConfigError: the name is another one; the error has the key ``select``.
     """
     if name is None or isinstance(name, LinkSelection):
         return name

@@ -38,7 +38,7 @@ class Range:
     """Mark of an option that is a number: the range that it must lie in. An end may be infinite.
 
     Attributes:
-        low, high: the ends, which belong to the range.
+        low, high: the ends, which belong to the range, except for ``low`` if ``above``.
         unit: unit of the numbers, for messages.
         words: text that replaces the ends in messages; empty for none.
     """
@@ -48,7 +48,7 @@ class Range:
     unit: str = ""
     words: str = ""
     above: bool = False
-    """Whether ``low`` itself is out of the range."""
+    """Whether ``low`` itself is out of the range: if True, values must be greater than ``low``."""
 
     def has(self, value: object) -> bool:
         """Whether a value is a number in the range."""
@@ -197,7 +197,7 @@ class Option:
         limits: which values of the type are allowed; None for all.
         strict: the value that the preset ``strict`` sets, with its clause; None if the preset does not set it.
         by_framing: its defaults by framing.
-        on: where it has an effect; all of them must fit.
+        on: where it has an effect: at endpoints and in roles that fit all of these; everywhere if empty.
         aliases: its other names.
         marks: its further marks (`Mark`).
     """
@@ -216,12 +216,12 @@ class Option:
 
     @property
     def is_in_seconds(self) -> bool:
-        """Whether the option is a time in seconds, judged by its help."""
+        """Whether the option is a time in seconds: True if its help or its range contains the word ``seconds``."""
         return "seconds" in f"{self.help} {self.limits}"
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The words that are values of the option: those of its enums and literals."""
+        """The fixed values of the option: those of the enums and literals among its types; empty if it has none."""
         words = (get_args(kind) if get_origin(kind) is Literal else _members(kind) for kind in self.kinds)
         return tuple(word for each in words for word in each)
 
@@ -236,7 +236,7 @@ class Option:
 
     @property
     def values(self) -> str:
-        """The possible values as text, for tables and help."""
+        """The possible values as text, for tables and help: a range, fixed values, or else the kind of value."""
         words = [str(self.limits)] if isinstance(self.limits, Range | OneOf) else []
         words += [f"`{one}`" for one in self.choices]
         words = words or list(dict.fromkeys(_kind_words(kind) for kind in self.kinds))
@@ -244,7 +244,7 @@ class Option:
 
     @property
     def default_text(self) -> str:
-        """The default as text; where framings differ, each default with its framings: ``3 s (RTU); 1 s (TCP)``."""
+        """The default as text; where framings differ, each with its framings: ``3 (TCP, TLS, UDP); 1 (RTU, ASCII)``."""
         if not self.by_framing:
             return _shown(self.default)
         names: dict[str, list[str]] = {}
@@ -253,7 +253,10 @@ class Option:
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
     def check(self, value: object) -> None:
-        """Raise `ConfigError` if a value of the right type is out of range, or not one of the allowed values."""
+        """Raise `ConfigError` if a value is out of range or not one of the allowed values; its type is not checked.
+
+        None is valid if the option may be None. The error has the option's name as key.
+        """
         if (value is None and (self.is_optional or self.default is None)) or (self.limits is None and not self.choices):
             return
         if self.choices and (isinstance(value, Enum) or value in self.choices):
@@ -302,7 +305,7 @@ def option_of(name: str, hint: Any, default: object, on: tuple[On, ...] = ()) ->
         name: name of the field.
         hint: its type, with the marks of this file.
         default: its default; `REQUIRED` for none.
-        on: where its class has an effect.
+        on: marks of where all options of its class have an effect; empty for everywhere.
     """
     marks: tuple[Any, ...] = ()
     if get_origin(hint) is Annotated:
@@ -350,7 +353,7 @@ _KIND_WORDS: Final = {bool: "`true`, `false`", int: "a whole number", float: "a 
 
 
 def _kind_words(kind: Any) -> str:  # a type
-    """Return the name of a value's type for the tables of the reference."""
+    """Return how the documentation's tables of options name a type: ``a whole number``, ``a list``, ``a table``."""
     if kind in _KIND_WORDS:
         return _KIND_WORDS[kind]
     origin = get_origin(kind) or kind

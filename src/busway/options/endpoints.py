@@ -66,7 +66,7 @@ _OTHER_NAMES = {
     "modbus+rtu": "rtu",
     "serial": "rtu",
 }
-"""Names that other programs use for the schemes."""
+"""Schemes of other programs, each with the scheme that errors suggest instead."""
 
 _HOST = re.compile(r"^[A-Za-z0-9._~%-]*$|^\[[0-9A-Fa-f:.%\w]+\]$")
 
@@ -77,10 +77,10 @@ class Endpoint:
 
     Attributes:
         scheme: one of the keys of `SCHEMES`.
-        host: name or address; empty if the URL has none.
+        host: name or address, in lower case, IPv6 without brackets; empty if the URL has none.
         port: 0…65535; 0 lets a listener choose a free one. None for serial lines.
         path: device path of a serial line; empty otherwise.
-        options: the options after ``?``, by name, as texts.
+        options: the options after ``?``, by name (with ``_`` for ``-``), as texts.
     """
 
     scheme: str
@@ -118,16 +118,17 @@ class Endpoint:
 
 
 _LONGEST = 4096
-"""Longest invalid URL, in characters, that an error message shows in full."""
+"""Longest URL, in characters, that errors about its host or port show in full; of longer ones they show 60."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     """Parse a URL; an IP address alone is ``tcp://``, and an `Endpoint` is returned unchanged.
 
-    The values of options are not checked.
+    Names and values of options are not checked. No connection is made.
 
     Raises:
-        ConfigError: the text is no URL of an endpoint; where possible the error suggests one.
+        ConfigError: the text is no URL of an endpoint, or gives an option twice; where possible the error suggests a
+            URL.
     """
     if isinstance(url, Endpoint):
         return url
@@ -187,10 +188,10 @@ def require_host(endpoint: Endpoint) -> None:
 
 
 def _with_scheme(text: str) -> str:
-    """Return an endpoint with a scheme put before it, if only one is possible.
+    """Return the ``tcp://`` URL for an IP address without a scheme, which may have a port and options.
 
     Raises:
-        ConfigError: several are possible; the error suggests a URL.
+        ConfigError: the text is no IP address; the error suggests a URL.
     """
     place, mark, query = text.strip().partition("?")
     if re.fullmatch(_ADDRESS, place):

@@ -21,7 +21,9 @@ _MAPPED_LENGTH: Final = 96
 
 
 class Networks:
-    """A set of IP addresses and networks: ``"10.0.0.7" in networks``. Sets with the same entries are equal.
+    """A set of IP addresses and networks: ``"10.0.0.7" in networks``. It cannot be changed.
+
+    Sets with the same entries, as texts and in any order, are equal. An empty set is falsy.
 
     Args:
         entries: texts such as ``10.0.0.7``, ``10.0.0.0/8``, ``fe80::/64``, ``fe80::1%eth0``.
@@ -57,7 +59,10 @@ class Networks:
         return isinstance(host, str) and self.find(host) is not None
 
     def find(self, host: str) -> str | None:
-        """Return the most specific entry that contains a numeric address, as it was written; None if none does."""
+        """Return the most specific entry that contains a numeric address, as it was written.
+
+        None if no entry contains it, or if ``host`` is no numeric address.
+        """
         found = self._found.get(host, "")
         if found != "":
             return found
@@ -150,7 +155,7 @@ def host_of_peer(peer: str) -> str:
 
 
 def _number_of(host: str) -> tuple[int, int, str]:
-    """Return version, number and zone of a numeric IP address. Raises `ValueError`."""
+    """Return version (4 or 6), number and zone (empty for none) of a numeric IP address. Raises `ValueError`."""
     plain, _, zone = host.partition("%")
     address = ipaddress.ip_address(plain)
     number = int(address)
@@ -163,7 +168,7 @@ def _parsed(entry: str, key: str | None) -> tuple[int, int, int, str]:
     """Return version, prefix length, network and zone of an entry such as ``10.0.0.0/8``.
 
     Raises:
-        ConfigError: the entry is no address or network.
+        ConfigError: the entry is no address or network, or has bits set beyond its length.
     """
     if not isinstance(entry, str):
         raise ConfigError(f"{shown(entry)} is no text such as '10.0.0.0/8'", key=key)

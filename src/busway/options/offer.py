@@ -75,7 +75,7 @@ class Offer:
 
     @classmethod
     def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
-        """Return the options of these parameter classes; with a role, only those that have an effect for it."""
+        """Return the options of these parameter classes; with a role, only those that have an effect in this role."""
         return cls({kind: options_for(role, kind) for kind in kinds})
 
     @property
@@ -85,12 +85,14 @@ class Offer:
 
     @property
     def names(self) -> frozenset[str]:
-        """The names of the accepted options, and ``preset`` if there are any."""
+        """The names of the accepted options, and ``preset``; empty if no option is accepted."""
         names = frozenset(self.options)
         return names | {OPTION} if names else names
 
     def chosen(self, given: Mapping[str, object], *, of: str = "") -> "ChosenOptions":
-        """Sort the options that a user gave by their parameter class, and add those that a preset sets.
+        """Return the options that a user gave, sorted by their parameter class, with those that a preset sets.
+
+        Values are not checked before `ChosenOptions.build`.
 
         Args:
             given: values or their texts by name; ``preset`` may be among them.
@@ -140,10 +142,10 @@ class ChosenOptions:
 
 
 def canonical(options: Mapping[str, object]) -> dict[str, object]:
-    """Return options with their alternative names replaced by their own names.
+    """Return options with alternative names, such as ``baudrate``, replaced by the options' own names (``baud``).
 
     Raises:
-        ConfigError: an option is given under both names.
+        ConfigError: an option is given under its own and an alternative name.
     """
     found: dict[str, object] = {}
     for given, value in options.items():
@@ -167,6 +169,6 @@ def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
 
 @cache
 def aliases() -> Mapping[str, str]:
-    """Return all alternative names of options of links, each with the option's own name."""
+    """Return all alternative names of options of links, such as ``baudrate``, each with the option's own name."""
     options = (option for kind in LINKS for option in declared(kind).values())
     return {alias: option.name for option in options for alias in option.aliases}

@@ -28,11 +28,11 @@ OPTION: Final = "preset"
 
 
 class Preset(Word):
-    """The presets of options.
+    """Values of the option ``preset``, which sets several options at once.
 
     Attributes:
-        STANDARD: the defaults.
-        STRICT: every "must" of the specifications.
+        STANDARD: sets nothing; the defaults stay.
+        STRICT: meets every "must" of the specifications.
         PASSIVE: clients only: no retries, no breaker, no pause before the next attempt to connect, no recycled
             connections.
     """
@@ -61,7 +61,11 @@ _OF_LINKS: Final = "retries"
 
 
 def preset_of(value: object) -> Preset:
-    """Return the preset for a value of the option ``preset``; the standard one for None. Raises `ConfigError`."""
+    """Return the preset for a value of the option ``preset``; `Preset.STANDARD` for None.
+
+    Raises:
+        ConfigError: there is no such preset.
+    """
     if value is None:
         return Preset.STANDARD
     if isinstance(value, Preset):
@@ -74,7 +78,7 @@ def preset_of(value: object) -> Preset:
 
 
 def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, object]:
-    """Return options with ``preset`` replaced by the options that the preset sets; given options stay unchanged.
+    """Return a copy of options with ``preset`` replaced by the options that the preset sets; given ones stay unchanged.
 
     Args:
         given: values by name, with or without ``preset``.
@@ -104,14 +108,15 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def strict_settings(options: Mapping[str, Option]) -> dict[str, Strict]:
-    """Return those of the options that the preset ``strict`` sets, by name, with the values."""
+    """Return, by name, what the preset ``strict`` sets each of the options to; other options are left out."""
     return {name: option.strict for name, option in options.items() if option.strict is not None}
 
 
 def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> dict[str, Strict]:
     """Return what ``strict`` sets for the characters of a serial line: data bits of ASCII, and stop bits.
 
-    The required stop bits depend on the parity (Serial Line V1.02 §2.5.1), so they are set only if the user gives some.
+    The required stop bits depend on the parity (Serial Line V1.02 §2.5.1). They are in the result only if the user
+    gives stop bits, which must then agree; the default agrees always.
     """
     found = {"data_bits": Strict("S12", 7)} if "upper_case_only" in options else {}
     if given.get("stop_bits") is not None:
@@ -121,7 +126,11 @@ def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def _agrees(name: str, given: object, wanted: object) -> bool:
-    """Whether the value that a user gave, or its text, equals the value that the preset sets."""
+    """Whether the value that a user gave, or its text, equals the value that the preset sets.
+
+    Raises:
+        ConfigError: the value has another type.
+    """
     if isinstance(given, Enum):
         given = given.value
     return bool(converted(name, given, type(wanted)) == wanted)

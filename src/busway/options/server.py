@@ -14,7 +14,7 @@ _SLOTS = Range(1, 1_000_000)
 
 
 class Scope(Enum):
-    """Values of the option ``scope``: the limit of requests in progress is for each connection or the whole server."""
+    """Values of the option ``scope``: whether ``max_transactions`` is for each connection or for the whole server."""
 
     CONNECTION = "connection"
     SERVER = "server"
@@ -25,7 +25,7 @@ class UnitPolicy(Enum):
 
     Attributes:
         LISTED: those of its devices.
-        ANY: all of them; its only device answers.
+        ANY: all of them; the server has one device, which answers requests to every unit.
     """
 
     LISTED = "listed"
@@ -33,7 +33,7 @@ class UnitPolicy(Enum):
 
 
 class UnlistedUnit(Enum):
-    """Values of the option ``unlisted``: how a server answers a request for a unit that it does not have.
+    """Values of the option ``unlisted``: how a server answers a network request for a unit that it does not have.
 
     Attributes:
         EXCEPTION: with exception 0B.

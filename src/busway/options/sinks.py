@@ -9,7 +9,7 @@ from ..points.point_rules import ReportRule
 from .declaration import Mark, Name, Range, check
 
 LONGEST_SECONDS: Final = 86_400.0
-"""Most seconds until a command expires."""
+"""Longest time until a command expires that is accepted, in seconds."""
 
 
 @dataclass(frozen=True, slots=True)

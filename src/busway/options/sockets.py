@@ -10,7 +10,7 @@ MIN_SOCKET_BUFFER = 900
 _BUFFER = Range(MIN_SOCKET_BUFFER, 1 << 30, words=f"at least {MIN_SOCKET_BUFFER} bytes")
 _STREAMS = On("tcp", "tls")
 _DIALLED = On("client", "monitor tcp")
-"""Mark of options that concern the opening of a connection, not its acceptance."""
+"""Mark of options about opening a connection: they have an effect for clients and TCP monitors, not for listeners."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
-    """Create the error for an unknown option: it suggests the known option with the nearest name, or else lists all.
+    """Return the error for an unknown option: it suggests the known option with the nearest name, or else lists all.
 
     Args:
         name: the unknown option.
@@ -68,6 +68,8 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, f
 
 def option_value(option: Option, value: object) -> object:
     """Convert an option's value, or its text, to the option's type; the range is not checked.
+
+    The text ``none`` means None if the option may be None.
 
     Raises:
         ConfigError: the value has another type; the error has the option's name as key.
@@ -173,7 +175,7 @@ def host_and_port(text: str, key: str, example: str = "127.0.0.1:9502") -> tuple
         example: an address that errors show.
 
     Raises:
-        ConfigError: the text is no such address.
+        ConfigError: the text is no such address; its host or port is missing, or the port is above 65535.
     """
     host, colon, port = text.rpartition(":")
     is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))

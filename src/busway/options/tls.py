@@ -21,7 +21,10 @@ SUITES: Final = (
     "ECDHE-ECDSA-AES256-GCM-SHA384",
     "ECDHE-RSA-AES256-GCM-SHA384",
 )
-"""The allowed suites of TLS 1.2, the preferred first. Those of TLS 1.3 all have AEAD and forward secrecy."""
+"""The default cipher suites of TLS 1.2, the preferred first.
+
+All suites of TLS 1.3 are allowed: they all have AEAD and forward secrecy.
+"""
 NULL_SUITES: Final = ("NULL-SHA256",)
 """Suites that authenticate but do not encrypt (TLS_RSA_WITH_NULL_SHA256); used only if they are named."""
 
@@ -134,14 +137,14 @@ class TlsParameters:
         return tuple(one.strip().upper() for one in self.ciphers.replace(":", ",").split(",") if one.strip())
 
     def check_server(self) -> None:
-        """Raise `ConfigError` if an option is missing that a TLS listener needs."""
+        """Raise `ConfigError` if ``certificate`` or ``authority`` is missing, which a TLS listener needs."""
         if self.certificate is None:
             raise ConfigError("a tls:// listener needs a certificate", key="certificate")
         if self.authority is None:
             raise ConfigError("a tls:// listener needs the authority that its clients come from", key="authority")
 
     def check_client(self) -> None:
-        """Raise `ConfigError` if an option is missing that a TLS client needs."""
+        """Raise `ConfigError` if ``authority`` is missing, which a TLS client needs unless it verifies nothing."""
         if self.authority is None and self.verify is Verify.ALWAYS:
             raise ConfigError(
                 "the authority that the server's certificate comes from is needed; "

@@ -21,10 +21,10 @@ _BITS_OF_BYTE = tuple(tuple(bool(byte >> bit & 1) for bit in range(8)) for byte 
 
 
 def as_state(name: str, value: object) -> bool:
-    """Return the state of a coil as ``bool``.
+    """Return the state of a coil, given as bool or integer, as ``bool``.
 
     Args:
-        name: what the value is, for the error.
+        name: what the value is, for the error message: ``value 3``.
         value: a ``bool``, an integer 0 or 1 of any type, or a boolean of numpy.
 
     Raises:
@@ -50,8 +50,8 @@ def as_states(values: Iterable[object]) -> list[bool]:
         values: a state for each coil, as `as_state` takes it.
 
     Raises:
-        InvalidRequest: ``values`` is no sequence, or one of its values no state; the error names which. Nothing was
-            sent.
+        InvalidRequest: ``values`` is not accepted by `listed`, or one of them is no state; the message names the first
+            such value. Nothing was sent.
     """
     states = listed(values, "states", "True and False")
     for position, value in enumerate(states):
@@ -65,7 +65,7 @@ def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value
 
     Args:
         values: an iterable in a definite order: a list, a range, a generator, an array; at most 65536 values.
-        what, of: words for the error message, in the plural: what the values are, and what they may be.
+        what, of: words for the error message, in the plural: what the values are, and what is allowed.
 
     Raises:
         InvalidRequest: ``values`` is a text, bytes, a set, a mapping or no iterable, or has more than 65536 values.
@@ -83,7 +83,10 @@ def listed(values: Iterable[Value], what: str, of: str = "values") -> list[Value
 
 
 def is_several(values: object) -> bool:
-    """Whether an object is an ordered collection of values; texts, bytes, sets and mappings are not."""
+    """Whether an object can be iterated over in a definite order: False for texts, bytes, sets and mappings.
+
+    True for lists, arrays and generators, for example.
+    """
     if isinstance(values, list | tuple):
         return True
     return isinstance(values, Iterable) and not isinstance(values, str | bytes | bytearray | memoryview | Set | Mapping)
@@ -95,7 +98,7 @@ def _shown(value: object) -> str:
 
 
 def pack_bits(values: Sequence[bool]) -> bytes:
-    """Return states as packed bits, the first in the lowest bit of the first byte; unused bits are zero."""
+    """Return states as bytes, eight in each, the first in the lowest bit of the first byte; unused bits are zero."""
     packed = 0
     for position, value in enumerate(values):
         if value:
@@ -113,7 +116,10 @@ def unpack_bits(data: bytes, count: int) -> list[bool]:
 
 
 def slice_bits(data: bytes | bytearray, first: int, count: int) -> bytes:
-    """Return ``count`` packed bits of ``data`` from bit ``first`` on, moved to the lowest bit; unused bits are zero."""
+    """Return ``count`` packed bits of ``data`` from bit ``first`` on as packed bits of their own.
+
+    Bit ``first`` becomes the lowest bit of the first byte; unused bits of the last byte are zero.
+    """
     shift = first & 7
     start = first >> 3
     if not shift and not count & 7:
@@ -123,7 +129,10 @@ def slice_bits(data: bytes | bytearray, first: int, count: int) -> bytes:
 
 
 def splice_bits(data: bytearray, first: int, count: int, packed: bytes) -> None:
-    """Overwrite ``count`` bits of ``data`` from bit ``first`` on with packed bits, in one assignment."""
+    """Overwrite ``count`` bits of ``data`` from bit ``first`` on with those of ``packed``, lowest bit first.
+
+    The bytes of ``data`` are changed by a single slice assignment; its other bits and its length stay the same.
+    """
     start, end = first >> 3, (first + count + 7) >> 3
     shift = first & 7
     mask = ((1 << count) - 1) << shift

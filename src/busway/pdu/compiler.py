@@ -1,4 +1,4 @@
-"""Makes constructor, encoder and decoder of a message class from its declared fields, once.
+"""Makes constructor, encoder and decoder of a message class from its declared fields, once for each class.
 
 Knows how fields lie on the wire and how to write the source of a codec; knows no function.
 
@@ -23,8 +23,8 @@ class Layout:
     """How a message class is laid out in bytes: a fixed head as one `struct.Struct`, then an optional variable part.
 
     Attributes:
-        head: the function code, a sub-code and all fixed fields.
-        names, fields: the fixed fields in wire order.
+        head: packs and unpacks the function code, the sub-code if there is one, and all fixed fields.
+        names, fields: the fixed fields in wire order, byte counts included.
         tail: the field of variable length that ends the message; None without one.
         tail_name: its name; empty without one.
     """
@@ -49,7 +49,7 @@ def as_integer(name: str, value: object) -> int:
     """Return the value of an integer field as ``int``.
 
     Raises:
-        InvalidRequest: the value is no integer, or a ``bool``; the error has the field's name.
+        InvalidRequest: the value is no integer, or a ``bool``; the message names the field.
     """
     if isinstance(value, bool):
         raise InvalidRequest(f"{name} must be an integer, not {value}")
@@ -63,7 +63,8 @@ def as_bytes(name: str, value: object) -> bytes:
     """Return the value of a field of bytes as ``bytes``.
 
     Raises:
-        InvalidRequest: the value is not bytes-like. Numbers are refused too: ``bytes(2)`` would be 00 00.
+        InvalidRequest: the value is not bytes, bytearray or memoryview; the message names the field. Numbers are
+            refused too: ``bytes(2)`` would be 00 00.
     """
     if isinstance(value, bytes | bytearray | memoryview):
         return bytes(value)
@@ -74,7 +75,7 @@ def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_chec
     """Return the value of a field of several items as a tuple.
 
     Raises:
-        InvalidRequest: the value cannot be iterated over; the error has the field's name.
+        InvalidRequest: the value cannot be iterated over; the message names the field.
     """
     try:
         return tuple(value)  # type: ignore[arg-type]
@@ -85,7 +86,8 @@ def as_tuple(name: str, value: object) -> tuple[Any, ...]:  # of whatever `_chec
 def compile_message(cls: Any) -> None:  # Any: the attributes it sets are what makes the class a message
     """Prepare a message class; its constructor, ``encode`` and ``decode`` are compiled when one of them is first used.
 
-    They are not compiled at import, because all 40 classes take 40 ms and most commands use only a few.
+    Sets ``layout``, and ``is_write`` to True if the class declares ``writes``. A ``decode`` that the class defines
+    itself is kept. Nothing is compiled at import, because all 40 classes take 40 ms and most commands use only a few.
 
     Args:
         cls: a message class with its declared fields.
@@ -122,7 +124,7 @@ def _first_decode(cls: Any, pdu: bytes) -> Any:
 def _compile_pending(cls: Any) -> None:
     """Compile constructor, ``encode`` and ``decode`` of a message class, at the first use of one of them.
 
-    If a class inherits all its fields, its base class is compiled.
+    For a class that was not prepared itself, because it inherits all its fields, its base class is compiled.
     """
     owner = next(one for one in cls.__mro__ if "codecs_pending" in one.__dict__)
     _compile_codecs(owner)

@@ -34,11 +34,11 @@ class Part:
     """One field of a PDU in a description for people.
 
     Attributes:
-        offset: offset of its first byte, counted from the function code.
+        offset: offset of its first byte in the PDU; the function code has 0.
         data: its bytes; fewer than the field needs if the PDU is cut off.
-        name: the specification's name of the field.
+        name: the specification's name of the field; ``data`` for undecoded bytes, ``surplus`` for bytes too many.
         text: its value in words; empty if the bytes need no explanation.
-        problem: what is wrong with it; empty if nothing is.
+        problem: what is wrong with the field; empty if nothing is.
     """
 
     offset: int
@@ -53,11 +53,12 @@ class Description:
     """A description of a PDU for people: its function and all its fields.
 
     Attributes:
-        title: function and direction, ``3 (read holding registers), request``.
+        title: function and direction, ``3 (read holding registers), request``; ``…, exception`` for an exception.
         parts: the fields in their order; together they hold all bytes.
         problems: what is wrong with the PDU and its parts, in order; empty if the PDU is valid.
         message: the decoded message; None if the PDU is not valid.
-        is_known: whether the function is in the table.
+        is_known: whether the table of functions has the function and sub-function; always True for an exception reply,
+            always False for an empty PDU.
     """
 
     title: str
@@ -91,8 +92,8 @@ def describe_reply(pdu: bytes, functions: FunctionTable = STANDARD, *, request: 
     Args:
         pdu: the bytes, function code first; any bytes are accepted.
         functions: the functions that are known.
-        request: the request that was answered; with it only as many bits are shown as were read. None if it is not
-            known.
+        request: the request that was answered, whose ``count`` tells how many bits of a reply are data. None if it is
+            not known: then all bits of the last byte are shown too.
     """
     if not pdu:
         return _empty("reply")
@@ -159,7 +160,10 @@ def _finished(title: str, parts: list[Part], problem: str, message: Message | No
 
 
 def _field_parts(pdu: bytes, kind: type[Message], shown: "_Meaning") -> Iterator[Part]:
-    """Yield the fields of a PDU with their descriptions, as far as its bytes go."""
+    """Yield the fields of a PDU after its function code with their descriptions, as far as its bytes go.
+
+    The last part is the first field that is cut off, or surplus bytes after the last field.
+    """
     at = 1
     if kind.sub_code is not None:
         data = pdu[at : at + kind.sub_width]
@@ -246,7 +250,7 @@ def _sub_code_name(code: int, data: bytes) -> str:
 
 
 class _Meaning:
-    """Writes the values in a PDU as text for people: an address as ``16, holding register 4x17``, a bit as ``on``."""
+    """Returns the values in a PDU as text for people: an address as ``16, holding register 4x17``, a bit as ``on``."""
 
     def __init__(self, kind: type[Request], is_request: bool, request: Message | None) -> None:
         self._kind = kind
@@ -254,7 +258,10 @@ class _Meaning:
         self._request = request
 
     def number(self, name: str, value: int) -> str:
-        """Return the text for a field of fixed size, such as ``16, holding register 4x17`` for an address."""
+        """Return the text for the value of a field of fixed size: ``16, holding register 4x17`` for an address.
+
+        A coil's value becomes ``on`` or ``off``, a mask binary digits, anything else a decimal number.
+        """
         touch = next(
             (one for one in (self._kind.reads, self._kind.writes) if one is not None and one.address == name), None
         )

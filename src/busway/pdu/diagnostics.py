@@ -13,12 +13,12 @@ from .model import Context, DataModel
 
 
 class ReadExceptionStatus(Request):
-    """07 Read Exception Status: eight bits that the device defines (MODBUS Application Protocol V1.1b3 §6.7)."""
+    """07 Read Exception Status: reads eight bits whose meaning the device defines (V1.1b3 §6.7)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_EXCEPTION_STATUS
 
     class Reply(ReplyMessage):
-        """The reply of function 07: eight status bits."""
+        """The reply of function 07: ``status``, eight bits as a number 0…255."""
 
         status: int = u8()
 
@@ -27,7 +27,7 @@ class ReadExceptionStatus(Request):
 
 
 class GetCommEventCounter(Request):
-    """11 Get Comm Event Counter: status word and number of successful messages (Application Protocol V1.1b3 §6.9)."""
+    """11 Get Comm Event Counter: reads status word and number of successful messages (V1.1b3 §6.9)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_COUNTER
 
@@ -48,7 +48,7 @@ class GetCommEventCounter(Request):
 
 
 class GetCommEventLog(Request):
-    """12 Get Comm Event Log: the counters of 11, and up to 64 events (MODBUS Application Protocol V1.1b3 §6.10)."""
+    """12 Get Comm Event Log: reads status word, two message counts and up to 64 events (V1.1b3 §6.10)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.GET_COMM_EVENT_LOG
 
@@ -74,12 +74,16 @@ class GetCommEventLog(Request):
 
 
 class ReportServerId(Request):
-    """17 Report Server ID: device-specific data and a run indicator (MODBUS Application Protocol V1.1b3 §6.13)."""
+    """17 Report Server ID: reads device-specific data and a run indicator (Application Protocol V1.1b3 §6.13)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.REPORT_SERVER_ID
 
     class Reply(ReplyMessage):
-        """The reply of function 17: identification and run indicator (00 off, FF on), in the device's own layout."""
+        """The reply of function 17, whose layout depends on the device; `ServerId.of` splits it.
+
+        Attributes:
+            data: identification, run indicator (00 off, FF on) and additional data, at most 251 bytes.
+        """
 
         byte_count: ClassVar[RestLength] = rest_length(1, 0, 251)
         data: bytes = rest(0, 251)
@@ -89,11 +93,11 @@ class ReportServerId(Request):
 
 
 class Diagnostic(Request):
-    """Base of the sub-functions of 08 Diagnostics with two bytes of data in request and reply (§6.8).
+    """Base class of the sub-functions of 08 Diagnostics with two bytes of data in request and reply (§6.8).
 
     Attributes:
-        data: the two bytes.
-        allowed: the data that a request of this sub-function may have; empty for any.
+        data: the two bytes; 00 00 if none are given.
+        allowed: the values of ``data`` that this sub-function accepts; empty for any.
     """
 
     sub_width = 2
@@ -121,7 +125,11 @@ class Diagnostic(Request):
 
 
 class ReturnQueryData(Request):
-    """08/00 Return Query Data: the reply repeats the data of the request (Application Protocol V1.1b3 §6.8.1)."""
+    """08/00 Return Query Data: the reply repeats the data of the request (Application Protocol V1.1b3 §6.8.1).
+
+    Attributes:
+        data: 2…250 bytes, an even number; 00 00 if none are given.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_QUERY_DATA
@@ -146,7 +154,10 @@ class ReturnQueryData(Request):
 
 
 class RestartCommunications(Diagnostic):
-    """08/01 Restart Communications Option: ends listen-only mode; with FF00 also clears the event log (§6.8.1)."""
+    """08/01 Restart Communications Option: clears the counters and ends listen-only mode (§6.8.1).
+
+    With the data FF 00, instead of 00 00, the unit also clears its event log.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RESTART_COMMUNICATIONS
@@ -162,7 +173,10 @@ class ReturnDiagnosticRegister(Diagnostic):
 
 
 class ChangeAsciiDelimiter(Diagnostic):
-    """08/03 Change ASCII Input Delimiter: the data are the new last character of ASCII frames, and 00 (§6.8.1)."""
+    """08/03 Change ASCII Input Delimiter: sets the character that ends ASCII frames after CR (§6.8.1).
+
+    The first data byte is the character, 00…7F, the second is 00.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CHANGE_ASCII_DELIMITER
@@ -182,7 +196,7 @@ class ForceListenOnly(Diagnostic):
 
 
 class ClearCounters(Diagnostic):
-    """08/0A Clear Counters and Diagnostic Register: sets all diagnostic counters to 0 (§6.8.1)."""
+    """08/0A Clear Counters and Diagnostic Register: sets all diagnostic counters and the register to 0 (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.CLEAR_COUNTERS
@@ -239,7 +253,7 @@ class ReturnServerBusyCount(Diagnostic):
 
 
 class ReturnBusCharacterOverrunCount(Diagnostic):
-    """08/12 Return Bus Character Overrun Count: asks how many messages were lost to fast characters (§6.8.1)."""
+    """08/12 Return Bus Character Overrun Count: asks how often characters came too fast to be received (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.BUS_CHARACTER_OVERRUN_COUNT

@@ -33,7 +33,11 @@ OBJECT_NAMES = {
 
 @dataclass(frozen=True, slots=True)
 class IdentificationObject:
-    """One identification object: its number 0x00…0xFF and its value of at most 244 bytes (what fits one reply)."""
+    """One identification object: its number 0x00…0xFF and its value of at most 244 bytes (what fits one reply).
+
+    Raises:
+        InvalidRequest: the number is out of range, or the value too long or no bytes.
+    """
 
     number: int
     value: bytes
@@ -50,7 +54,7 @@ class IdentificationObject:
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the identification object at offset ``at`` of ``data``. Returns it and the offset after it.
+        """Decode the identification object at offset ``at`` of ``data``; return the object and the offset after it.
 
         Raises:
             ValueError: the object is cut off.
@@ -63,12 +67,13 @@ class IdentificationObject:
 
 
 class ReadDeviceIdentification(Request):
-    """43/14 Read Device Identification (MODBUS Application Protocol V1.1b3 §6.21).
+    """43/14 Read Device Identification: reads identification objects (MODBUS Application Protocol V1.1b3 §6.21).
 
     Attributes:
-        level: 1 basic, 2 regular, 3 extended: all objects of this level, from ``object_id`` on; 4: the one object
+        level: 1 basic, 2 regular, 3 extended: all objects up to this level, from ``object_id`` on; 4: the one object
             ``object_id``.
-        object_id: number of an object, 0x00…0xFF.
+        object_id: number of an object, 0x00…0xFF. With level 1…3, a number that the device does not have means the
+            first object.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE
@@ -78,15 +83,15 @@ class ReadDeviceIdentification(Request):
     object_id: int = u8(default=0)
 
     class Reply(ReplyMessage):
-        """The reply of function 43/14: identification objects, as many as fit.
+        """The reply of function 43/14: identification objects, as many as fit one PDU.
 
         Attributes:
-            level: the level of the request.
+            level: the level of the request, 1…4.
             conformity: the highest level of the device, plus 0x80 if it answers requests for one object.
-            more_follows: FF if a further request from ``next_object`` on is needed, else 00.
+            more_follows: 0xFF if a further request from ``next_object`` on is needed, else 0.
             next_object: number of the next object; 0 if none follows.
             number_of_objects: number of ``objects``.
-            objects: the objects.
+            objects: the objects, by ascending number.
         """
 
         level: int = u8(BASIC, INDIVIDUAL)
@@ -148,7 +153,11 @@ class ReadDeviceIdentification(Request):
 
 
 class CanopenGeneralReference(Request):
-    """43/13 CANopen General Reference: its data are passed on unchanged (MODBUS Application Protocol V1.1b3 §6.20)."""
+    """43/13 CANopen General Reference: carries a CANopen request, which is not examined here (V1.1b3 §6.20).
+
+    Attributes:
+        data: the bytes after the MEI type, 0…251 of them.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE
     sub_code: ClassVar[MeiType] = MeiType.CANOPEN_GENERAL_REFERENCE
@@ -157,7 +166,7 @@ class CanopenGeneralReference(Request):
     data: bytes = rest(0, 251)
 
     class Reply(ReplyMessage):
-        """The reply of function 43/13: the CANopen answer."""
+        """The reply of function 43/13: ``data`` is the CANopen answer, 0…251 bytes after the MEI type."""
 
         data: bytes = rest(0, 251)
 

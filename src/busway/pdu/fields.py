@@ -18,14 +18,14 @@ _WIDTHS = {1: "B", 2: "H"}
 
 
 class _NoDefault:
-    """Type of `NO_DEFAULT`, the default of a message field that has none."""
+    """Type of `NO_DEFAULT`, which marks a message field without a default."""
 
     def __repr__(self) -> str:
         return "<no default>"
 
 
 NO_DEFAULT = _NoDefault()
-"""Default of a message field that has none: the caller must give a value."""
+"""Marks a message field without a default: the constructor of the message needs a value."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,7 +36,7 @@ class FixedField:
         width: bytes on the wire, 1 or 2.
         low, high: smallest and largest value.
         values: the allowed values, instead of limits; None for the limits.
-        default: value if the caller gives none; `NO_DEFAULT` for none.
+        default: value if the caller gives none; `NO_DEFAULT` if the caller must give one.
     """
 
     width: int
@@ -53,7 +53,9 @@ class FixedField:
 
 @dataclass(frozen=True, slots=True)
 class RestLength:
-    """A message field that counts the bytes after it; computed when encoding, checked when decoding.
+    """A message field with the number of bytes after it in the PDU; computed when encoding, checked when decoding.
+
+    It is no attribute of the message.
 
     Attributes:
         width: bytes on the wire, 1 or 2.
@@ -79,7 +81,7 @@ class RestField:
     Attributes:
         low, high: smallest and largest number of bytes.
         step: the number must be a multiple of this.
-        default: value if the caller gives none; `NO_DEFAULT` for none.
+        default: value if the caller gives none; `NO_DEFAULT` if the caller must give one.
     """
 
     low: int
@@ -93,7 +95,7 @@ class Item(Protocol):
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode one element at offset ``at`` of ``data``. Returns it and the offset after it.
+        """Decode one element at offset ``at`` of ``data``; return the element and the offset after it.
 
         Raises:
             ValueError: the bytes are no such element.
@@ -110,7 +112,7 @@ class RepeatedField:
     Attributes:
         item: class of the items; it has the methods of `Item`.
         low, high: smallest and largest number of items.
-        default: value if the caller gives none; `NO_DEFAULT` for none.
+        default: value if the caller gives none; `NO_DEFAULT` if the caller must give one.
     """
 
     item: type[Any]  # any class with the two methods of Item; a Protocol type cannot be called through type[]
@@ -138,12 +140,18 @@ def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None
 
 
 def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1) -> RestLength:
-    """Declare a message field that holds the number of bytes after it, ``low``…``high`` and a multiple of ``step``."""
+    """Declare a message field of ``width`` bytes (1 or 2) that holds the number of all bytes after it.
+
+    In received messages it must be ``low``…``high`` and a multiple of ``step``.
+    """
     return RestLength(width, low, high, step)
 
 
 def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of all bytes to its end, ``low``…``high`` of them, a multiple of ``step``."""
+    """Declare a message field of all bytes to the end of the message: ``low``…``high``, a multiple of ``step``.
+
+    Without ``default`` the constructor of the message needs a value, here and in the other functions of this file.
+    """
     return RestField(low, high, step, default)
 
 

@@ -1,4 +1,4 @@
-"""Messages of functions 20 and 21, which read and write records of files: one request has several groups.
+"""Messages of functions 20 and 21, which read and write records of files: a request has one or several groups.
 
 A record is one 16-bit register. A file is 1…65535, a record 0…9999 (Application Protocol V1.1b3 §6.14, §6.15).
 """
@@ -45,9 +45,12 @@ def _check_reference(file: int, record: int) -> str | None:
 class FileReference:
     """One group of a request of function 20: registers of a file to read.
 
+    Each number can be 0…65535, also one that no file or record has: `ReadFileRecord.of` refuses such a group, and a
+    server answers it with exception 02. Other numbers raise `InvalidRequest`.
+
     Attributes:
-        file: number of the file.
-        record: number of the first record.
+        file: number of the file, 1…65535.
+        record: number of the first record, 0…9999.
         count: number of registers.
     """
 
@@ -66,7 +69,7 @@ class FileReference:
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group of a file read at offset ``at`` of ``data``. Returns it and the offset after it.
+        """Decode the group of a file read at offset ``at`` of ``data``; return the group and the offset after it.
 
         Raises:
             ValueError: the group is cut off.
@@ -84,9 +87,12 @@ class FileReference:
 class FileData:
     """One group of a request of function 21: registers to write to a file, from ``record`` on.
 
+    Raises:
+        InvalidRequest: a number is not 0…65535, or ``data`` is no bytes or an odd number of them.
+
     Attributes:
-        file: number of the file.
-        record: number of the first record.
+        file: number of the file, 1…65535.
+        record: number of the first record, 0…9999.
         data: the registers, big-endian.
     """
 
@@ -115,7 +121,7 @@ class FileData:
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group of a file write at offset ``at`` of ``data``. Returns it and the offset after it.
+        """Decode the group of a file write at offset ``at`` of ``data``; return the group and the offset after it.
 
         Raises:
             ValueError: the group is cut off.
@@ -130,7 +136,14 @@ class FileData:
 
 @dataclass(frozen=True, slots=True)
 class FileContent:
-    """One group of a reply of function 20: registers read from a file, big-endian; at most 127."""
+    """One group of a reply of function 20: registers read from a file.
+
+    Raises:
+        InvalidRequest: ``data`` is no bytes, an odd number of them or more than 254.
+
+    Attributes:
+        data: the registers, big-endian; at most 127.
+    """
 
     data: bytes
 
@@ -145,12 +158,12 @@ class FileContent:
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Return the group's bytes in a reply of function 20: length of the rest, reference type 6, the data."""
+        """Return the group's bytes in a reply of function 20: number of bytes that follow, reference type 6, data."""
         return bytes((1 + len(self.data), REFERENCE_TYPE)) + self.data
 
     @classmethod
     def decode_from(cls, data: bytes, at: int) -> tuple[Self, int]:
-        """Decode the group of a reply of function 20 at offset ``at`` of ``data``. Returns it and the offset after it.
+        """Decode the group of a reply of function 20 at offset ``at`` of ``data``; return group and offset after it.
 
         Raises:
             ValueError: the length or the reference type is wrong, or the group is cut off.
@@ -164,9 +177,9 @@ class FileContent:
 
 
 class ReadFileRecord(Request):
-    """20 Read File Record: reads several groups of registers in one request (Application Protocol V1.1b3 §6.14).
+    """20 Read File Record: reads 1…35 groups of registers in one request (Application Protocol V1.1b3 §6.14).
 
-    All groups of a request must fit one PDU, and so must the reply to all of them.
+    The reply must fit one PDU; a request with a longer one raises `InvalidRequest`, or `MalformedPdu` when received.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_FILE_RECORD
@@ -184,7 +197,8 @@ class ReadFileRecord(Request):
         """Create the request that reads ``groups``.
 
         Raises:
-            InvalidRequest: a group has an impossible file or record, or the reply would be too long. Nothing was sent.
+            InvalidRequest: a file is not 1…65535, a record not 0…9999, there are not 1…35 groups, or the reply would be
+                too long. Nothing was sent.
         """
         for group in groups:
             problem = _check_reference(group.file, group.record)
@@ -199,7 +213,7 @@ class ReadFileRecord(Request):
         return None
 
     def reply_length(self) -> int:
-        """Return the number of bytes of the PDU that answers this file read."""
+        """Return the number of bytes of the reply PDU to this request; `validate` allows at most 253."""
         return 2 + sum(2 + 2 * group.count for group in self.groups)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -221,7 +235,7 @@ class ReadFileRecord(Request):
 
 
 class WriteFileRecord(Request):
-    """21 Write File Record: several groups; the reply repeats the request (Application Protocol V1.1b3 §6.15)."""
+    """21 Write File Record: writes 1…27 groups of registers; the reply repeats the request (V1.1b3 §6.15)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_FILE_RECORD
     is_write = True
@@ -244,7 +258,7 @@ class WriteFileRecord(Request):
         Args:
             file: number of the file, 1…65535.
             record: number of the first record, 0…9999.
-            values: the registers, each 0…65535.
+            values: the registers, each 0…65535; at most 122 fit one request.
 
         Raises:
             InvalidRequest: a number is out of range, or there are too many values for one request. Nothing was sent.

@@ -1,6 +1,6 @@
-"""The table of functions: which request and reply class belongs to a function code.
+"""The table of functions: which request and reply class belongs to a function code and sub-code.
 
-Knows the list; the classes know everything else.
+Knows the list of classes; everything else about a function is in its class.
 
 1. A table is immutable and passed to its users; there is no global registry. `STANDARD` holds the functions of
    the specification, ``STANDARD.with_functions(Mine)`` a new table with one more.
@@ -22,11 +22,13 @@ AnyRequest = Request | OpaqueRequest | MalformedRequest
 class FunctionTable:
     """Immutable table of request classes by function code and sub-code; decodes requests and replies.
 
+    Iterating yields the classes; ``code in table`` tells whether any class has the function code.
+
     Args:
         functions: request classes.
 
     Raises:
-        ValueError: two functions have the same code, or a code is not 1…127.
+        ValueError: two functions have the same code, a code is not 1…127, or sub-codes of a function differ in width.
     """
 
     __slots__ = ("_by_code", "_by_sub_code", "_sub_width")
@@ -54,10 +56,11 @@ class FunctionTable:
             raise ValueError(f"{function.__name__}: function {code} is in the table already")
 
     def with_functions(self, *functions: type[Request]) -> "FunctionTable":
-        """Return a new table that has the functions of this one and ``functions``.
+        """Return a new table that has the functions of this one and ``functions``; this one stays as it is.
 
         Raises:
-            ValueError: two functions have the same code, or a code is not 1…127.
+            ValueError: two functions have the same code, a code is not 1…127, or sub-codes of a function differ in
+                width.
         """
         return FunctionTable(*self, *functions)
 
@@ -69,13 +72,14 @@ class FunctionTable:
         return code in self._by_code or code in self._sub_width
 
     def codes(self) -> tuple[int, ...]:
-        """Return all function codes in the table, ascending."""
+        """Return all function codes in the table, ascending, each once."""
         return tuple(sorted({*self._by_code, *self._sub_width}))
 
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
         """Return the request class of the function whose request or reply PDU starts at ``at`` of ``data[:end]``.
 
-        None if the function is not in the table, the PDU is an exception reply, or its sub-code is cut off.
+        None if the function or its sub-code is not in the table, the PDU is an exception reply, or the sub-code is cut
+        off. At least one byte must be there.
         """
         code = data[at]
         found = self._by_code.get(code)
@@ -86,14 +90,14 @@ class FunctionTable:
         return found
 
     def decode_request(self, pdu: bytes) -> AnyRequest:
-        """Decode a request PDU; never raises for received bytes.
+        """Decode a request PDU; an invalid one is returned as an object too, and raises nothing.
 
         Args:
             pdu: 1…253 bytes, the first a function code below 0x80.
 
         Returns:
-            A message of the function's class; `OpaqueRequest` for an unknown function; `MalformedRequest` for a broken
-                request.
+            An object of the function's request class; `OpaqueRequest` if function or sub-function is not in the table;
+            `MalformedRequest` if the bytes break a rule of the function.
         """
         kind = self.find(pdu, 0, len(pdu))
         if kind is None:
@@ -113,8 +117,10 @@ class FunctionTable:
     def decode_reply(self, pdu: bytes) -> Message:
         """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for unknown codes, `OpaqueReply`.
 
+        Whether it is the reply to a particular request is not checked (`Request.accept` does).
+
         Raises:
-            MalformedPdu: the bytes are no valid reply of the function.
+            MalformedPdu: there are no bytes, or they are no valid reply of the function.
         """
         if not pdu:
             raise MalformedPdu("an empty PDU")
@@ -130,14 +136,15 @@ class FunctionTable:
     def request_length(self, data: bytes, at: int, end: int) -> int:
         """Return the length in bytes of the request PDU that starts at ``at`` of ``data[:end]``, for RTU frames.
 
-        `NEED_MORE` means that more bytes are needed to tell, `UNKNOWN_LENGTH` that the content does not tell.
+        `NEED_MORE` means that more bytes are needed to tell, `UNKNOWN_LENGTH` that the content never tells it.
         """
         return self._length(data, at, end, reply=False)
 
     def reply_length(self, data: bytes, at: int, end: int) -> int:
         """Return the length in bytes of the reply PDU that starts at ``at`` of ``data[:end]``, for RTU frames.
 
-        `NEED_MORE` means that more bytes are needed to tell, `UNKNOWN_LENGTH` that the content does not tell.
+        Also for an exception reply. `NEED_MORE` means that more bytes are needed to tell, `UNKNOWN_LENGTH` that the
+        content never tells it.
         """
         if at < end and data[at] & 0x80:
             return _exception_length(data, at, end)
@@ -202,4 +209,4 @@ STANDARD = FunctionTable(
     encapsulated.CanopenGeneralReference,
     encapsulated.ReadDeviceIdentification,
 )
-"""The table with all functions of the specification."""
+"""The table with all functions of the specification, which are used unless another table is given."""

@@ -12,7 +12,12 @@ from .message import UNKNOWN_LENGTH, Message, Request, SelfCoded
 
 
 class ExceptionResponse(SelfCoded):
-    """The exception reply of any function: its code + 0x80 and an exception code (Application Protocol §7)."""
+    """The exception reply of any function: its code + 0x80 and an exception code (Application Protocol §7).
+
+    Attributes:
+        function: function code of the request, 0…127, without 0x80.
+        exception: the exception code, 0…255.
+    """
 
     exception_bit = True
     function: int = u8(0, 0x7F)
@@ -20,7 +25,7 @@ class ExceptionResponse(SelfCoded):
 
     @property
     def meaning(self) -> str:
-        """The meaning of the exception code in words."""
+        """The meaning of the exception code in words; for an unknown code, a text that says so."""
         return exception_meaning(self.exception)
 
 
@@ -39,16 +44,25 @@ def decode_exception(pdu: bytes) -> ExceptionResponse:
 
 
 class OpaqueReply(SelfCoded):
-    """A reply whose function code is not in the table of functions: kept as bytes."""
+    """A reply whose function code is not in the table of functions; its content is kept as bytes.
+
+    Attributes:
+        function: function code, 0…127.
+        data: the bytes after the function code, 0…252 of them.
+    """
 
     function: int = u8(0, 0x7F)
     data: bytes = rest()
 
 
 class OpaqueRequest(Request):
-    """A request whose function code is not in the table of functions: kept as bytes, so that it can be forwarded.
+    """A request whose function code is not in the table of functions; it is kept as bytes, so that it can be forwarded.
 
-    It counts as a write, because its effect is not known.
+    It counts as a write, because its effect is not known. Its reply is an `OpaqueReply`.
+
+    Attributes:
+        function: function code, 0…127.
+        data: the bytes after the function code, 0…252 of them.
     """
 
     self_coded = True
@@ -74,7 +88,7 @@ class MalformedRequest:
         kind: the request class of the function.
         data: the PDU as it was received.
         reason: which rule is broken, in words.
-        code: the exception code that a server answers.
+        code: the exception code with which a server refuses the request.
     """
 
     function: int

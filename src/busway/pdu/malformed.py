@@ -8,7 +8,7 @@ class MalformedPdu(ValueError):
 
     Attributes:
         reason: which rule is broken, in words.
-        code: exception code that a server answers (03 for quantities and lengths).
+        code: exception code with which a server refuses the message if it is a request; 03 for quantities and lengths.
     """
 
     def __init__(self, reason: str, code: int = ExceptionCode.ILLEGAL_DATA_VALUE) -> None:

@@ -32,7 +32,7 @@ NEED_MORE = 0
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """The items of one table that a request reads or writes, as access rules, hooks and routes check them.
+    """A range of items in one table that a request reads or writes; access rules, hooks and routes check it.
 
     Attributes:
         table: the table.
@@ -49,12 +49,12 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Which items the requests of a class read or write, given by the names of their fields.
+    """Declaration which items the requests of a class read or write: the table, and the names of two fields.
 
     Attributes:
         table: the table.
-        address: name of the field with the address of the first item.
-        count: name of the field with the number of items; None for one item.
+        address: name of the request's field with the address of the first item.
+        count: name of the request's field with the number of items; None if it is always one item.
     """
 
     table: Table
@@ -107,25 +107,33 @@ Reply_co = TypeVar("Reply_co", bound="Message", covariant=True)
 
 @dataclass_transform(field_specifiers=(u8, u16, rest, repeated), frozen_default=True)
 class Message(metaclass=_MessageType):
-    """Base class of request and reply messages; rules 1…4 of this file say what a subclass declares."""
+    """Base class of request and reply messages, which are immutable.
+
+    A subclass declares a function code and fields (`busway.pdu.fields`); its constructor, ``encode`` and ``decode`` are
+    made from them. The constructor takes the fields by position or name, and raises `InvalidRequest` for a value that
+    is not allowed. Messages of one class are equal if their bytes are.
+    """
 
     code: ClassVar[int]
     """Function code, 1…127."""
     sub_code: ClassVar[int | None] = None
-    """Sub-function of 08 or MEI type of 43; None for other functions."""
+    """Code after the function code: sub-function of 08 or MEI type of 43; None for functions without one."""
     sub_width: ClassVar[int] = 0
-    """Bytes of the sub-code on the wire."""
+    """Bytes of the sub-code on the wire, 1 or 2; 0 without one."""
     self_coded: ClassVar[bool] = False
-    """Whether the function code is itself a field."""
+    """Whether the function code is a field of the message, ``function``, and not the same for the whole class."""
     exception_bit: ClassVar[bool] = False
-    """Whether 0x80 is added to the function code on the wire."""
+    """Whether 0x80 is added to the function code on the wire: True for exception replies only."""
     has_rule: ClassVar[bool] = False
-    """Whether the class has rules of its own in `validate`."""
+    """Whether the class or a base overrides `validate`, so that constructor and ``decode`` call it."""
     declared: ClassVar[dict[str, Field]] = {}
     layout: ClassVar[Layout]
 
     def validate(self) -> str | None:
-        """Return which rule about several fields the message breaks, in words; None if none. Subclasses override it."""
+        """Return which rule about several fields the message breaks, in words; None if it breaks none.
+
+        Subclasses with such rules override it; constructor and ``decode`` turn a result into an error.
+        """
         return None
 
     def encode(self) -> bytes:
@@ -137,13 +145,13 @@ class Message(metaclass=_MessageType):
         """Create the message from a whole PDU, function code first.
 
         Raises:
-            MalformedPdu: a limit or a length is broken.
+            MalformedPdu: the function code is another one, or a limit, a length or a rule of the class is broken.
         """
         raise TypeError(f"{cls.__name__} declares no code")
 
     @classmethod
     def wire_length(cls, data: bytes, at: int, end: int) -> int:
-        """Return the length in bytes of the PDU of this class that starts at ``at``, from ``data[at:end]``.
+        """Return the length in bytes of the whole PDU of this class that starts at ``at``, from ``data[at:end]``.
 
         `NEED_MORE` if too few bytes are there to tell; `UNKNOWN_LENGTH` if the bytes of such a PDU never tell it.
         """
@@ -202,17 +210,17 @@ class SelfCoded(Message):
 
 
 class ReplyMessage(Message):
-    """Base class of normal replies; a reply class is declared inside its request class, which gives it the code."""
+    """Base class of normal replies. A reply class is declared inside its request class, whose code it gets."""
 
 
 class Request(Message):
     """Base class of requests: a subclass declares fields, limits and reply, and what the request does to a device.
 
-    Class attributes that a function sets:
+    Class attributes that a subclass sets:
         Reply: class of its normal reply.
         reads, writes: the ranges of items that it reads and writes (`Touch`); None for none.
-        is_write: whether executing it twice may differ from executing it once; then it is not repeated automatically.
-            True wherever ``writes`` is set.
+        is_write: whether executing it twice can differ from executing it once; then it is not repeated automatically.
+            Always True if ``writes`` is set.
         echoes: whether the normal reply repeats the request; then no ``Reply`` is declared.
         broadcast: whether a serial master may send it to unit 0 (Serial Line V1.02 §2.1).
     """
@@ -224,17 +232,19 @@ class Request(Message):
     is_write: ClassVar[bool] = False
     echoes: ClassVar[bool] = False
     take: ClassVar[Any] = None  # Any: a staticmethod (bytes) -> Message or None; a plain callable would be bound
-    """Function that creates a reply from its data bytes alone, if length and first bytes of the PDU are as expected.
+    """Function that creates a reply object from its data bytes alone, quicker than ``Reply.decode``.
 
-    None if the reply has other fields.
+    It checks nothing: the caller has compared length and first bytes of the PDU with the expected ones. None if the
+    reply has more than a byte count and data, or there are further rules for it. Set when the class is created.
     """
     broadcast: ClassVar[bool] = False
 
     @classmethod
     def direct(cls, model: "DirectModel") -> "Answer | None":
-        """Return a function that turns the bytes of such a request into the bytes of the reply of one device.
+        """Return a function of the server's fast path that answers requests of this class from the memory of a device.
 
-        None if requests of this class must take the generic path (`busway.pdu.fast_answers`).
+        None if requests of this class must take the generic path (`busway.pdu.fast_answers`): always, unless a subclass
+        overrides this method.
         """
         return None
 
@@ -242,19 +252,22 @@ class Request(Message):
 
         @property
         def memo(self) -> Any:
-            """Data of any type that a client session has stored with this request by `remember`."""
+            """Data of any type that a client session has stored with this request by `remember`.
+
+            AttributeError if there are none.
+            """
 
         @property
         def wire(self) -> bytes:
-            """The request as an encoded PDU; only after `prepare`."""
+            """The request as an encoded PDU; AttributeError before `prepare`."""
 
         @property
         def expected_size(self) -> int:
-            """Number of bytes of the expected reply PDU, or `UNKNOWN_LENGTH`; only after `prepare`."""
+            """Number of bytes of the expected reply PDU, or `UNKNOWN_LENGTH`; AttributeError before `prepare`."""
 
         @property
         def expected_prefix(self) -> bytes:
-            """The first bytes that the expected reply PDU must have; only after `prepare`."""
+            """The bytes with which the expected reply PDU must begin; AttributeError before `prepare`."""
 
     @classmethod
     def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
@@ -265,12 +278,12 @@ class Request(Message):
         Args:
             model: the device.
             unit: unit identifier of the request.
-            pdu: the request.
+            pdu: the request PDU.
         """
         return None
 
     def apply(self, model: "DataModel", context: "Context") -> Message:
-        """Execute the request on a device and return the normal reply.
+        """Execute the request on a device and return the normal reply. Subclasses override it.
 
         Args:
             model: the device.
@@ -282,7 +295,7 @@ class Request(Message):
         raise TypeError(f"{type(self).__name__} does not say what it does to a device")
 
     def spans(self) -> tuple[Span, ...]:
-        """Return the ranges of items that the request reads and writes: the written one before the read one."""
+        """Return the ranges of items that the request reads and writes, the written one first; empty if it has none."""
         found = []
         for touch, writes in ((self.writes, True), (self.reads, False)):
             if touch is not None:
@@ -291,9 +304,9 @@ class Request(Message):
         return tuple(found)
 
     def reply_shape(self) -> tuple[int, bytes]:
-        """Return length and first bytes of the expected reply PDU; a client recognises the reply by them.
+        """Return length and first bytes of the expected normal reply PDU; a client recognises the reply by them.
 
-        The length is `UNKNOWN_LENGTH` if it does not follow from the request.
+        The length is in bytes, and `UNKNOWN_LENGTH` if it does not follow from the request.
         """
         if self.echoes:
             encoded = self.encode()
@@ -302,10 +315,10 @@ class Request(Message):
         return layout.head.size if layout.tail is None else UNKNOWN_LENGTH, bytes((self.code,))
 
     def prepare(self) -> bytes:
-        """Encode the request and return the PDU.
+        """Encode the request, store the result with it, and return the PDU.
 
-        The request keeps it and the expected length and beginning of the reply. ``wire``, ``expected_size`` and
-        ``expected_prefix`` can be read afterwards. Calling it again does no harm.
+        Afterwards the PDU can be read as ``wire``, and what is expected of the reply as ``expected_size`` and
+        ``expected_prefix``. Calling it again does no harm.
         """
         wire = self.encode()
         size, prefix = self.reply_shape()
@@ -315,14 +328,15 @@ class Request(Message):
         return wire
 
     def remember(self, memo: object) -> None:
-        """Store data of a client session with this request; it is read as ``memo``."""
+        """Store data of a client session with this request, in place of earlier data; read it as ``memo``."""
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
-        """Decode the normal reply to this request; only after `prepare`.
+        """Decode a normal reply PDU, and check that it answers this request; call `prepare` before.
 
         Raises:
-            MalformedPdu: the bytes do not answer this request.
+            MalformedPdu: the bytes are no valid reply of the function, or answer another request. An exception reply is
+                refused too.
         """
         reply = self.Reply.decode(pdu)
         size, prefix = self.expected_size, self.expected_prefix
@@ -336,12 +350,15 @@ class Request(Message):
         return reply
 
     def check_reply(self, reply: Any) -> str | None:
-        """Return in words why a decoded reply of the right class does not fit this request; None if it fits."""
+        """Return in words why a decoded reply, an object of ``Reply``, does not fit this request; None if it fits.
+
+        Subclasses override it for what length and first bytes do not tell.
+        """
         return None
 
 
 class TypedRequest(Protocol[Reply_co]):
-    """Interface of a request for type checkers: `Unit.execute` returns an instance of the request's ``Reply``."""
+    """Interface of a request for type checkers, so that ``execute`` of a unit returns the type of its ``Reply``."""
 
     @property
     def Reply(self) -> type[Reply_co]:  # noqa: N802

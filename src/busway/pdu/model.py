@@ -3,7 +3,8 @@
 Knows only method signatures; knows no device, store, session or transport.
 
 1. Data are passed in wire order: registers big-endian, bits packed from the lowest bit.
-2. A device refuses with `Refusal`; a refused request has changed nothing.
+2. A device refuses with `Refusal`. A refused request has changed nothing, unless a hook refuses it that is called after
+   the write.
 3. ``check`` comes before every change, so a request that concerns two ranges changes both or none.
 """
 
@@ -18,7 +19,10 @@ class Refusal(Exception):
 
     Args:
         code: exception code, 1…255; 04 (server device failure) if none is given.
-        reason: why, for the log and the audit log; it is not sent to the client.
+        reason: why, for the log and the audit log; it is not sent to the client. Empty for none.
+
+    Raises:
+        ValueError: ``code`` is not 1…255.
 
     Attributes:
         code, reason: as given.
@@ -36,17 +40,27 @@ class Diagnostics(Protocol):
     """Interface of a unit's diagnostics: counters and event log (functions 08, 11, 12)."""
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Execute a sub-function of 08 and return the data of its reply. Raises `Refusal` 01 if it is not offered."""
+        """Execute a sub-function of 08 with the ``data`` of the request, and return the data of the reply.
+
+        Raises:
+            Refusal: 01: the unit does not offer the sub-function.
+        """
 
     def event_counter(self) -> tuple[int, int]:
-        """Return status word (0, or FFFF while a program command runs) and number of successful messages."""
+        """Return status word (0, or 0xFFFF while a program command runs) and number of successful messages.
+
+        The number can be above 65535; the reply has its lowest 16 bits.
+        """
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Return status word, event count, message count and up to 64 event bytes, newest first."""
+        """Return status word, number of successful messages, number of all messages, and event bytes.
+
+        The first two are those of `event_counter`. There are at most 64 event bytes, the newest first.
+        """
 
 
 class Context(Protocol):
-    """Interface of what a device learns about a request besides its data: client, unit and diagnostics."""
+    """Interface through which a device learns about a request, besides its data: client, unit and diagnostics."""
 
     @property
     def peer(self) -> str:
@@ -54,7 +68,7 @@ class Context(Protocol):
 
     @property
     def unit(self) -> int:
-        """The unit identifier that the request was sent to."""
+        """The unit identifier that the request was sent to, 0…255."""
 
     @property
     def diagnostics(self) -> Diagnostics:
@@ -77,7 +91,11 @@ class Tables(Protocol):
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """Return ``count`` items of a table from ``address`` on, in wire order. Raises `Refusal` if a hook refuses."""
+        """Return ``count`` items of a table from ``address`` on, in wire order.
+
+        Raises:
+            Refusal: an item does not exist (02), or a hook refuses the read.
+        """
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
         """Replace ``count`` items of a table from ``address`` on, all or none.
@@ -90,7 +108,8 @@ class Tables(Protocol):
             context: the client and the unit, for hooks.
 
         Raises:
-            Refusal: the device or a hook refuses the write.
+            Refusal: the device or a hook refuses the write; nothing was changed, unless a hook called after the write
+                has raised it.
         """
 
 
@@ -101,7 +120,7 @@ class Records(Protocol):
         """Return ``count`` registers of a file from ``record`` on, in wire order.
 
         Raises:
-            Refusal: the file does not have all of them.
+            Refusal: the file does not exist, or does not have all of these registers.
         """
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
@@ -119,14 +138,18 @@ class Records(Protocol):
         """
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """Return the registers of the queue at ``address``, oldest first, in wire order, without removing them."""
+        """Return the registers of the queue at ``address``, oldest first, in wire order, without removing them.
+
+        Raises:
+            Refusal: there is no queue at this address.
+        """
 
 
 class Identity(Protocol):
     """Interface through which requests read the status and identification of a device (07, 17, 43/13, 43/14)."""
 
     def exception_status(self) -> int:
-        """Return the eight status bits that function 07 reads."""
+        """Return the eight status bits that function 07 reads, as a number 0…255."""
 
     def server_id(self) -> bytes:
         """Return the data that function 17 reads: server id, run indicator (00 or FF), additional data."""
@@ -135,7 +158,11 @@ class Identity(Protocol):
         """Return the identification objects of function 43/14 by number, 0x00…0xFF."""
 
     def canopen(self, data: bytes) -> bytes:
-        """Return the answer to a CANopen general reference (43/13); raises `Refusal` 01 if there is none."""
+        """Return the answer to the data of a CANopen general reference (43/13).
+
+        Raises:
+            Refusal: 01: the device does not answer such requests.
+        """
 
 
 class DataModel(Tables, Records, Identity, Protocol):

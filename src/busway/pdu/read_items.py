@@ -14,7 +14,7 @@ from .model import Context, DataModel, Refusal
 
 
 class ReadBits(Request):
-    """Base class of the requests of functions 01 and 02; a subclass names its code and its table.
+    """Base class of the requests of functions 01 and 02, which read bits; a subclass declares code and table.
 
     Attributes:
         address: the first bit, 0…65535.
@@ -28,14 +28,15 @@ class ReadBits(Request):
         """The reply of function 01 or 02: the bits that were read.
 
         Attributes:
-            data: the bits, the first in the lowest bit of the first byte; unused bits are zero.
+            data: the bits, eight to a byte, the first in the lowest bit of the first byte. Unused bits of the last byte
+                are zero by the specification; they are not checked.
         """
 
         byte_count: ClassVar[RestLength] = rest_length(1, 1, MAX_READ_BITS // 8)
         data: bytes = rest(1, MAX_READ_BITS // 8)
 
         def bits(self, count: int) -> list[bool]:
-            """Return the first ``count`` bits of the reply as bools; the count is that of the request."""
+            """Return the first ``count`` bits of the reply as bools; pass the count of the request."""
             return unpack_bits(self.data, count)
 
     def reply_shape(self) -> tuple[int, bytes]:
@@ -52,21 +53,21 @@ class ReadBits(Request):
 
 
 class ReadCoils(ReadBits):
-    """01 Read Coils: ``count`` 1…2000 coils from ``address`` (MODBUS Application Protocol V1.1b3 §6.1)."""
+    """01 Read Coils: reads ``count`` 1…2000 coils from ``address`` on (MODBUS Application Protocol V1.1b3 §6.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_COILS
     reads: ClassVar[Touch] = Touch(Table.COILS)
 
 
 class ReadDiscreteInputs(ReadBits):
-    """02 Read Discrete Inputs: ``count`` 1…2000 inputs from ``address`` (MODBUS Application Protocol V1.1b3 §6.2)."""
+    """02 Read Discrete Inputs: reads ``count`` 1…2000 inputs from ``address`` on (Application Protocol V1.1b3 §6.2)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_DISCRETE_INPUTS
     reads: ClassVar[Touch] = Touch(Table.DISCRETE_INPUTS)
 
 
 class ReadRegisters(Request):
-    """Base class of the requests of functions 03 and 04; a subclass names its code and its table.
+    """Base class of the requests of functions 03 and 04, which read registers; a subclass declares code and table.
 
     Attributes:
         address: the first register, 0…65535.
@@ -109,21 +110,24 @@ class ReadRegisters(Request):
 
 
 class ReadHoldingRegisters(ReadRegisters):
-    """03 Read Holding Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.3)."""
+    """03 Read Holding Registers: reads ``count`` 1…125 from ``address`` on (Application Protocol V1.1b3 §6.3)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_HOLDING_REGISTERS
     reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS)
 
 
 class ReadInputRegisters(ReadRegisters):
-    """04 Read Input Registers: ``count`` 1…125 from ``address`` (MODBUS Application Protocol V1.1b3 §6.4)."""
+    """04 Read Input Registers: reads ``count`` 1…125 from ``address`` on (Application Protocol V1.1b3 §6.4)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_INPUT_REGISTERS
     reads: ClassVar[Touch] = Touch(Table.INPUT_REGISTERS)
 
 
 class ReadFifoQueue(Request):
-    """24 Read FIFO Queue: up to 31 registers of the queue at ``address`` (MODBUS Application Protocol V1.1b3 §6.18)."""
+    """24 Read FIFO Queue: reads 0…31 registers of the queue at ``address`` (Application Protocol V1.1b3 §6.18).
+
+    They stay in the queue. A device with more in its queue answers with exception 03.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_FIFO_QUEUE
     reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
@@ -161,11 +165,11 @@ class ReadFifoQueue(Request):
 
 
 _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_READ_REGISTERS + 2))
-"""Functions that unpack registers; the index is the number of registers, up to the most that a reply has."""
+"""Functions that unpack big-endian registers from bytes; the index is their number, 0…126."""
 
 
 def unpack_registers(data: bytes) -> list[int]:
-    """Return the numbers 0…65535 that big-endian registers hold, one for every two bytes."""
+    """Return the numbers 0…65535 that big-endian registers hold, one for every two bytes; the bytes must be even."""
     count = len(data) >> 1
     if count < len(_REGISTERS):
         return list(_REGISTERS[count](data))
@@ -184,9 +188,9 @@ def _read(model: DataModel, table: Table, address: int, count: int, context: Con
 
 @lru_cache(maxsize=4096, typed=True)
 def read_request(kind: Callable[[int, int], Request], address: int, count: int) -> Any:  # an instance of ``kind``
-    """Return the request object that reads a range.
+    """Return the request object that reads a range of items.
 
-    Recently used ranges are cached: the same range gives the same object, which is encoded only once.
+    The 4096 most recently used ones are cached: equal arguments give the same object, which is encoded only once.
 
     Args:
         kind: the request class.
@@ -194,6 +198,6 @@ def read_request(kind: Callable[[int, int], Request], address: int, count: int) 
         count: number of items.
 
     Raises:
-        InvalidRequest: the range is impossible. Nothing was sent.
+        InvalidRequest: address or count is out of range, or the range ends beyond address 65535. Nothing was sent.
     """
     return kind(address, count)

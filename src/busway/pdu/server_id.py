@@ -1,4 +1,4 @@
-"""The data of function 17 in the parts that the specification names: identification, run indicator, additional data.
+"""Splits the data of function 17 into the parts of the specification: identification, run indicator, additional data.
 
 Knows bytes; knows no message. The specification leaves the length of the identification to the device and does not say
 how to find its end: here the first byte that is 00 or FF is taken for the run indicator.
@@ -25,8 +25,11 @@ class ServerId:
     def of(cls, data: bytes) -> "ServerId":
         """Split the data of a reply into its parts: ``ServerId.of(unit.report_server_id())``.
 
+        The first byte that is 00 or FF is taken for the run indicator, so an identification that contains such a byte
+        is cut there.
+
         Args:
-            data: as `report_server_id` returns it. An identification that contains 00 or FF is cut there.
+            data: as `report_server_id` returns it.
         """
         for place, byte in enumerate(data):
             if byte in (0x00, 0xFF):

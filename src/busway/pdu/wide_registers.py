@@ -16,20 +16,20 @@ NARROW: Final = 2
 WIDEST: Final = 12
 """Bytes of the widest registers that have been seen in devices."""
 MAX_DATA: Final = 2 * MAX_READ_REGISTERS
-"""Most data bytes in a reply, whatever the width of its registers."""
+"""Most bytes of data in a reply, whatever the width of its registers: 250, as with 125 usual registers."""
 
 Read = TypeVar("Read", bound=ReadRegisters)
 
 
 def wide(kind: type[Read], width: int) -> type[Read]:
-    """Return a request class of function 03 or 04 for registers of ``width`` bytes.
+    """Return a request class of function 03 or 04 whose reply has ``width`` bytes for each register.
 
-    A request takes as many registers as fit into 250 bytes of reply; ``registers`` of the reply has one number for
-    each.
+    Its ``count`` is 1…250 divided by ``width``, as many registers as fit into 250 bytes. ``registers`` of the reply has
+    one unsigned number, of all its bytes, for each register. The classes are cached.
 
     Args:
         kind: `ReadHoldingRegisters` or `ReadInputRegisters`.
-        width: bytes of a register, 2…12 and even; 2 returns ``kind``.
+        width: bytes of a register, 2…12 and even; for 2 the result is ``kind`` itself. It is not checked.
     """
     return kind if width == NARROW else _widened(kind, width)
 

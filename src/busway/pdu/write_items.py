@@ -38,7 +38,7 @@ COIL_OFF = 0x0000
 
 
 class WriteSingleCoil(Request):
-    """05 Write Single Coil: ``value`` is FF00 (on) or 0000 (off) (MODBUS Application Protocol V1.1b3 §6.5)."""
+    """05 Write Single Coil: sets a coil; ``value`` is 0xFF00 (on) or 0 (off) (Application Protocol V1.1b3 §6.5)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_SINGLE_COIL
     writes: ClassVar[Touch] = Touch(Table.COILS, count=None)
@@ -60,7 +60,8 @@ class WriteSingleCoil(Request):
         """Create the request that switches the coil at ``address`` (0…65535) on (True or 1) or off (False or 0).
 
         Raises:
-            InvalidRequest: ``value`` is anything else, a text such as ``"off"`` too. Nothing was sent.
+            InvalidRequest: the address is out of range, or ``value`` is anything else, such as the text ``"off"``.
+                Nothing was sent.
         """
         return cls(address, COIL_ON if as_state("the value of a coil", value) else COIL_OFF)
 
@@ -76,7 +77,7 @@ class WriteSingleCoil(Request):
 
 
 class WriteSingleRegister(Request):
-    """06 Write Single Register: ``value`` to ``address`` (MODBUS Application Protocol V1.1b3 §6.6)."""
+    """06 Write Single Register: writes ``value``, 0…65535, to ``address`` (Application Protocol V1.1b3 §6.6)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_SINGLE_REGISTER
     writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, count=None)
@@ -105,7 +106,13 @@ class WriteSingleRegister(Request):
 
 
 class WriteMultipleCoils(Request):
-    """15 Write Multiple Coils: 1…1968 coils from ``address`` on (MODBUS Application Protocol V1.1b3 §6.11)."""
+    """15 Write Multiple Coils: writes 1…1968 coils from ``address`` on (Application Protocol V1.1b3 §6.11).
+
+    Attributes:
+        address: the first coil, 0…65535.
+        count: number of coils.
+        data: their states, eight to a byte, the first in the lowest bit of the first byte.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_MULTIPLE_COILS
     writes: ClassVar[Touch] = Touch(Table.COILS)
@@ -130,7 +137,8 @@ class WriteMultipleCoils(Request):
             values: True, False, 1 or 0 for each coil; 1…1968 of them.
 
         Raises:
-            InvalidRequest: a value is not True, False, 1 or 0, or there are no values or too many. Nothing was sent.
+            InvalidRequest: a value is not True, False, 1 or 0, there are no values or too many, or the range is not
+                within 0…65535. Nothing was sent.
         """
         states = as_states(values)
         return cls(address, len(states), pack_bits(states))
@@ -155,7 +163,13 @@ class WriteMultipleCoils(Request):
 
 
 class WriteMultipleRegisters(Request):
-    """16 Write Multiple Registers: 1…123 registers from ``address`` on (MODBUS Application Protocol V1.1b3 §6.12)."""
+    """16 Write Multiple Registers: writes 1…123 registers from ``address`` on (Application Protocol V1.1b3 §6.12).
+
+    Attributes:
+        address: the first register, 0…65535.
+        count: number of registers.
+        data: the registers, big-endian.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.WRITE_MULTIPLE_REGISTERS
     writes: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS)
@@ -180,7 +194,8 @@ class WriteMultipleRegisters(Request):
             values: the registers, each 0…65535; 1…123 of them.
 
         Raises:
-            InvalidRequest: a value is out of range, or there are no values or too many. Nothing was sent.
+            InvalidRequest: a value is out of range, there are no values or too many, or the addresses are not within
+                0…65535. Nothing was sent.
         """
         data = pack_registers(values)
         return cls(address, len(data) // 2, data)
@@ -207,8 +222,13 @@ class WriteMultipleRegisters(Request):
 class MaskWriteRegister(Request):
     """22 Mask Write Register: sets a register to (current AND and_mask) OR (or_mask AND NOT and_mask).
 
-    MODBUS Application Protocol V1.1b3 §6.16. It counts as a write that is not repeated automatically: between the two
-    executions another client may have written the register.
+    MODBUS Application Protocol V1.1b3 §6.16. It counts as a write and so is not repeated automatically: between two
+    executions another client can have written the register.
+
+    Attributes:
+        address: the register, 0…65535.
+        and_mask: bits that keep their value, 0…65535.
+        or_mask: values of the other bits, 0…65535.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.MASK_WRITE_REGISTER
@@ -243,7 +263,13 @@ class MaskWriteRegister(Request):
 
 
 class ReadWriteMultipleRegisters(Request):
-    """23 Read/Write Multiple Registers: writes 1…121 registers, then reads 1…125 (V1.1b3 §6.17)."""
+    """23 Read/Write Multiple Registers: writes 1…121 registers, then reads 1…125 (V1.1b3 §6.17).
+
+    Attributes:
+        read_address, read_count: the first register to read, and how many.
+        write_address, write_count: the first register to write, and how many.
+        data: the registers to write, big-endian.
+    """
 
     code: ClassVar[FunctionCode] = FunctionCode.READ_WRITE_MULTIPLE_REGISTERS
     reads: ClassVar[Touch] = Touch(Table.HOLDING_REGISTERS, "read_address", "read_count")
@@ -268,7 +294,7 @@ class ReadWriteMultipleRegisters(Request):
 
     @classmethod
     def of(cls, read_address: int, read_count: int, write_address: int, values: Iterable[int]) -> Self:
-        """Create the request that writes holding registers and then reads some.
+        """Create the request that writes holding registers and then, in the same request, reads holding registers.
 
         Args:
             read_address: the first register to read, 0…65535.
@@ -277,7 +303,8 @@ class ReadWriteMultipleRegisters(Request):
             values: the registers to write, each 0…65535; 1…121 of them.
 
         Raises:
-            InvalidRequest: a number is out of range, or there are none or too many values. Nothing was sent.
+            InvalidRequest: a number is out of range, there are no values or too many, or a range ends beyond address
+                65535. Nothing was sent.
         """
         data = pack_registers(values)
         return cls(read_address, read_count, write_address, len(data) // 2, data)
@@ -305,7 +332,10 @@ class ReadWriteMultipleRegisters(Request):
 
 
 def _read_and_written(model: DirectModel) -> RegisterBlock | None:
-    """Return the memory of the holding registers if requests may read and write it directly; None otherwise."""
+    """Return the memory of the holding registers for functions 22 and 23; None if they must take the generic path.
+
+    They use it only if both reads and writes may access it directly.
+    """
     block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
     if block is None or block is not model.plain_block(Table.HOLDING_REGISTERS, writes=False):
         return None
@@ -316,8 +346,8 @@ def pack_registers(values: Iterable[int]) -> bytes:
     """Return numbers 0…65535 as big-endian registers, two bytes for each.
 
     Raises:
-        InvalidRequest: a value is no number 0…65535, or ``values`` is no sequence; the error names the first such
-            value. Nothing was sent.
+        InvalidRequest: a value is no integer 0…65535, and the message names the first such value; or ``values`` is a
+            single number, a set or a mapping, or has more than 65536 values. Nothing was sent.
     """
     if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
         values = listed(values, "registers")

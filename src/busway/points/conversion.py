@@ -21,15 +21,18 @@ from ..errors import InvalidRequest
 from ..values.refusal import shown
 
 _MOST_STEPS_OFF: Final = Fraction(1, 1_000_000)
-"""How far a value may be from a whole number of steps in any case, in steps."""
+"""How far a value may always be from a whole number of steps to count as one, in steps."""
 _MOST_STEPS_OFF_OF_ALL: Final = Fraction(1, 10)
-"""The same for the largest values: half a step is never taken for a whole one."""
+"""How far even the largest values, whose rounding errors are large, may be from a whole number of steps, in steps.
+
+It is below one half, so half a step never counts as a whole one.
+"""
 ROUNDING: Final = Fraction(1, 1 << 49)
 """Largest relative error of a float that was computed in a few steps: eight times its last bit."""
 _ROUNDING_OF_FLOAT32: Final = Fraction(1, 1 << 24)
-"""Largest relative error of the nearest number of 32 bits."""
+"""Largest relative error of a number that was rounded to a float of 32 bits."""
 LARGEST_EXPONENT: Final = 10
-"""Scale factors lie in -10…10 (SunSpec Device Information Model Specification, sunssf)."""
+"""Largest absolute value of an exponent for ``scale_from`` (SunSpec Device Information Model Specification, sunssf)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,9 +60,10 @@ class Conversion:
             none.
         linear: a linear range that replaces scale and offset; None without one.
         invalid: raw numbers that mean "no value". For signed types also as a bit pattern: ``0x8000``.
-        valid: smallest and largest valid value; values beyond them are uncertain. None for no limit at that end.
+        valid: smallest and largest valid value; values beyond them are uncertain. None for no limit at that end, or
+            for none at both.
         names: numbers of the named values, by name: ``{"off": 0, "auto": 1}``.
-        flags: positions of the named bits of a whole number, by name.
+        flags: positions of the named bits of a whole number, from 0 for the lowest on, by name.
     """
 
     scale: float = 1.0
@@ -112,7 +116,7 @@ class Conversion:
         return text
 
     def raw(self, value: float, *, whole: bool, exponent: int = 0) -> float:
-        """Return the raw number to write for a value of the point.
+        """Return the raw number to write for a value of the point. Limits and ``clamp`` are not applied.
 
         Without a conversion (not `changes`, and ``exponent`` 0) the value is returned unchecked.
 
@@ -143,7 +147,7 @@ class Conversion:
 
 
 def is_whole(steps: Fraction, value: float, step: Fraction) -> bool:
-    """Whether a number of steps is whole, but for the error of the binary fraction that it was computed from.
+    """Whether a number of steps is whole, apart from the rounding error of the float that it was computed from.
 
     Args:
         steps: the number of steps.
@@ -157,7 +161,7 @@ def is_whole(steps: Fraction, value: float, step: Fraction) -> bool:
 
 
 def is_float32(value: float) -> bool:
-    """Whether a number of 32 bits has exactly this value; False for NaN."""
+    """Whether a float of 32 bits can hold exactly this value; False for NaN."""
     try:
         return bool(struct.unpack("<f", struct.pack("<f", value))[0] == value)
     except OverflowError:

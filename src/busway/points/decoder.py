@@ -92,8 +92,9 @@ class ReadDecoder:
 
         Args:
             data: registers in wire order, or bits as in a reply, the first in the lowest bit.
-            known: exponents for ``scale_from``, by name of the point that holds them. Exponents found in this reply are
-                added to it and used at once. None if no point needs any.
+            known: exponents for ``scale_from``, by name of the point that holds them. It is changed: exponents found in
+                this reply are set in it and used at once, those without a value in this reply are removed. None if no
+                point needs any.
 
         Raises:
             InvalidRequest: the length of ``data`` is not that of a reply to this read.
@@ -118,10 +119,10 @@ def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = Non
     Args:
         point: the point.
         data: its registers in wire order; for a coil or discrete input a byte whose lowest bit is its state.
-        known: exponents for ``scale_from``, by name of the point that holds them.
+        known: exponents for ``scale_from``, by name of the point that holds them; not changed.
 
     Raises:
-        InvalidRequest: the length of ``data`` is not that of the point.
+        InvalidRequest: the length of ``data`` is not that of the point, or the point is computed.
     """
     found = _alone(point).decode(data, dict(known or {}))
     return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
@@ -150,7 +151,13 @@ def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
 
 @dataclass(frozen=True, slots=True)
 class _Number:
-    """How the number of a point is unpacked from a reply: position of its registers, byte swaps, ``struct`` letter."""
+    """How the number of a point is unpacked from a reply.
+
+    Attributes:
+        registers: positions of its registers in the reply, the most significant first; -1 for a register of zeros.
+        swapped: whether the two bytes of each register are swapped.
+        letter: format character of `struct`.
+    """
 
     registers: tuple[int, ...]
     swapped: bool

@@ -24,6 +24,7 @@ class Accumulator:
 
     Attributes:
         total: the present total.
+        rollover: as given.
         resets: how often the device has reset the counter.
         last: the last reading of the counter; None before the first.
     """
@@ -107,13 +108,16 @@ class Derivation:
     def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:
         """Compute running totals and formulas from the latest values of the device's points.
 
+        A running total replaces the reading of its counter: it has the same name, and formulas use the total.
+
         Args:
             latest: the latest reading of each point that was read. Pass a reading of an accumulator only once, because
                 each call adds it to the total.
             time: the value of ``t`` in formulas, in seconds.
 
         Returns:
-            The readings of accumulators that have a value in ``latest``, and of all computed points.
+            By name, the totals of the counters that have a value in ``latest``, and the readings of all points with a
+            formula; those without a value have None and the reason.
         """
         found: dict[str, Reading] = {}
         for name, accumulator in self.accumulators.items():

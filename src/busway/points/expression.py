@@ -32,7 +32,7 @@ _DEEPEST: Final = 40
 _MOST_DIGITS: Final = 400
 """Most digits for rounding, before or after the decimal point: no 64-bit number and no float has more."""
 WHOLE_BITS: Final = 64
-"""Most bits of a whole number that enters an expression, or is its whole result."""
+"""Most bits of a whole number that is an input of an expression, or its result."""
 TIME: Final = "t"
 _POINT: Final = "point"
 _CONSTANTS: Final = {"pi": math.pi}
@@ -121,7 +121,7 @@ class Expression:
         return value
 
     def renamed(self, rename: Callable[[str], str]) -> str:
-        """Return the text of the same formula with new names of points.
+        """Return the text of the same formula with new names of points, each as ``point("…")``.
 
         Args:
             rename: returns the new name for the name of a point.
@@ -149,7 +149,7 @@ class Expression:
 
 
 class _Renaming(ast.NodeTransformer):
-    """Replaces point names in a formula's text by ``point("…")`` with the new names."""
+    """Replaces the names of points in a parsed formula by ``point("…")`` with the new names."""
 
     def __init__(self, rename: Callable[[str], str]) -> None:
         self._rename = rename

@@ -9,8 +9,9 @@ __all__ = ["is_meant"]
 
 
 def is_meant(name: str, pattern: str) -> bool:
-    """Whether a pattern means a name: that of a device, of a point, or both as ``device/point``.
+    """Whether a whole name matches a pattern. A name is that of a device, of a point, or both as ``device/point``.
 
-    ``*`` stands for any characters, ``?`` for one. A bracket is a bracket: names of PLCs have indices in them.
+    ``*`` stands for any number of characters, also ``/``; ``?`` for exactly one. Upper and lower case differ. Brackets
+    stand for themselves, because names of PLC points contain indices.
     """
     return fnmatchcase(name, pattern.replace("[", "[[]"))

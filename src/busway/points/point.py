@@ -41,7 +41,7 @@ class Point:
         formula: the expression of a computed point; empty for a point that is read.
         rollover: the value at which an accumulator restarts at 0, in the unit of measure; None for other points.
         poll_class: name of the poll class with which it is read; empty for that of its device.
-        writing: which values may be written, and how; None if it may not be written.
+        writing: which values may be written, and how; None if the point is read-only.
         reporting: which of its samples go to sinks that have no rule of their own.
         storing: which of its samples a store keeps; None for the rule of its device, its poll class or the collector.
         alarms: its alarm limits.
@@ -115,10 +115,10 @@ class Point:
         Args:
             value: the value in the unit of measure; or the name of a value, ``auto``; or the names of the flags to set.
             held: the present bytes of its registers, for a point that is only a part of a register; empty for zeros.
-            exponent: the value of the point that ``scale_from`` names.
+            exponent: the value of the point that ``scale_from`` names; 0 without one.
 
         Returns:
-            Registers in wire order; for a coil one byte, 0 or 1.
+            Registers in wire order, with the other bits as in ``held``; for a coil one byte, 0 or 1.
 
         Raises:
             InvalidRequest: the value does not fit the type, the scale or the names, or the point is computed.
@@ -133,7 +133,7 @@ class Point:
 
         Args:
             value: the value, the name of a value, or the names of the flags to set; a bool for a switch.
-            exponent: the value of the point that ``scale_from`` names.
+            exponent: the value of the point that ``scale_from`` names; 0 without one.
 
         Raises:
             InvalidRequest: the value does not fit the scale or the names, or the point is computed.
@@ -185,7 +185,7 @@ class Point:
         return ", ".join(f"{name} ({number})" for name, number in self.conversion.names.items())
 
     def label(self, value: Any) -> str:
-        """Return the name of a value of the point, or the names of the flags that are set in it.
+        """Return the name of a value of the point, or the names of the flags set in it, joined by ``, ``.
 
         Empty if the value has no name, and for every value that is no ``int``.
         """

@@ -22,7 +22,11 @@ _ROUNDING: Final = float(ROUNDING)
 
 @dataclass(frozen=True, slots=True, order=True)
 class ItemRange:
-    """Addresses of a table from ``start`` up to but not including ``end``."""
+    """Addresses of a table from ``start`` up to but not including ``end``.
+
+    Raises:
+        ValueError: the range is empty, or ``start`` is negative.
+    """
 
     start: int
     end: int
@@ -83,8 +87,8 @@ class WriteRule:
         minimum, maximum: smallest and largest value that may be written, in the unit of measure; None for no limit.
         step: values must differ from ``minimum`` (or 0) by a whole number of steps; None to allow any value.
         on, off: the raw numbers of a switch; None for a point that is no switch.
-        role: which role a writer of the collector needs.
-        armed: whether a command of the collector must be armed and then confirmed.
+        role: the role that the sender of a command to the collector needs.
+        armed: whether such a command must be armed first and then confirmed.
     """
 
     function: int | None = None
@@ -116,13 +120,14 @@ class WriteRule:
 
 @dataclass(frozen=True, slots=True)
 class ReportRule:
-    """When a sample of a point is passed on to a store or sink: by change or by time; a change of quality always is.
+    """Rule that selects which samples of a point are passed on to a store or sink: by change of the value or by time.
 
-    A store has one rule, and each sink may have its own, which selects from the samples that the store has kept.
+    A sample whose reason (and so its quality) differs from that of the sample before is always passed on. A store has
+    one rule, and each sink may have its own, which selects from the samples that the store has kept.
 
     Attributes:
-        when: ``every``: each read; ``change``: a change; ``change_or_period``: a change, and after ``period`` at the
-            latest.
+        when: ``every``: each sample is passed on; ``change``: each change of the value; ``change_or_period``: each
+            change, and a sample without a change after ``period``.
         period: seconds, for ``change_or_period``.
         deadband: a value has changed if it differs by more than this from the value passed on before; in the unit of
             measure, or in percent of that value.
@@ -147,12 +152,11 @@ class ReportRule:
         return last[1] != now[1] or self.is_due(last[0], now[0], silence)
 
     def is_change(self, before: object, now: object) -> bool:
-        """Whether a value differs by more than the deadband from the last one that was passed on.
+        """Whether the value ``now`` differs by more than the deadband from ``before``, the last value passed on.
 
-        With ``percent``, the deadband is that part of the last value.
-
-        Rounding errors of floats do not count: 0.8 does not differ from 0.7 by more than a deadband of 0.1. Values that
-        are not finite numbers have changed if they are different; NaN is not different from NaN.
+        With ``percent``, the deadband is that percentage of ``before``. Rounding errors of floats do not count: 0.8
+        does not differ from 0.7 by more than a deadband of 0.1. Values that are no finite numbers, such as texts, have
+        changed if they are different; NaN does not differ from NaN.
         """
         if before == now:
             return False
@@ -200,13 +204,13 @@ class AlarmRule:
 
     Attributes:
         kind: ``HH``, ``H``, ``L`` or ``LL`` for a limit; ``state`` for states.
-        limit: in the unit of measure; the alarm begins above it (H, HH) or below it (L, LL).
+        limit: in the unit of measure; the alarm begins above it (H, HH) or below it (L, LL). Unused for ``state``.
         delay: seconds for which the value has to be beyond the limit, or in the state, before the alarm begins.
         hysteresis: how far the value has to come back from the limit for the alarm to end, in the unit of measure.
         acknowledge: whether a person has to acknowledge the alarm.
         states: names of the states, for people.
         numbers: the values for which the point is in alarm.
-        bits: positions of bits; the point is in alarm if one of them is set.
+        bits: mask of bits; the point is in alarm if one of them is set in its value. 0 for none.
     """
 
     kind: Literal["HH", "H", "L", "LL", "state"]
@@ -219,7 +223,10 @@ class AlarmRule:
     bits: int = 0
 
     def is_beyond(self, value: float, *, active: bool) -> bool:
-        """Whether a value begins the alarm or, if the alarm is ``active``, keeps it active (the hysteresis counts)."""
+        """Whether a value is beyond the limit, or in one of the states, so that the alarm begins or stays active.
+
+        While the alarm is ``active``, the limit is moved by the hysteresis. The delay is not applied here.
+        """
         if self.kind == "state":
             return value in self.numbers or bool(self.bits and isinstance(value, int) and value & self.bits)
         is_high = self.kind in ("H", "HH")

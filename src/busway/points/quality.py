@@ -87,7 +87,10 @@ _TEXTS: Final[dict[int, str]] = {
 
 
 def exception_reason(code: int) -> int:
-    """Return the reason code of a missing value whose read was answered with an exception code, 0…255."""
+    """Return the reason code (256 and more) of a missing value whose read was answered with an exception code, 0…255.
+
+    Raises `InvalidRequest` for another number.
+    """
     if not 0 <= code <= 255:
         raise InvalidRequest(f"an exception code is 0…255, not {shown(code)}")
     return _EXCEPTIONS + code
@@ -106,7 +109,7 @@ def quality_of(reason: int) -> Quality:
 
 
 def reason_text(reason: int) -> str:
-    """Return a reason why a value is not good, in words; empty for a good value."""
+    """Return a reason why a value is not good, in words; empty for reason 0, that of a good value."""
     if reason >= _EXCEPTIONS:
         code = reason - _EXCEPTIONS
         return f"exception {code:02X}, {exception_meaning(code)}"

@@ -48,22 +48,29 @@ class Run(Protocol):
         """
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` items from ``position`` on of ``data``, which is the bytes of ``memory`` or a copy."""
+        """Return ``count`` items from ``position`` on, in wire order, out of ``data`` instead of the memory.
+
+        ``data``: the bytes of ``memory``, or a copy of them that may have been changed.
+        """
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` items from ``position`` on into ``data``, which is the bytes of ``memory`` or a copy.
+        """Write ``items`` (``count`` of them, in wire order) from ``position`` on into ``data``.
 
-        They are written in one assignment, so no reader sees half of them.
+        ``data``: the bytes of ``memory``, or a copy of them. It is changed in one assignment, so no reader sees half of
+        the items.
         """
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current items of a range, in the wire order of a reply.
+        """Return ``count`` current items from ``position`` on, as bytes in the wire order of a reply.
 
         ``position`` counts from the first item of the run.
         """
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the items of a range; ``data`` is in wire order, ``position`` as for `get`. Safe from any thread."""
+        """Replace ``count`` items from ``position`` on by ``data``, which is in wire order. Safe from any thread.
+
+        ``position`` counts from the first item of the run.
+        """
 
 
 class RegisterRun:
@@ -89,19 +96,19 @@ class RegisterRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` registers from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
+        """Return ``count`` registers from ``position`` on out of ``data``: this run's bytes, or a changed copy."""
         return bytes(data[2 * position : 2 * (position + count)])
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` registers from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
+        """Write ``count`` registers from ``position`` on into ``data``: this run's bytes, or a copy of them."""
         data[2 * position : 2 * (position + count)] = items
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current registers of a range as big-endian bytes."""
+        """Return ``count`` current registers from ``position`` on, as big-endian bytes."""
         return bytes(self.data[2 * position : 2 * (position + count)])
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the registers of a range by big-endian bytes; safe from any thread."""
+        """Replace ``count`` registers from ``position`` on by big-endian bytes; safe from any thread."""
         if count <= _PACKED:
             with self._lock:
                 _PACK[count](self.data, 2 * position, data)
@@ -110,7 +117,10 @@ class RegisterRun:
                 self.data[2 * position : 2 * (position + count)] = data
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace the registers of a range and return the old ones, in one step for all threads."""
+        """Replace ``count`` registers (at most 125) from ``position`` on, and return the old ones as big-endian bytes.
+
+        No other thread can change them in between.
+        """
         start = 2 * position
         with self._lock:
             items = self.data
@@ -129,7 +139,8 @@ class RegisterRun:
     def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
         """Replace ``count`` registers from ``position`` on, then return ``size`` registers from ``start`` on.
 
-        No other thread can change them in between. All four numbers count registers of this run, also ``start``.
+        No other thread can change them in between. ``position`` and ``start`` count from the first register of this
+        run; ``count`` and ``size`` are at most 125.
         """
         with self._lock:
             items = self.data
@@ -163,19 +174,19 @@ class BitRun:
         return self
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` bits from ``position`` on of ``data``, which is this run's bytes or a changed copy."""
+        """Return ``count`` packed bits from ``position`` on out of ``data``: this run's bytes, or a changed copy."""
         return slice_bits(data, position, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` bits from ``position`` on into ``data``, which is this run's bytes or a copy of them."""
+        """Write ``count`` packed bits from ``position`` on into ``data``: this run's bytes, or a copy of them."""
         splice_bits(data, position, count, items)
 
     def get(self, position: int, count: int) -> bytes:
-        """Return the current bits of a range, packed from the lowest bit of the first byte."""
+        """Return ``count`` current bits from ``position`` on, packed from the lowest bit of the first byte."""
         return slice_bits(self.data, position, count)
 
     def put(self, position: int, count: int, data: bytes) -> None:
-        """Replace the bits of a range by packed bytes; safe from any thread."""
+        """Replace ``count`` bits from ``position`` on by packed bytes; safe from any thread."""
         if count == 1:
             place, bit = position >> 3, 1 << (position & 7)
             with self._lock:
@@ -186,7 +197,10 @@ class BitRun:
                 splice_bits(self.data, position, count, data)
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace the bits of a range and return the old ones, in one step for all threads."""
+        """Replace ``count`` bits from ``position`` on, and return the old ones packed.
+
+        No other thread can change them in between.
+        """
         with self._lock:
             old = slice_bits(self.data, position, count)
             splice_bits(self.data, position, count, data)
@@ -194,9 +208,9 @@ class BitRun:
 
 
 class RegisterBits:
-    """Registers shown as bits: bit ``n`` is bit ``n % 16`` of register ``start + n // 16``.
+    """A bit table that is a view of registers: bit ``n`` is bit ``n % 16`` of register ``start + n // 16``.
 
-    Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block for all).
+    Bit 0 of a register is its least significant (Application Protocol V1.1b3 §4.3, figure 7: one block of memory).
 
     Args:
         memory: the registers.
@@ -215,12 +229,12 @@ class RegisterBits:
         self._lock = lock
 
     def fetch(self, data: bytearray, position: int, count: int) -> bytes:
-        """Return ``count`` bits from ``position`` on of ``data``, which is the registers' bytes or a changed copy."""
+        """Return ``count`` packed bits from ``position`` on out of ``data``: the registers' bytes or a changed copy."""
         low, high = self._bytes_of(position, count)
         return slice_bits(_bytes_swapped(data[low:high]), position & 15, count)
 
     def patch(self, data: bytearray, position: int, count: int, items: bytes) -> None:
-        """Write ``count`` bits from ``position`` on into ``data``, which is the registers' bytes or a copy of them."""
+        """Write ``count`` packed bits from ``position`` on into ``data``: the registers' bytes, or a copy of them."""
         low, high = self._bytes_of(position, count)
         words = _bytes_swapped(data[low:high])
         splice_bits(words, position & 15, count, items)
@@ -244,11 +258,10 @@ class RegisterBits:
 
 
 def replace_all(fresh: Mapping[RegisterRun | BitRun, bytearray]) -> None:
-    """Replace the bytes of several runs so that every reader sees all changes or none; the caller holds the lock.
+    """Replace the bytes of several runs at once; the caller holds the lock.
 
-    ``fresh`` has the new bytes by run. Readers hold no lock: with one Python statement for each run, a reader could see
-    the first run new and the second old. So all are replaced inside one call of C code (``deque`` exhausts ``map``),
-    during which no other thread runs Python.
+    ``fresh`` has the new bytes by run. No other thread sees some runs replaced and others not: readers hold no lock, so
+    all are replaced inside one call of C code (``deque`` exhausts ``map``), during which no other thread runs Python.
     """
     deque(map(setattr, fresh.keys(), repeat("data"), fresh.values()), maxlen=0)
 

@@ -59,7 +59,10 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class CellLayout:
-    """The checked declaration of a table: pieces of initial values, and read-only ranges, both ascending."""
+    """The checked declaration of a table: pieces of initial values, and read-only ranges, both ascending.
+
+    A read-only range is its first address and the address after its last.
+    """
 
     pieces: tuple[Piece, ...]
     read_only: tuple[tuple[int, int], ...]
@@ -75,7 +78,7 @@ def lay_out(declared: TableLike, *, key: str, bits: bool = False, size: int = TA
         size: number of possible addresses, from 0 on.
 
     Raises:
-        ConfigError: the declaration is wrong.
+        ConfigError: the declaration is wrong; names ``key``.
     """
     cells = _as_cells(declared, key)
     pieces = _merged(_pieces(cells, key, bits, size), key)
@@ -146,7 +149,7 @@ def _piece(address: int, values: int | Sequence[int], key: str, bits: bool) -> P
 
 
 def _value(address: int, value: object, key: str, bits: bool) -> int:
-    """Return one declared initial value as ``int``, given as any integer or bool type."""
+    """Return one declared initial value as ``int``. Raises `ConfigError` if it is no whole number in its range."""
     try:
         number = operator.index(value)  # type: ignore[arg-type]
     except TypeError:
@@ -158,7 +161,7 @@ def _value(address: int, value: object, key: str, bits: bool) -> int:
 
 
 def _merged(pieces: list[Piece], key: str) -> list[Piece]:
-    """Sort pieces of initial values by address and join adjacent ones."""
+    """Sort pieces of initial values by address and join adjacent ones. Raises `ConfigError` if two overlap."""
     found: list[Piece] = []
     for piece in sorted(pieces, key=lambda each: each.first):
         if not piece.values:

@@ -54,9 +54,10 @@ class ServerConnection(asyncio.BufferedProtocol):
         is_priority: whether the client is a priority host: no limit of the server closes or slows its connection.
         pool: the pool of the connection's slot.
         is_greedy: whether the client sends more than is processed in one turn.
-        opened, last_used: monotonic seconds.
+        opened, last_used: when it was accepted, and when replies were last sent (before the first: when it was
+            accepted), in seconds of ``time.monotonic``.
         received, sent: bytes so far.
-        charged: how many of its requests have been counted against its host's rate.
+        charged: number of its requests that have been counted against its host's rate so far.
     """
 
     __slots__ = (
@@ -123,7 +124,10 @@ class ServerConnection(asyncio.BufferedProtocol):
     # What the event loop calls.
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        """Handle a new connection: give it one of the listener's limited slots, or close it if none is free."""
+        """Give a new connection a slot and a session; close it at once if that is not possible.
+
+        It is closed if its host may not connect, or if no slot is free or can be freed.
+        """
         self._transport = transport
         address = transport.get_extra_info("peername")
         self.peer, self.host = peer_name(address), host_of(address)
@@ -140,7 +144,10 @@ class ServerConnection(asyncio.BufferedProtocol):
         return self._window
 
     def buffer_updated(self, nbytes: int) -> None:
-        """Process received bytes and send the replies, up to the connection's share of a turn."""
+        """Process received bytes and send the replies, up to the connection's share of a turn.
+
+        ``nbytes``: how many bytes were written into the buffer that `get_buffer` returned.
+        """
         session = self.session
         if session is None:
             return
@@ -228,7 +235,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         return True
 
     def _look_at_share(self, session: "Session", nbytes: int) -> None:
-        """Queue the connection for another turn if it has used up its share of this turn of the event loop."""
+        """Queue the connection for another turn, and pause reading, if it has used up its share of this turn."""
         session.spent = 0
         self._management.turns.worked()
         self.is_greedy = bool(session.rest) or nbytes == len(self._window)
@@ -245,7 +252,8 @@ class ServerConnection(asyncio.BufferedProtocol):
         """Process requests that wait, for one share of a turn. Returns whether the connection needs another turn.
 
         It needs none if nothing waits, if it is closed or closing, or while the client does not read its replies;
-        `resume_writing` queues it again then. Raises no ordinary exception.
+        `resume_writing` queues it again then. An exception inside is reported to the event loop, and closes the
+        connection.
         """
         try:
             more = self._work_on()
@@ -347,7 +355,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._transport.abort()
 
     def make_room(self) -> None:
-        """Close the connection, because a new connection gets its slot."""
+        """Close the connection at once, because a new connection gets its slot; unsent replies are lost."""
         self._management.evict(self)
 
     @property

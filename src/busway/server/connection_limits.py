@@ -49,7 +49,8 @@ class PoolMember(Protocol):
         host: host of the client.
         is_priority: whether the client is a priority host.
         pool: the pool of its slot, set when it gets one.
-        last_used: when it was last used, in seconds; before the first use, when it was connected. Never decreases.
+        last_used: when it was last used, in seconds of a monotonic clock; before the first use, when it was connected.
+            Never decreases.
         received: bytes received from the client so far.
     """
 
@@ -112,7 +113,7 @@ class Admission(Generic[One]):
 
 
 class Pools(Generic[One]):
-    """All connection slots of a listener: those for priority hosts and those for other hosts."""
+    """All connection slots of a listener, or of several listeners that share them: the two pools and who is in them."""
 
     def __init__(self, limits: PoolLimits) -> None:
         self.limits = limits

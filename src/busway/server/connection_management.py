@@ -42,8 +42,8 @@ _SENTENCES: Final = {
     Overdue.IDLE: "closed: it was not used for %g s",
 }
 REQUESTS_OF_A_TURN: Final = 16
-"""Most requests of one connection processed in a turn, known reads not counted: 16 pipelined requests are answered at
-once, and 16 of the most expensive kind take a millisecond or two.
+"""Most requests of one connection processed in a turn: 16 pipelined requests are answered at once, and 16 of the most
+expensive kind take a millisecond or two. Reads that the fast path knows by all their bytes are not counted.
 """
 _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
@@ -52,7 +52,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
     """Interface of a server connection that a listener's connection management admits and closes.
 
     Attributes:
-        charged: how many of its requests have been counted against its host's rate.
+        charged: number of its requests that have been counted against its host's rate so far.
     """
 
     charged: int
@@ -67,7 +67,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
         """Close the connection at once; unsent replies are lost."""
 
     def make_room(self) -> None:
-        """Close the connection, because a new connection gets its slot."""
+        """Close the connection at once, because a new connection gets its slot; unsent replies are lost."""
 
 
 class HandshakeAcceptor(Protocol):
@@ -178,7 +178,11 @@ class ConnectionManagement:
         return True
 
     def admit(self, connection: ManagedConnection) -> "Session | None":
-        """Give a new connection a slot, and return its server session; None if no slot is free or can be freed."""
+        """Give a new connection a slot, and return its server session; None if no slot is free or can be freed.
+
+        Sets ``is_priority`` and ``pool`` of the connection. Another connection may be closed for it. A refusal is
+        counted and logged; the caller closes the refused connection.
+        """
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
         admission = self.pools.admit(connection)
@@ -203,7 +207,7 @@ class ConnectionManagement:
         return listener_context.session_for(connection, share=REQUESTS_OF_A_TURN)
 
     def evict(self, connection: ManagedConnection) -> None:
-        """Close a connection at once, because a new connection gets its slot."""
+        """Close a connection at once, because a new connection gets its slot. That is counted and logged."""
         self.counters.evicted += 1
         self.listener_context.say(
             logging.WARNING,
@@ -216,7 +220,10 @@ class ConnectionManagement:
         connection.abort()
 
     def leave(self, connection: ManagedConnection, session: "Session", error: Exception | None) -> None:
-        """Remove a connection that has ended and free its slot."""
+        """Remove a connection that has ended and free its slot.
+
+        ``error``: the error with which it ended, for the log; None for a normal end.
+        """
         self.pools.leave(connection)
         self._connections.pop(connection, None)
         self._deadlines.forget(connection)
@@ -229,7 +236,7 @@ class ConnectionManagement:
             _log.info("%s: the connection ended: %s", connection.peer, network_reason(error))
 
     def broken(self, connection: ManagedConnection, reason: str) -> None:
-        """Count and log a connection that sent bytes which are no valid sequence of frames."""
+        """Count and log a connection that sent bytes which are no valid sequence of frames; the caller closes it."""
         self.counters.broken_streams += 1
         self.listener_context.broken()
         self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
@@ -244,14 +251,20 @@ class ConnectionManagement:
     # Limits while they last.
 
     def watch_frame(self, connection: ManagedConnection, *, begun_now: bool) -> None:
-        """Start the timeout of an incomplete frame on a connection. ``begun_now``: False if the frame began earlier."""
+        """Start the timeout of an incomplete frame on a connection; not for a priority host.
+
+        ``begun_now``: False if the frame may have begun earlier, so that a running timeout goes on.
+        """
         if connection.is_priority:
             return
         now = time.monotonic()
         self._set_timer_by(self._deadlines.frame_begun(connection, now, anew=begun_now), now)
 
     def stuck(self, connection: ManagedConnection) -> None:
-        """Start the write timeout of a connection whose client has stopped reading its replies."""
+        """Count that a client has stopped reading its replies, and start the write timeout of its connection.
+
+        The timeout is not started for a priority host.
+        """
         self.counters.reading_paused += 1
         if not connection.is_priority:
             now = time.monotonic()
@@ -262,9 +275,9 @@ class ConnectionManagement:
         self._deadlines.taken(connection)
 
     def charge(self, connection: ManagedConnection, session: "Session") -> None:
-        """Count the new requests of a connection against its host's rate.
+        """Count the new requests of a connection against its host's rate; above the rate, pause reading from it.
 
-        Above the rate, pause reading from the connection.
+        Reading goes on by itself as soon as the host is within its rate again.
         """
         assert self.rates is not None  # or this is not called
         now = time.monotonic()
@@ -283,7 +296,7 @@ class ConnectionManagement:
             self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
 
     def is_held(self, connection: ManagedConnection) -> bool:
-        """Whether reading from a connection is paused: its host is above its rate, or the listener is draining."""
+        """Whether reading from a connection is paused: its host is above its rate, or `pause_all` was called."""
         return self._is_draining or self._deadlines.is_held(connection)
 
     def _set_timer(self, now: float) -> None:
@@ -349,7 +362,7 @@ class ConnectionManagement:
     # The end.
 
     def pause_all(self) -> None:
-        """Stop reading from all connections; requests in progress are still answered."""
+        """Stop reading from all connections, for good; requests in progress are still answered."""
         self._is_draining = True
         for connection in self._connections:
             connection.hold()
@@ -362,7 +375,7 @@ class ConnectionManagement:
             await self._emptied.wait()
 
     def close_all(self, *, at_once: bool = False) -> None:
-        """Close every connection, at once or after its written replies are sent."""
+        """Close every connection after its written replies are sent; ``at_once`` closes at once and loses them."""
         for connection in list(self._connections):
             if at_once:
                 connection.abort()

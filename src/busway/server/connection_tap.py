@@ -21,7 +21,8 @@ class TappedConnection:
         framing: ``mbap``, ``rtu`` or ``ascii``.
         carrier: ``tcp``, ``tls``, ``udp`` or ``serial``.
         gap: seconds of silence that the line needs before a frame; 0 over a network.
-        send: sends bytes as they are, at the end of this turn of the event loop at the latest.
+        send: sends bytes as they are, without a frame around them, at the end of this turn of the event loop at the
+            latest; they are lost if the connection has ended.
         close: closes the connection after the bytes sent so far; does nothing over UDP and on a serial port.
     """
 

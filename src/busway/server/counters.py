@@ -9,9 +9,9 @@ class ClassCounters:
     """Counters of the connections of priority hosts, or of all other hosts.
 
     Attributes:
-        accepted, closed: connections, and peers over UDP.
-        requests: requests of ended connections; a status adds those of open ones.
-        received, sent: bytes, counted like ``requests``.
+        accepted, closed: connections, and peers over UDP, that got a slot, and that have ended.
+        requests: requests of ended connections; in a status also those of open ones.
+        received, sent: bytes of ended connections; in a status also those of open ones.
     """
 
     accepted: int = 0
@@ -23,17 +23,21 @@ class ClassCounters:
 
 @dataclass(slots=True)
 class ServerCounters:
-    """Counters of a server since its creation; requests of a connection are added when it ends.
+    """Counters of a server since it was created or reset.
+
+    Requests and bytes of a connection are added when it ends, those of a serial port when the server stops; a status
+    adds what open ones have counted so far.
 
     Attributes:
-        accepted, closed: connections, and peers over UDP.
+        accepted, closed: connections, and peers over UDP, that got a slot, and that have ended.
         unauthorized: new connections that were refused by the address of their host.
         no_longer_authorized: connections, and peers over UDP, that were ended because address lists have changed.
         refused_full: new connections that got no slot: no other connection could be closed for them, or their client
             had closed them already.
         evicted: connections that were closed because a new connection got their slot.
         broken_streams: connections that were closed because their bytes were no valid sequence of frames.
-        header_timeouts, frame_timeouts: requests that did not end in time, in their header or after it.
+        header_timeouts, frame_timeouts: connections closed because the header of a request, or the rest of it, did not
+            end in time.
         write_timeouts: connections closed because the client did not read its replies in time.
         idle_timeouts: connections closed because they were unused for too long.
         reading_paused: times that reading from a client was paused because it did not read its replies; over UDP, times
@@ -42,7 +46,7 @@ class ServerCounters:
         responder_failures: requests whose responder raised an exception other than a refusal.
         requests: requests on all listeners.
         discarded_frames: frames that got no answer, and datagrams that were no valid frame.
-        refused_busy: requests answered 06 because all slots were taken.
+        refused_busy: requests answered 06 because all transaction slots were taken.
         priority, other: some of these counters, for priority hosts and for all other hosts.
     """
 
@@ -71,7 +75,7 @@ class ServerCounters:
         return self.priority if is_priority else self.other
 
     def take_off(self, counted: "ServerCounters") -> None:
-        """Subtract earlier counts from these counters, so that only later events remain."""
+        """Subtract earlier counts from these counters, in place, so that only later events remain."""
         for mine, theirs in ((self, counted), (self.priority, counted.priority), (self.other, counted.other)):
             for one in fields(mine):
                 value = getattr(mine, one.name)

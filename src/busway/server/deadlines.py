@@ -23,7 +23,11 @@ _LOOKS: Final = 16
 
 
 class Timed(Protocol):
-    """Interface of a connection whose timeouts are watched."""
+    """Interface of a connection whose timeouts are watched.
+
+    Attributes:
+        last_used: when it was last used, in seconds of the clock of ``now`` in `Deadlines`.
+    """
 
     last_used: float
 
@@ -76,7 +80,7 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Start the timeout of a frame that was received in part; return when it runs out, None for no timeout.
+        """Start the timeout of a frame that was received in part. Returns when it runs out; None if there is none.
 
         ``anew``: True for a frame that began just now; False if it may have begun earlier: a running timeout then
         stays.
@@ -85,9 +89,9 @@ class Deadlines(Generic[One]):
         return self._frame_deadline(one, since)
 
     def stuck(self, one: One, now: float) -> float | None:
-        """Start the write timeout of a client that has stopped reading.
+        """Start the write timeout of a client that has stopped reading its replies, at ``now`` (seconds).
 
-        Returns when to check; None without a timeout.
+        Returns the time at which to call `due`; None if the listener has no write timeout.
         """
         timeout = self._parameters.write_timeout
         if timeout is None:
@@ -117,7 +121,7 @@ class Deadlines(Generic[One]):
     # What is due.
 
     def next_due(self, now: float, *, has_connections: bool) -> float | None:
-        """Return when to call `due` next; None while no timeout runs.
+        """Return the time (seconds) at which to call `due` next; None while no timeout or pause runs.
 
         ``has_connections``: whether any connection is open. If so, this call sets when idle ones are looked for, unless
         that is set already.

@@ -182,8 +182,7 @@ class Device:
     ) -> None: ...
 
     def write(self, *arguments: Any, **options: Any) -> None:  # Any: as the two signatures above
-        """Write one value or several of the device in one step: ``device.write("4x101", 3.5, "float32",
-        order="CDAB")``.
+        """Write one value or several of the device in one step: ``device.write("4x101", 3.5, "float32")``.
 
         With a `Table` first, it is a write by Modbus as `DataModel.write` says, hooks included.
 
@@ -280,8 +279,7 @@ class Device:
         address: int | None = None,
         count: int | None = None,
     ) -> AnyWriteFunction | Callable[[AnyWriteFunction], AnyWriteFunction]:
-        """Call a function at every write by Modbus: ``@device.on_write("holding_registers")``, or with the function
-        second.
+        """Call a function at every write by Modbus: ``@device.on_write("coils")``, or with the function second.
 
         Called ``before`` the write, the function may raise `Refusal` with an exception code (04 without one), and
         nothing changes; it cannot replace the value. Called ``after``, the items have changed, and stay changed
@@ -307,7 +305,7 @@ class Device:
         return hook if function is None else hook(function)
 
     def remove_hook(self, function: Callable[..., object]) -> None:
-        """Remove a hook from all tables. Raises `ConfigError` if ``function`` is no hook of this device."""
+        """Remove a function from the hooks of all tables. Raises `ConfigError` if it is no hook of this device."""
         with self.lock:
             every = [*self._read_hooks.values(), *self._write_hooks.values()]
             found = [hooks.remove(function) for hooks in every]
@@ -331,18 +329,21 @@ class Device:
         return self._functions is None or code in self._functions
 
     def set_identification(self, objects: Mapping[int, str | bytes]) -> None:
-        """Replace the identification objects (function 43/14).
+        """Replace all identification objects (function 43/14); objects 0, 1 and 2 that are left out get their defaults.
 
-        See the constructor's ``identification``. Raises `ConfigError`.
+        Numbers and values as in the constructor's ``identification``. Raises `ConfigError` for an invalid object.
         """
         self._identification = MappingProxyType(identification_objects(objects))
 
     def set_server_id(self, data: bytes) -> None:
-        """Replace the data of function 17; see the constructor's ``server_id``. Raises `ConfigError`."""
+        """Replace the data of function 17, at most 251 bytes. Raises `ConfigError` if they are longer or no bytes."""
         self._server_id = server_id_data(data)
 
     def set_exception_status(self, status: ExceptionStatus) -> None:
-        """Replace the status bits of function 07; see the constructor's ``exception_status``. Raises `ConfigError`."""
+        """Replace the status bits of function 07: a number 0…255, or a function that returns it at each request.
+
+        Raises `ConfigError` for a number outside 0…255.
+        """
         self._exception_status = status_source(status)
 
     def _hook_maker(self, hooks: Hooks, when: str, address: int | None, count: int | None) -> Callable[[Any], Any]:
@@ -362,11 +363,14 @@ class Device:
 
     @property
     def generation(self) -> int:
-        """A number that changes when results of ``plain_block``, or the set of enabled functions, are out of date."""
+        """A number that changes when earlier results of `plain_block` or `enabled` may no longer be right."""
         return self._generation
 
     def watch(self, changed: Callable[[], object]) -> None:
-        """Call a bound method whenever ``generation`` changes; the method's object is held weakly."""
+        """Call a bound method whenever ``generation`` changes, in the thread that has changed it.
+
+        The method's object is held weakly: once it is gone, nothing is called.
+        """
         self._watchers.append(WeakMethod(changed))
 
     def _offers_changed(self) -> None:
@@ -379,9 +383,9 @@ class Device:
                 changed()
 
     def plain_block(self, table: Table, *, writes: bool) -> Block | None:
-        """Return a table's memory for direct access, without hooks and checks of read-only ranges.
+        """Return a table's memory, for reads (or ``writes``) that need no hook and no check of read-only ranges.
 
-        None if requests must not use it: the items are not in exactly one piece, they are bits of another table's
+        None if there is no such memory: the items are not in exactly one piece, they are bits of another table's
         registers, the table has hooks for this access, or for ``writes`` some items are read-only.
         """
         store = self._stores[table]
@@ -415,11 +419,12 @@ class Device:
         return None if run is None else run.get(record - run.first, count)
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Check that a range of a table can be read or written (`DataModel.check`).
+        """Check that a range of a table exists and, if the request ``writes``, is not read-only (`DataModel.check`).
 
-        Raises `Refusal` with the exception code.
+        For a read with a ``context``, the hooks before a read are called too, and may refuse it.
 
-        For a read with a ``context``, the hooks before a read are called too.
+        Raises:
+            Refusal: 02 if an item does not exist or is read-only; from a hook, the code that the hook has chosen.
         """
         store = self._stores[table]
         if store.find(address, count) is None:
@@ -475,14 +480,18 @@ class Device:
             call(hooks, When.AFTER, change)
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """Read records of a file for function 20; raises `Refusal` if they do not exist."""
+        """Read records of a file for function 20, as big-endian bytes.
+
+        Raises `Refusal`: 02 if the file or a record does not exist, 03 if ``count`` is 0, 08 if the file is damaged.
+        """
         run = self._file(file).accessed(record, count, writes=False)
         return run.get(record - run.first, count)
 
     def write_file(self, file: int, record: int, data: bytes, context: Context, *, dry: bool = False) -> None:
-        """Write records of a file for function 21; raises `Refusal` if records do not exist or are read-only.
+        """Write records of a file for function 21, from big-endian bytes.
 
-        With ``dry`` the records are only checked, and nothing is written.
+        With ``dry`` the records are only checked, and nothing is written. Raises `Refusal`: 02 if the file or a record
+        does not exist or is read-only, 03 if ``data`` is empty, 08 if the file is damaged.
         """
         count = len(data) // 2
         run = self._file(file).accessed(record, count, writes=True)
@@ -496,14 +505,17 @@ class Device:
         return file
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """Read the queue of registers at an address for function 24; raises `Refusal` if there is none."""
+        """Return all registers of the queue at an address, for function 24, as big-endian bytes, the oldest first.
+
+        They stay in the queue. Raises `Refusal` (02) if there is no queue at the address.
+        """
         queue = self.fifos.get(address)
         if queue is None:
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS, f"there is no queue at {address}")
         return pack_registers(list(queue))
 
     def exception_status(self) -> int:
-        """Return the eight status bits that function 07 reads."""
+        """Return the eight status bits that function 07 reads, 0…255."""
         return self._exception_status()
 
     def server_id(self) -> bytes:
@@ -515,7 +527,11 @@ class Device:
         return self._identification
 
     def canopen(self, data: bytes) -> bytes:
-        """Answer a CANopen request (function 43/13); raises `Refusal` if the device was made without ``canopen``."""
+        """Answer a CANopen request (function 43/13). Raises `Refusal` (01) if the device was made without ``canopen``.
+
+        Args:
+            data: the bytes of the request after function code and type 13. The returned bytes follow them in the reply.
+        """
         if self._canopen is None:
             raise Refusal(ExceptionCode.ILLEGAL_FUNCTION, "no CANopen behind this device")
         return self._canopen(data)

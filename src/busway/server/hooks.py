@@ -126,9 +126,9 @@ class Hooks:
 
 
 def call(hooks: tuple[Hook, ...], when: When, access: Access | Change) -> None:
-    """Call the hooks for an access that are registered for this moment, in order.
+    """Call those of ``hooks`` that are registered for this moment, before or after the access, in order.
 
-    An exception ends this, and is raised.
+    If a hook raises an exception, the hooks after it are not called, and the exception is raised here.
     """
     for hook in hooks:
         if hook.when is when:

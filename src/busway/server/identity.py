@@ -11,9 +11,9 @@ from ..values.refusal import shown
 from ..version import __version__
 
 OBJECT_LIMIT: Final = 244
-"""Bytes of an identification object: what fits one reply (Application Protocol V1.1b3 §6.21)."""
+"""Most bytes of an identification object: what fits one reply (Application Protocol V1.1b3 §6.21)."""
 SERVER_ID_LIMIT: Final = 251
-"""Bytes of the data of function 17: what fits one reply (Application Protocol V1.1b3 §6.13)."""
+"""Most bytes of the data of function 17: what fits one reply (Application Protocol V1.1b3 §6.13)."""
 
 MANDATORY_OBJECTS: Final[Mapping[int, bytes]] = {0: b"busway", 1: b"device", 2: __version__.encode("ascii")}
 """Default vendor name, product code and revision: every device must have these objects (§6.21)."""
@@ -49,9 +49,9 @@ def server_id_data(declared: bytes) -> bytes:
 
 
 def status_source(declared: ExceptionStatus) -> Callable[[], int]:
-    """Return a function that returns the status bits of function 07.
+    """Return a function that returns the status bits of function 07: ``declared`` itself if it is a function.
 
-    Raises `ConfigError` for a number outside 0…255.
+    Raises `ConfigError` for any other object than a function or an integer 0…255.
     """
     if callable(declared):
         return declared

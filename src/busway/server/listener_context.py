@@ -47,7 +47,7 @@ class ConnectedPeer(Protocol):
         role, subject: of the client's certificate; None and empty without one.
         is_priority: whether the client is a priority host.
         pool: the pool of its connection slot.
-        opened, last_used: monotonic seconds.
+        opened, last_used: when it was accepted and last used, in seconds of ``time.monotonic``.
         received, sent: bytes so far.
     """
 
@@ -77,7 +77,7 @@ class ConnectedPeer(Protocol):
         """Send late replies to several requests of this client at once."""
 
     def attend(self) -> None:
-        """Handle what the session reports without new bytes, such as a late reply."""
+        """Start tasks for late replies, and log responder failures, that the session has found without new bytes."""
 
     def close(self) -> None:
         """Close the connection after the replies given so far have been sent."""
@@ -90,13 +90,14 @@ class ListenerContext:
         loop: the event loop that the listener runs on.
         listener: URL of the listener with the address and port that are really bound.
         listener_names: further URLs that access rules may use for the listener.
-        hosts: numeric addresses that the listener is bound to.
+        hosts: numeric addresses that the listener is bound to; the listener sets them when it is opened.
         settings, parameters: all settings of the listener, and its limits and timeouts.
         counters: counters shared by all listeners of a server.
         diagnostics: communication counters of the listener and its units (functions 08, 11, 12).
         diagnosis: when the listener last had traffic and faults; its status indicators follow from that.
         rates: limits of requests per second by host; None without a limit.
-        damaged: number of streams and datagrams that were no valid frames.
+        damaged: number of TCP connections whose bytes were no valid frames or with a frame that did not end in time,
+            and of UDP datagrams that were no whole frame.
         late_answers: tasks that await responders; also cancelled tasks of ended connections until they have finished.
     """
 
@@ -142,9 +143,9 @@ class ListenerContext:
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
     def bound_as(self, names: Sequence[str]) -> None:
-        """Store the URLs of the bound sockets.
+        """Store the URLs of the bound sockets (one or more) in ``listener`` and ``listener_names``.
 
-        Access rules may name the listener by these URLs, or by the configured one.
+        Access rules may name the listener by any of these URLs, or by the configured one.
         """
         configured = (self.settings.endpoint.url, self.settings.beside)
         self.listener = names[0]
@@ -183,9 +184,9 @@ class ListenerContext:
         return host in self.parameters.priority
 
     def session_for(self, connected_peer: ConnectedPeer, *, share: int | None = None) -> "Session":
-        """Create the session of a new connection.
+        """Create the server session of a new connection or UDP peer.
 
-        ``share``: most requests that one call processes (MBAP only); None: no limit.
+        ``share``: most requests that one call of the session processes (MBAP only); None: no limit.
         """
         client = ClientIdentity(
             connected_peer.peer, self.listener, connected_peer.role, connected_peer.is_priority, self.listener_names
@@ -290,7 +291,12 @@ class ListenerContext:
         )
 
     def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
-        """Return the status of the listener; ``count`` gives the number of used slots of a pool."""
+        """Return the status of the listener.
+
+        Args:
+            count: returns the number of used slots of a pool.
+            security: the TLS status; None without TLS.
+        """
         diagnostics = self.diagnostics
         return ListenerStatus(
             endpoint=self.listener,

@@ -93,7 +93,14 @@ class DeviceResponder:
         return self._devices.get(unit)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Execute a request on the device of its unit and return the reply."""
+        """Execute a request on the device of its unit, and return the reply.
+
+        `SILENCE` if no reply is sent: to a unit that does not exist, with the option ``unlisted`` so set, and to a
+        broadcast that the same device has executed already. A unit that does not exist is answered 0B otherwise.
+
+        Raises:
+            Refusal: the device or a hook refuses the request; the caller answers with its exception code.
+        """
         device = self._devices.get(context.unit)
         if device is None:
             absent = ExceptionResponse(context.function, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)

@@ -74,10 +74,14 @@ class Opening:
         self.turns = Turns(self.loop)
 
     async def streams(self, settings: ListenerSettings) -> TcpListener | None:
-        """Open a TCP or TLS listener. Raises `OSError`, `ConfigError`.
+        """Open a TCP or TLS listener.
 
-        If the listener is optional (``is_optional``) and its socket cannot be opened, that is logged and None is
+        If the listener is optional (``is_optional``) and its sockets cannot be opened, that is logged and None is
         returned.
+
+        Raises:
+            OSError: a socket cannot be opened or bound, or the host is not known.
+            ConfigError: an option cannot be applied, or a certificate file cannot be used.
         """
         limits = settings.limits
         shares = limits.shared_slots and limits is self.limits
@@ -99,7 +103,7 @@ class Opening:
         return listener
 
     async def datagrams(self, settings: ListenerSettings) -> "UdpListener":
-        """Open a UDP listener. Raises `OSError`, `ConfigError`."""
+        """Open a UDP listener. Raises `OSError` if it cannot be bound, `ConfigError` if an option cannot be applied."""
         from .udp import UdpListener
 
         listener = UdpListener(self._listener_context(settings), self.sockets)
@@ -107,7 +111,10 @@ class Opening:
         return listener
 
     async def line(self, settings: ListenerSettings) -> "SerialListener":
-        """Open a listener on a serial port; an absent port is waited for. Raises `LinkDown`, `ConfigError`."""
+        """Open a listener on a serial port; an absent port is waited for in the background.
+
+        Raises `LinkDown` and `ConfigError` as `SerialListener.open` does.
+        """
         from .line import SerialListener
 
         line = SerialListener(

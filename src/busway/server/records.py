@@ -97,9 +97,9 @@ class RegisterQueue:
 def build_files(
     declared: Mapping[int, TableLike] | None, lock: threading.RLock, groups: Groups
 ) -> dict[int, RecordFile]:
-    """Create the files of a device, by number, from their declaration (see `lay_out`).
+    """Create the files of a device, by number, from their declarations (see `lay_out`).
 
-    Raises `ConfigError` for a wrong one.
+    Raises `ConfigError` for a wrong number or declaration.
     """
     files = {}
     for number, cells in (declared or {}).items():

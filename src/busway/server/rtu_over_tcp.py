@@ -31,7 +31,7 @@ class FramedSession:
         broken: always empty: after a damaged frame the next one may be good, so the connection stays open.
         refused_busy: always 0: a line has one transaction at a time.
         rest: received bytes that are not processed yet.
-        spent: estimate of how many requests the last call has processed, one for every sixteen bytes.
+        spent: estimate of how many requests the last call of `receive` or `go_on` has processed: its bytes / 16.
     """
 
     __slots__ = (
@@ -59,10 +59,13 @@ class FramedSession:
         attend: Callable[[], None],
         client: ClientIdentity,
     ) -> None:
-        """Create the session.
+        """Create the session of a new connection.
 
-        It calls ``attend`` when, without new bytes, ``deferred`` or ``failures`` may have a new entry; ``deliver``
-        sends a late reply. Other arguments: see `SerialServerSession`.
+        Args:
+            deliver: called with each reply that is ready only after `receive` or `go_on` has returned.
+            attend: called without arguments when ``deferred`` or ``failures`` may have got an entry without new bytes.
+            loop: event loop of the session's timer.
+            pipeline, units, framing, diagnostics, client: as in `SerialServerSession`.
         """
         self._loop = loop
         self._deliver = deliver
@@ -124,11 +127,10 @@ class FramedSession:
         self._session.failures = list(value)
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``, at most `SHARE_OF_BYTES`.
+        """Process the first ``size`` bytes of ``buffer``. Returns the replies to send, in order.
 
-        Returns the replies to send, in order.
-
-        Bytes beyond that are kept in ``rest`` until `go_on` is called.
+        If they are more than `SHARE_OF_BYTES`, or ``rest`` is not empty, they are added to ``rest``, and only the first
+        `SHARE_OF_BYTES` of it are processed; call `go_on` for the others.
         """
         if self.rest or size > SHARE_OF_BYTES:
             self.put_off(buffer, size)
@@ -192,4 +194,4 @@ class FramedSession:
 
 
 Session = TcpServerSession | FramedSession
-"""The server session of a network connection, MBAP or RTU and ASCII; both have what drivers of connections use."""
+"""The server session of a network connection: for MBAP, or for RTU and ASCII. Drivers use both classes alike."""

@@ -60,7 +60,7 @@ class Server:
         tls: certificate, key and authorities of the ``tls://`` listeners that have none of their own.
         policy: which requests are permitted; None permits all requests of hosts that may connect.
         audit: the audit log of writes and denied requests.
-        authorizer: an object that permits or refuses requests, used instead of ``policy``.
+        authorizer: an object that permits or refuses requests; with it ``policy`` is ignored.
         standard_port: whether to listen on port 502 too, beside each other port of ``tcp://`` (Messaging on TCP/IP
             V1.0b §3.1.3). True: yes, and the start fails if port 502 cannot be opened. False: no. None: yes if other
             hosts can reach the listener and its port is not 0; if port 502 cannot be opened, that is only logged.
@@ -70,7 +70,8 @@ class Server:
 
     Attributes:
         authorize: as given; a change takes effect at the next start.
-        counters: totals; requests and bytes of open connections are not in them yet. `status` has all.
+        counters: totals without the requests and bytes of open connections, so after `reset_counters` a number can be
+            negative; `status` has the right ones.
 
     Raises:
         ConfigError: an endpoint that cannot be listened on.
@@ -158,7 +159,7 @@ class Server:
         self._observers.append(observer)
 
     def use_tap(self, tap: ConnectionTap) -> None:
-        """Register an observer of opened and closed connections, which can also send on them.
+        """Set the observer of opened and closed connections, which can also send on them, in place of an earlier one.
 
         Allowed only while stopped.
 
@@ -173,7 +174,7 @@ class Server:
         """Use another access policy from the next request on; connections stay open.
 
         Raises:
-            ConfigError: the server was created without a policy and without an audit log.
+            ConfigError: the server was created without a policy and without an audit log, or with an ``authorizer``.
         """
         if self._policy_authorizer is None:
             raise ConfigError("the server was made without a policy", key="policy")
@@ -266,9 +267,9 @@ class Server:
                 self._bound += streams.names
 
     async def take_no_more(self) -> None:
-        """Stop accepting connections and reading requests; replies in progress are still sent.
+        """Stop accepting connections and reading requests, for good; replies in progress are still sent.
 
-        Call `stop` afterwards.
+        It does not wait for them. Call `stop` afterwards.
         """
         for datagrams in self._datagrams:
             datagrams.take_no_more()
@@ -281,7 +282,11 @@ class Server:
             streams.management.pause_all()
 
     async def stop(self) -> None:
-        """Close all listeners and connections. Written replies are still sent, for at most half a second."""
+        """Close all listeners and connections; no effect on a stopped server.
+
+        Written replies are still sent, for at most half a second; then late responders, which are cancelled, get at
+        most another half second to finish. When it returns, no connection is open.
+        """
         streams, self._streams = self._streams, []
         datagrams, self._datagrams = self._datagrams, []
         lines, self._lines = self._lines, []
@@ -314,15 +319,15 @@ class Server:
             await asyncio.wait(late, timeout=_STOP_SECONDS)
 
     async def reset(self) -> None:
-        """Stop the server, clear its counters, and start it again."""
+        """Stop the server, clear its counters, and start it again. Raises what `start` raises; then it is stopped."""
         await self.stop()
         self.counters = ServerCounters()
         await self.start()
 
     def reset_counters(self) -> None:
-        """Set the server's counters to zero, with what open connections have counted so far.
+        """Set the ``counters`` of the server's status to zero, with what open connections have counted so far.
 
-        Connections and listeners stay open.
+        Connections and listeners stay open, and the counters of each keep their values.
         """
         # An open connection adds its counters when it ends; what it has counted until now is subtracted here.
         self.counters.take_off(self._counters_now())
@@ -356,7 +361,12 @@ class Server:
         )
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host is a priority host of the listener with this URL (as in `endpoints`)."""
+        """Whether a host is a priority host of a network listener; False if there is no such listener.
+
+        Args:
+            listener: URL of the listener: the first one that it is bound to, as in `ClientIdentity.listener`.
+            host: address of a client, without a port.
+        """
         listener_contexts = [each.listener_context for each in self._with_peers()]
         return any(one.is_priority(host) for one in listener_contexts if one.listener == listener)
 

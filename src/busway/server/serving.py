@@ -109,12 +109,15 @@ def serve_forever(
     started: Callable[[Server], None] | None = None,
     **options: "Unpack[ServeArguments]",
 ) -> None:
-    """Run a server in a blocking program until it is interrupted (Ctrl-C).
+    """Run a server in a blocking program until it is interrupted (Ctrl-C), then stop it and return.
 
     Args:
         endpoints: as in `serve`.
         started: called once with the running server, for example to print its endpoints.
         options: as in `serve`.
+
+    Raises:
+        ConfigError, LinkDown: as in `serve` and `Server.start`.
     """
 
     async def run() -> None:
@@ -128,7 +131,10 @@ def serve_forever(
 
 
 class ServerThread:
-    """A running server in a thread of its own; `serve_in_thread` creates it."""
+    """A running server in a thread of its own; `serve_in_thread` creates it.
+
+    Its methods block until the server's thread has answered, so that thread itself must not call them.
+    """
 
     def __init__(self, server: Server, loop: asyncio.AbstractEventLoop) -> None:
         self._server = server
@@ -140,7 +146,7 @@ class ServerThread:
         return self._server.endpoints
 
     def status(self) -> ServerStatus:
-        """The current status of the server, from any thread."""
+        """Return the current status of the server, from any thread but the server's own."""
 
         async def ask() -> ServerStatus:
             return self._server.status()
@@ -148,7 +154,10 @@ class ServerThread:
         return asyncio.run_coroutine_threadsafe(ask(), self._loop).result()
 
     def reset(self) -> None:
-        """Stop the server, clear its counters, and start it again, from any thread."""
+        """Stop the server, clear its counters, and start it again, from any thread but the server's own.
+
+        Raises what `Server.reset` raises.
+        """
         asyncio.run_coroutine_threadsafe(self._server.reset(), self._loop).result()
 
     def reload_security(self) -> None:
@@ -163,7 +172,9 @@ class ServerThread:
         asyncio.run_coroutine_threadsafe(reload(), self._loop).result()
 
     def end_unauthorized(self) -> int:
-        """Abort connections of hosts that may no longer connect, from any thread (`Server.end_unauthorized`).
+        """Abort connections of hosts that may no longer connect, as `Server.end_unauthorized` does.
+
+        From any thread but the server's own.
 
         Returns how many connections, TLS handshakes and peers were ended.
         """

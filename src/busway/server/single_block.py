@@ -28,8 +28,9 @@ class SingleBlock:
 
     Args:
         registers: the registers, without gaps: a number of them from address 0 on, their values, or `Cells`.
-        coils_at: the register with coils 0…15, and the number of coils; None for all bits of the block.
-        discrete_inputs_at: the register with discrete inputs 0…15, and their number; None for all bits of the block.
+        coils_at: address of the register with coils 0…15, and the number of coils; None for all bits of the block.
+        discrete_inputs_at: address of the register with discrete inputs 0…15, and their number; None for all bits of
+            the block.
         tables: the tables that the block serves, by name or as `Table`; the other tables can be declared beside it.
     """
 
@@ -40,7 +41,7 @@ class SingleBlock:
 
 
 def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, ItemStore]:
-    """Return the memory of each table that shares the block. Raises `ConfigError` if the block is declared wrongly."""
+    """Return the memory of each table that the block serves. Raises `ConfigError` if the block is declared wrongly."""
     words = register_store(lay_out(block.registers, key="block.registers"), lock)
     if len(words.runs) != 1:
         raise ConfigError(f"a block is one run of registers, not {len(words.runs)}", key="block.registers")

@@ -146,7 +146,11 @@ class TlsHandshakeAcceptor:
     # What new connections and their TLS report.
 
     def arrived(self, transport: asyncio.Transport) -> None:
-        """Start the TLS handshake of an accepted connection, if its host may connect."""
+        """Start the TLS handshake of an accepted connection, if its host may connect.
+
+        If all ``max_handshakes`` are pending, the oldest of a host without priority is refused for it; if there is
+        none, the oldest of a priority host, but only for another priority host. Otherwise the new connection is closed.
+        """
         management = self._management
         if not management.accept(transport):
             transport.abort()
@@ -222,7 +226,7 @@ class TlsHandshakeAcceptor:
         return reading.role, facts.subject
 
     def _failed(self, layer: TlsLayer, failure: TlsFailure) -> None:
-        """Handle a TLS handshake that failed or whose client disconnected."""
+        """Count and log a TLS handshake that failed, was refused, or whose client disconnected."""
         self._strangers.pop(layer, None)
         self._refuse(self._waiting.pop(layer, "?"), failure)
         if layer.state is TlsState.REFUSED:

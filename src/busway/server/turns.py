@@ -65,7 +65,7 @@ class Turns:
         return seconds() < self._until
 
     def worked(self) -> None:
-        """Record that a connection has processed many requests or bytes in this turn.
+        """Record that a connection has processed more than one request, or many bytes, in this turn.
 
         The first call in a turn starts to time it. A later one sets `is_crowded` if the time is used up.
         """

@@ -105,7 +105,7 @@ class UdpListener:
         return len(ended)
 
     def status(self) -> list[ConnectionStatus]:
-        """Return the status of each peer, in the order of their first datagrams."""
+        """Return the status of each peer that has a slot, in the order of their first datagrams."""
         now = time.monotonic()
         return [self.listener_context.connected_peer_status(peer, now) for peer in self._peers.values()]
 
@@ -149,7 +149,7 @@ class UdpListener:
         return self._peers.get((socket, address)) or self._admit(socket, address)
 
     def closed(self, socket: "_Socket") -> None:
-        """Handle the end of one socket of the listener: drop its peers."""
+        """Handle the end of one socket of the listener: drop its peers, and show the listener as not open."""
         self.listener_context.diagnosis.is_open = False
         for peer in [one for one in self._peers.values() if one.socket is socket]:
             self.leave(peer)
@@ -177,11 +177,9 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot.
+        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot. Returns whether there was one.
 
-        Returns whether there was one (rule 4).
-
-        Called only if priority hosts have all slots of that pool.
+        Called only if priority hosts have all slots of that pool (rule 4). A peer with a request in progress stays.
         """
         unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
         if not unused:
@@ -238,7 +236,7 @@ class _Socket(asyncio.DatagramProtocol):
         """Ignore an error of sending: one peer cannot be reached, and the others share this socket."""
 
     def pause_writing(self) -> None:
-        """Drop replies from now on, because the system's send buffer is full; over UDP, datagrams may be lost."""
+        """Count that the system's send buffer is full, and drop replies from now on, which is allowed over UDP."""
         self._is_full = True
         self._listener.listener_context.counters.reading_paused += 1
 
@@ -303,7 +301,7 @@ class _Peer:
             self._traced().received(data)
 
     def attend(self) -> None:
-        """Handle what the session reports without a new datagram: late replies and failures."""
+        """Start tasks for late replies, and log failures of responders, that the session has reported."""
         session = self.session
         if session.deferred:
             deferred, session.deferred = session.deferred, []
@@ -314,7 +312,7 @@ class _Peer:
             self._listener_context.failed(self.peer, failures)
 
     def deliver(self, adu: bytes) -> None:
-        """Send one reply to this UDP peer."""
+        """Send one reply to this UDP peer; nothing for empty bytes, which mean that there is no reply."""
         if adu:
             self.sent += len(adu)
             self.socket.send(adu, self.address)

@@ -80,13 +80,16 @@ class TableView:
         return unpacked(self.read_wire(address, count), count, bits=self._bits)
 
     def write(self, address: int, values: Sequence[int]) -> None:
-        """Replace the items of the table from ``address`` on, in one step. Raises `IndexError` or `InvalidRequest`."""
+        """Replace the items of the table from ``address`` on by ``values``, in one step.
+
+        Raises `IndexError` if an item does not exist, `InvalidRequest` if a value does not fit; nothing changes then.
+        """
         self.write_wire(address, len(values), packed(values, bits=self._bits))
 
     def read_wire(self, address: int, count: int) -> bytes:
-        """Read items as bytes in wire order: registers big-endian, bits packed from the lowest bit.
+        """Read ``count`` items as bytes in wire order: registers big-endian, bits packed from the lowest bit.
 
-        Raises `IndexError`.
+        Raises `IndexError` if one does not exist.
         """
         if not count:
             return b""
@@ -94,9 +97,9 @@ class TableView:
         return self._groups.get(run, address - run.first, count)
 
     def write_wire(self, address: int, count: int, data: bytes) -> None:
-        """Replace items by bytes in wire order: registers big-endian, bits packed from the lowest bit.
+        """Replace ``count`` items by bytes in wire order: registers big-endian, bits packed from the lowest bit.
 
-        Raises `IndexError`.
+        Raises `IndexError` if one does not exist.
         """
         if count:
             run = self._run(address, count)

@@ -7,16 +7,16 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 `call`               Calls of the application, and their requests in flight over TCP: single ones and pipelined batches
 `client`             The client's side of a TCP connection: sends the requests of calls and matches replies to them
 `connection_life`    The life of a client's connection: when to connect, what to report, what happens to waiting calls
-`diagnostics`        Diagnostics that functions 08, 11 and 12 read: counters
+`diagnostics`        Diagnostics that functions 08, 11 and 12 read: counters, event log and listen-only mode of units
 `forwarded_reads`    Reads that a gateway forwards on the fast path: the reads of one TCP segment are forwarded together
-`late_replies`       Late replies on a serial line: which may still come
-`line_framing`       Framing of a serial session: the receiver, the encoder
+`late_replies`       Late replies on a serial line: which may still come, and which requests must wait for them
+`line_framing`       Framing of a serial session: the receiver, the encoder, and the silence before a frame
 `pipeline`           The way of every request through a server: authorizer, responder and observers
 `queue`              The bounded queue of one link's calls, and the order in which their requests are sent
 `reconnect`          When a link connects again: the states of its connection, and the pauses between attempts
 `responder`          The interface of responders, which answer the requests of a server
 `retries`            What becomes of a link's calls from submission to outcome: queue, retries, deadlines
-`serial_client`      The master of a serial line: one transaction at a time, with turnaround
+`serial_client`      The master of a serial line: one transaction at a time, with turnaround, gaps and late replies
 `serial_server`      The server's side of a serial line: any number of units on one line, which only answer requests
 `server`             The server's side of one TCP connection: request bytes in, reply bytes out, without IO
 `transaction_slots`  The limit of requests that a server works on at once

@@ -10,14 +10,14 @@ Knows response times; knows no line and no clock.
 from typing import Final
 
 FACTOR: Final = 4.0
-"""The timeout is the slowest response time so far, multiplied by this: units of one line differ in speed. The late
-reply of a unit that is slower still is noticed.
+"""The timeout is the slowest response time so far, multiplied by this: units of one line differ in speed. If a unit is
+slower still, its late reply is noticed (rule 3).
 """
 ROOM: Final = 0.1
-"""Seconds added to the time of the characters in each floor: adapters and systems take up to 20 ms each way."""
+"""Seconds that `floor_for` adds to the time of the characters: adapters and systems take up to 20 ms each way."""
 CHARACTERS: Final = 32
-"""Longest request and reply of a probe together, in characters; covers ASCII, and includes the silences around
-frames.
+"""Characters for which `floor_for` leaves time: a request and the reply to it together, at their longest with ASCII,
+and the silences around frames.
 """
 
 
@@ -33,7 +33,7 @@ class AdaptiveTimeout:
     """Timeout of one scan for units: the time to wait for each unit's reply, shortened by the replies seen so far.
 
     Attributes:
-        longest, floor: the limits of the timeout, in seconds.
+        longest, floor: upper and lower limit of the timeout, in seconds.
         slowest: seconds that the slowest answer so far took; 0 before the first.
         was_late: whether a reply has come after its timeout; then ``longest`` applies for the rest of the scan.
         learns: whether the timeout is ever shortened; if False, it is always ``longest``.
@@ -54,7 +54,7 @@ class AdaptiveTimeout:
 
     @property
     def timeout(self) -> float:
-        """Seconds to wait for the reply of the unit that the scan asks next."""
+        """Seconds to wait for the reply of the unit that the scan asks next, from ``floor`` to ``longest``."""
         if not self.learns or self.was_late or not self.slowest:
             return self.longest
         return min(max(FACTOR * self.slowest, self.floor), self.longest)

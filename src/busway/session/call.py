@@ -9,8 +9,8 @@ the errors that end a request are in `retries`.
 2. A reply is recognised by its transaction identifier and the seven bytes after it: protocol, length, unit, function,
    byte count. On any other reply the session splits the batch (`PipelinedBatch.apart`) and matches each request by
    itself.
-3. As long as a batch is not split, no request sent after it has ended. So the identifiers of the batch are the latest
-   ones, and need not be looked up among those of later requests.
+3. As long as a batch is not split, no request sent after it has ended. At most 16 requests are in flight, so the 65 536
+   identifiers cannot come round to one of the batch, and later requests are not compared with it.
 """
 
 import struct
@@ -29,19 +29,20 @@ Outcome = Message | ModbusError
 _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 _IS_WRITE = attrgetter("is_write")
 _BEHIND = struct.Struct(">HHB")
-"""The MBAP header after the transaction identifier: protocol, length, unit."""
+"""Layout of the five bytes between transaction identifier and function code: protocol, length and unit identifier."""
 HEAD_SIZE = 9
-"""Bytes that identify a reply: the transaction identifier and the seven bytes after it."""
+"""Number of bytes at the beginning of a reply that identify it: transaction identifier and the seven bytes after it."""
 
 
 class CallOptions(TypedDict, total=False):
-    """Options that every read and write of a unit accepts. An omitted option has the value of the link.
+    """Options that every read and write of a unit accepts, as keyword arguments of one call.
 
-    ``timeout`` and ``deadline`` count as omitted also if they are None or 0.
+    Without ``timeout``, ``retries`` or ``deadline`` the option of the link applies; so it does if ``timeout`` or
+    ``deadline`` is None or 0.
 
     timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of reads, 0…100. deadline: seconds
-    for the whole call, time in the queue included. idempotent: a write may be executed twice, so it is repeated like a
-    read.
+    for the whole call, time in the queue included. idempotent: True if executing the write twice does no harm, so that
+    it is repeated like a read; False if left out.
     """
 
     timeout: float
@@ -60,16 +61,16 @@ class Call:
         is_priority: whether a gateway makes the call for a priority host; the queue serves those first.
         timeout: seconds per attempt.
         deadline: when the whole call must have ended, in the clock of ``now``; None for no limit.
-        retries: further attempts of each request.
+        retries: most further attempts of each read; of a write only if ``idempotent``.
         idempotent: whether its writes may be executed twice, so that they are repeated like reads.
-        is_write: whether one of the requests may change something.
+        is_write: whether one of the requests is a write.
         outcomes: for each request its reply or error; None while it has neither.
         open: how many requests have no outcome yet.
         ended: whether the call is finished or cancelled.
         submitted: when the call was made, in the clock of ``now``.
         owner: an object that the driver stores here to find its caller again.
-        next: position of the first request that was never sent.
-        again: positions of requests to be sent once more.
+        next: position of the first request that was never sent; the number of requests if all were sent.
+        again: positions of requests that were sent and have to be sent once more.
         attempts: for repeated requests only, by position: the number of the present attempt, 2 or more.
         markers: number of marker requests (`busway.session.late_replies`) that its unit did not answer while this call
             waited.
@@ -127,7 +128,7 @@ class Call:
 
     @property
     def next_position(self) -> int:
-        """Position in the call of the request to be sent next. Valid only while `has_more`."""
+        """Position in the call of the request to be sent next; meaningful only if `has_more` is True."""
         return self.again[0] if self.again else self.next
 
     def take(self, at_most: int) -> Sequence[int]:
@@ -222,8 +223,9 @@ class EncodedRequest:
         head: the seven bytes that follow the transaction identifier in the expected reply; empty if they do not suffice
             to recognise the reply.
         reply_size: bytes of the ADU of the expected reply.
-        take: function that builds the reply message from the data bytes.
-        others: the same request by unit, if it was sent to several units; else None.
+        take: function that builds the reply message from the data bytes; used only if ``head`` is not empty.
+        others: by unit, the `EncodedRequest` of the same request for each unit it was sent to; None if there is only
+            one unit.
         plan: the plan of the last pipelined batch that began with this request; None without one.
     """
 
@@ -243,7 +245,7 @@ class EncodedRequest:
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
-    """Return the bytes of a request to a unit; encoded at the first use, then stored with the request."""
+    """Return the encoded form of a request to a unit; encoded at the first use, then stored with the request."""
     try:
         encoded: EncodedRequest = request.memo
     except AttributeError:
@@ -257,9 +259,9 @@ def encoded_request(request: Request, unit: int) -> EncodedRequest:
 
 
 def _encoded_for_other_unit(request: Request, unit: int, known: EncodedRequest) -> EncodedRequest:
-    """Return the bytes of a request for ``unit``, where ``known`` are its bytes for another unit.
+    """Return the encoded form of a request for ``unit``; ``known`` is that for another unit.
 
-    They are taken from ``known.others``; if they are not in it, they are encoded and added.
+    It is taken from ``known.others``; if it is not there, it is encoded and added.
     """
     if known.others is None:
         known.others = {known.unit: known}  # not before: most requests have one, and would be a ring of references
@@ -341,16 +343,16 @@ class BatchPlan:
             self._pack, self._unpack_from = out.pack, back.unpack_from
 
     def encode(self, transactions: Sequence[int]) -> bytes:
-        """Return the joined frames of all requests, with these transaction identifiers in order. Only if ``fits``."""
+        """Return the joined frames of all requests, with these transaction identifiers. Requires ``fits``."""
         fields = self._fields.copy()  # another thread may use the same plan
         fields[0::2] = transactions
         return self._pack(*fields)
 
     def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
-        """Return all replies if ``buffer`` holds exactly the expected ones from ``at`` on, in order; else None.
+        """Return all replies if ``buffer`` holds exactly the expected ones from offset ``at`` on, in order; else None.
 
-        ``buffer`` must have ``reply_size`` bytes from ``at`` on. The requests of a gateway get the data bytes as reply,
-        other requests a message.
+        ``buffer`` must have at least ``reply_size`` bytes after ``at``. A reply is a message; for requests that a
+        gateway forwards it is only the data bytes.
         """
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
@@ -372,9 +374,10 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 
 
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """Return the plan to send ``count`` consecutive requests to one unit together; it is cached with the first of them.
+    """Return the plan for sending ``count`` consecutive requests to one unit together.
 
-    ``first`` is the position of the first in ``requests``.
+    ``first`` is the position of the first of these requests in ``requests``. The plan is kept with that request: the
+    next call with equal requests returns it again.
     """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])

@@ -7,10 +7,10 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
 2. A reply belongs to the request in flight whose transaction identifier it carries, and must fit that request in unit,
    function, length and echo. A reply that fits no request in flight is dropped and counted; it is never given to
    another request.
-3. The identifier of a request that timed out or was cancelled is remembered and not used again while the connection
-   lasts; its late reply is dropped, and shows how slow the device is.
-4. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
-   ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
+3. The identifier of a request that timed out or was cancelled is remembered, and not used again on this connection (of
+   more than 4096 the oldest is forgotten). Its late reply is dropped, and shows how slow the device is.
+4. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
+   says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
 5. Where transactions cannot be told apart (option ``mismatch`` automatic or ignore), a timeout ends the connection: the
    next reply could be the late one.
 6. A connection that brings only timeouts or late replies is closed, and opened again at the next request.
@@ -43,17 +43,20 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""Factor for a unit's usual response time, which is that of its slowest recent reply, at each faster reply."""
+"""Factor by which the usual response time of a unit falls at each reply that took less than that; a reply that took
+longer sets it to its own time.
+"""
 _LAUNCHES_APART = 32
-"""Number of sends without batches after a batch had to be split, because replies came in another order or one was an
-exception: splitting a batch costs a fifth of what its requests cost.
+"""After a pipelined batch had to be split (replies in another order, or an exception), so many sends are made without
+batches: splitting a batch costs a fifth of what its requests cost.
 """
 _LATE_FACTOR = 2
-"""How many times more timeouts are tolerated if late replies come: then the device is alive. But if every reply
-answers the request before the last one (Growatt_ModbusTCP#317), only a new connection helps.
+"""If late replies come, the device is alive: then the connection is closed only after this multiple of
+``recycle_after_timeouts`` timeouts without a reply in time. But if every reply answers the request before the last one
+(Growatt_ModbusTCP#317), only a new connection helps.
 """
 _LATE_KNOWN = 60.0
-"""Seconds after a late reply for which errors of the unit say that it is slow."""
+"""For so many seconds after a late reply of a unit, the errors of its timeouts say that the unit is slow."""
 _NO_DOUBTS: Mapping[int, object] = MappingProxyType({})
 _STEP = 1021
 """Step from one transaction identifier to the next; odd, so that all are used. Some devices answer with the identifier
@@ -134,14 +137,14 @@ class TcpClientSession:
         self._pace: dict[int, float] = {}  # seconds that each unit usually takes; kept only with breakers
 
     def watch_units(self, breakers: Breakers) -> None:
-        """Use these circuit breakers for the units of this link; without a call the link has none."""
+        """Use these circuit breakers for the units of this link; a link on which this is never called has none."""
         self.breakers = breakers
         self._doubtful = breakers.doubtful
 
     # Calls of the application.
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue the requests of a call.
+        """Queue the requests of a call; `transmit` sends them.
 
         Raises:
             Overloaded: the queue is full; nothing was sent.
@@ -169,7 +172,8 @@ class TcpClientSession:
     def serve_units_in_turn(self) -> None:
         """From now on, take the requests of one caller unit by unit in rotation, and not in the order of its calls.
 
-        For a gateway's upstream links, where one client may flood one unit.
+        A caller may then also send up to `BURST` requests in its turn. For a gateway's upstream links, where one client
+        may flood one unit.
         """
         self._queue.units_in_turn = True
         self._queue.burst = BURST
@@ -181,7 +185,10 @@ class TcpClientSession:
 
     @property
     def has_gap(self) -> bool:
-        """Whether requests wait only because the pause after connecting, or the pause between requests, is not over."""
+        """Whether a pause, after connecting or between requests, may still hold back requests.
+
+        `deadline` then gives its end, if requests wait for it.
+        """
         return self._connected and self._not_before > 0.0
 
     @property
@@ -191,13 +198,13 @@ class TcpClientSession:
 
     @property
     def in_flight(self) -> int:
-        """Number of requests that were sent and whose reply is awaited."""
+        """Number of requests that were sent and neither answered nor timed out, cancelled ones included."""
         return len(self._pending) + sum(len(batch.slots) for batch in self._batches)
 
     # Events of the connection.
 
     def connected(self, now: float) -> None:
-        """Tell the session that a new connection is open."""
+        """Tell the session that a new connection is open: from now on `transmit` returns requests to send."""
         self._connected = True
         self._buffer = StreamBuffer()
         self._expired.clear()
@@ -253,16 +260,20 @@ class TcpClientSession:
         self._tracker.resume(call, now)
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """End all waiting calls with one error, because no connection could be opened.
+        """End all queued calls, because no connection could be opened: each open request gets a copy of ``error``.
 
-        If ``keep_repeated``, a call of which a request is about to be repeated stays in the queue.
+        A write that was sent before ends as `WriteOutcomeUnknown`. If ``keep_repeated``, a call of which a request is
+        about to be repeated stays in the queue.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
     # Sending and receiving.
 
     def transmit(self, now: float) -> list[bytes]:
-        """Return the frames to send now, in order; they count as sent at ``now``. Empty if there are none."""
+        """Return what to send now, in order; it counts as sent at ``now``. Empty if nothing is to be sent.
+
+        Each element is one frame, or several joined frames unless the option ``single_adu_segments`` is on.
+        """
         out: list[bytes] = []
         queue = self._queue
         if not queue.size or not self._connected or self.recycle or not self._free:
@@ -302,9 +313,9 @@ class TcpClientSession:
         return out
 
     def send_now(self, call: Call, now: float) -> bytes | None:
-        """Count all requests of a call as sent and return their joined frames, if all can be sent at once.
+        """Count all requests of a call as sent and return their joined frames, if all of them can be sent at ``now``.
 
-        Otherwise nothing changes, and None is returned: the call has to be queued with `submit`.
+        Otherwise return None: nothing was sent, and the call has to be queued with `submit`.
         """
         count = len(call.requests)
         if (
@@ -394,9 +405,9 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Return the timeout in seconds for a request to a unit that has timed out before.
+        """Return the timeout in seconds for a request, while some unit of the link is doubted.
 
-        It is that of the call, but shorter for the probe of a suspended unit.
+        It is that of the call; for the probe of a suspended unit it can be shorter (`Breakers.asked`).
         """
         assert self.breakers is not None
         usual = self._usual(call.unit)
@@ -405,7 +416,7 @@ class TcpClientSession:
     def _usual(self, unit: int) -> float:
         """Return the seconds that a unit usually takes to answer.
 
-        If no reply of it is known, the time of the slowest unit of the link; 0 if no unit has answered.
+        For a unit that has not answered yet it is the time of the slowest unit of the link; 0 if no unit has answered.
         """
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
@@ -421,7 +432,11 @@ class TcpClientSession:
             self._pending.update(in_flight)
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Process the first ``size`` bytes of ``buffer``. Calls that they complete are added to ``finished``."""
+        """Process the first ``size`` bytes of ``buffer``: replies from the server, received at ``now``.
+
+        Calls that they complete are added to ``finished``. The beginning of an incomplete frame is kept for the next
+        call.
+        """
         if self._buffer.kept:
             joined, size = self._buffer.join(buffer, size)
             data = bytes(joined)
@@ -525,9 +540,9 @@ class TcpClientSession:
         return at
 
     def in_work(self) -> list[Call]:
-        """Return the calls of which some requests were sent and others may still wait in the queue.
+        """Return all calls that have a request in flight, and those of which some requests were sent and others wait.
 
-        The list may also have calls with a single request in flight, and may have a call more than once.
+        The list can hold a call more than once. The second kind is known only after `serve_units_in_turn`.
         """
         if not (self._batches or self._pending or self._queue.begun):
             return []  # the usual case: a server answers all at once
@@ -539,7 +554,10 @@ class TcpClientSession:
     # Timeouts.
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`, by the clock of ``now``; None if there is nothing to wait for."""
+        """Return the time at which to call `tick` and `transmit`, by the clock of ``now``; None for never.
+
+        It is the next timeout, deadline, or end of a pause before requests.
+        """
         soonest = math.inf
         for awaited in self._pending.values():  # a loop, because a comprehension is a call, and usually there is one
             if awaited.expires < soonest:
@@ -606,7 +624,7 @@ class TcpClientSession:
     def _unit_is_silent(self, breakers: Breakers, awaited: RequestInFlight, now: float) -> bool:
         """Report a timeout to the unit's circuit breaker. Returns whether the breaker is open now.
 
-        A request that waited too short because of its call's deadline does not count as a timeout.
+        If the call's deadline ended the request before the unit had time to answer, this does not count as a timeout.
         """
         unit, waited = awaited.encoded.unit, now - awaited.sent
         usual = self._usual(unit)
@@ -632,7 +650,7 @@ class TcpClientSession:
             self.breakers.answered(unit)
 
     def _learn_pace(self, unit: int, seconds: float) -> None:
-        """Update the usual response time of a unit: ``seconds``, or the earlier one less a tenth if that is longer."""
+        """Set the usual response time of a unit to ``seconds``, or to 0.9 of its old value if that is longer."""
         self._pace[unit] = max(seconds, self._pace.get(unit, 0.0) * _PACE_FORGETS)
 
     def _no_reply(self, awaited: RequestInFlight, partial: bytes, now: float, *, over: bool) -> NoReply:
@@ -755,7 +773,7 @@ class TcpClientSession:
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
         """Whether a reply of ``unit`` is accepted for a request: it is the unit asked, or ``mismatch`` allows another.
 
-        ``alone``: whether no other request is in flight.
+        For a request to unit 0 or 255 every unit is accepted. ``alone``: whether no other request is in flight.
         """
         if unit == awaited.encoded.unit or awaited.encoded.unit in (0, TCP_DEVICE_UNIT):
             return True
@@ -776,7 +794,10 @@ class TcpClientSession:
             self._recycle(f"{self._foreign_in_row} replies in a row that answer nothing asked here")
 
     def _broken_stream(self, reason: str, raw: bytes, now: float) -> None:
-        """End the connection after an invalid length field: nothing after it can be decoded."""
+        """Ask for a new connection after an invalid length field, because nothing after it can be decoded.
+
+        All requests in flight fail with `BadReply`; writes with `WriteOutcomeUnknown`.
+        """
         self._recycle(reason)
         self._split_batches()
         for awaited in list(self._pending.values()):
@@ -807,7 +828,7 @@ class TcpClientSession:
         self._free.append(awaited)
 
     def _remember(self, transaction: int, sent: float) -> None:
-        """Block a transaction identifier for as long as the late reply to its request may still come."""
+        """Block a transaction identifier until its late reply comes or the connection ends; at most 4096 at once."""
         if len(self._expired) >= _EXPIRED_LIMIT:
             del self._expired[next(iter(self._expired))]
         self._expired[transaction] = sent

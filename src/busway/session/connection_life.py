@@ -7,7 +7,8 @@ time, and acts on the results.
 1. A connection begins with `dialled` and `connected`, or `failed`; it ends with `lost`, or with `released` if it is no
    longer needed. Requests in flight have then been repeated or have failed (`TcpClientSession.disconnected`).
 2. The driver owns the bytes that are not sent yet; it drops them with the connection before it reports the end.
-3. After several failed attempts waiting calls fail at once, and new ones are refused until the next attempt is due.
+3. After a failed attempt, or several connections in a row without a valid reply, waiting calls fail at once, and new
+   ones are refused until the next attempt is due.
 4. Ended calls are in ``finished`` of the session; the driver wakes their callers.
 """
 
@@ -38,7 +39,8 @@ class ConnectionLife:
 
     Attributes:
         endpoint, reconnect, hold: as given.
-        failure: why the last attempt failed; None while connected, and before the first attempt.
+        failure: the error of the last attempt, if it failed, or of the last connection, if several in a row ended
+            without a valid reply; None otherwise.
         closed: whether the link was closed for good; the driver sets it.
     """
 
@@ -100,7 +102,7 @@ class ConnectionLife:
     def replied(self, now: float) -> None:
         """Record that the session has processed received bytes.
 
-        Once one of them was a valid reply, the state is "up".
+        If this connection has brought a valid reply so far, the state becomes "up".
         """
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
@@ -108,7 +110,7 @@ class ConnectionLife:
     def tick(self, now: float) -> bool:
         """Let the session handle timeouts and deadlines that have passed. Returns whether a request timed out.
 
-        Then the state becomes "suspect". A call that ended by its deadline in the queue does not count.
+        If one did, the state becomes "suspect". A call that ended by its deadline in the queue is no such timeout.
         """
         counters = self._conversation.counters
         timeouts = counters.timeouts
@@ -134,7 +136,7 @@ class ConnectionLife:
 
         Waiting calls stay in the queue. They fail only if several connections in a row brought no valid reply, and the
         session had not itself asked for a new connection (``recycle``). Even then a call of which a request is about to
-        be repeated stays.
+        be repeated stays. If nothing was asked on this connection and no call waits, it ends as after `released`.
         """
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
@@ -188,7 +190,7 @@ class ConnectionLife:
 
     @property
     def down_because(self) -> str:
-        """Why the last attempt to connect failed; empty while connected and before the first attempt."""
+        """The text of ``failure``, such as why the last attempt to connect failed; empty if that is None."""
         return "" if self.failure is None else self.failure.message
 
     def _move(self, event: ConnectionEvent, now: float, reason: str = "", *, had_reply: bool = False) -> None:

@@ -127,10 +127,11 @@ class LineDiagnostics:
         exchanged: by unit, number of requests answered without exception that are not yet in counters and log. A
             session that answers many at once adds here, which is much quicker than `CommunicationState.received` and
             `answered`. `fold` moves the numbers to counters and logs.
-        arrived: by unit, number of requests received and answered later, not yet in counters and log either.
-        departed: by unit, number of such later answers sent without exception, not yet in counters and log either.
+        arrived: by unit, number of received requests that are answered later, and are not yet in counters and log.
+        departed: by unit, number of such later answers, without exception, that are not yet in counters and log.
         heard: what was heard since the start; call `fold` before you read it.
-        requests: requests for own units since the start; a broadcast counts once. Never cleared.
+        requests: requests for own units since the start; a broadcast counts once. Never cleared. Call `fold` before you
+            read it.
         listen_only_units: the units that answer nothing until they are restarted.
         ascii_delimiter: the character that ends an ASCII frame (sub-function 03), 0x0A by default.
         changes_allowed: as given.
@@ -208,7 +209,10 @@ class LineDiagnostics:
             self.of(unit).received_broadcast()
 
     def received_damaged(self, *, overrun: bool = False) -> None:
-        """Count a damaged frame, and log it for every unit of the line, because all of them received it."""
+        """Count a damaged frame, and log it for every unit of the line, because all of them received it.
+
+        ``overrun``: whether characters of it were lost in the port.
+        """
         self.fold()
         self.heard.damaged += 1
         event = ReceiveEvent.RECEIVED | ReceiveEvent.COMMUNICATION_ERROR
@@ -222,8 +226,8 @@ class LineDiagnostics:
     def fold(self) -> None:
         """Move the numbers in `exchanged`, `arrived` and `departed` to the counters and logs of their units.
 
-        The three are empty afterwards. Call it before you read a counter or a log directly; the properties of this
-        class that return counters call it themselves.
+        These three are empty afterwards. Call it before you read ``heard``, ``requests`` or `CommunicationState.own`;
+        methods and properties that return counters call it themselves.
         """
         if not (self.exchanged or self.arrived or self.departed):
             return
@@ -313,11 +317,13 @@ class CommunicationState:
     # What functions 08, 11 and 12 ask for.
 
     def diagnose(self, sub_code: int, data: bytes) -> bytes:
-        """Execute a sub-function of function 08 and return the data of its reply.
+        """Execute sub-function ``sub_code`` of function 08 and return the data of its reply.
+
+        A restart is only noted: `answered` or `kept_silent` carries it out.
 
         Raises:
-            Refusal: 01: the sub-function is unknown or not allowed here; or the unit is in listen-only mode, and it is
-                not the restart.
+            Refusal: with exception code 01: the sub-function is unknown or not allowed here, or the unit is in
+                listen-only mode and the sub-function is not the restart.
         """
         self.line.fold()
         if sub_code in _CHANGES and not self.line.changes_allowed:
@@ -346,11 +352,14 @@ class CommunicationState:
         return data
 
     def event_counter(self) -> tuple[int, int]:
-        """Return status word and number of successful messages, for the reply of function 11."""
+        """Return status word (FFFF if a program command is running, else 0) and event count, for function 11."""
         return 0xFFFF if self.program_command_running else 0, self.event_count
 
     def event_log(self) -> tuple[int, int, int, bytes]:
-        """Return status word, event count, message count, and up to 64 event bytes, newest first, for function 12."""
+        """Return status word as in `event_counter`, event count, message count, and the event bytes, for function 12.
+
+        There are at most 64 event bytes, the newest first.
+        """
         status, events = self.event_counter()
         return status, events, self.message_count, bytes(self._log)
 

@@ -28,13 +28,13 @@ if TYPE_CHECKING:
 READ_SIZE = 12
 """Bytes of the ADU of a read (functions 01 to 04)."""
 _READ_LENGTH = b"\0\0\0\6"
-"""Protocol identifier and length field of such a read."""
+"""Protocol identifier and length field in the MBAP header of a read (functions 01 to 04)."""
 _UNIT_ASKED = 4
-"""Offset of the unit in the key of a read (its ten bytes after the transaction identifier), and in the head of its
-answer.
+"""Offset of the unit identifier in the key of a read (its ten bytes after the transaction identifier), and in
+`ForwardPlan.head`.
 """
 LAST_READ = 4
-"""The largest function code of these reads."""
+"""The largest function code of the reads that are forwarded together: functions 01 to 04."""
 _PLAN_LIMIT = 4096
 DeliverTogether = Callable[[list[bytes]], None]
 """Function that sends the frames of several late replies on the connection."""
@@ -46,13 +46,13 @@ class ForwardPlan:
     Args:
         target: the upstream unit that the read is forwarded to.
         unit: the unit that the client named.
-        request: the request sent upstream, prepared; its reply is data bytes, or a message with ``data``.
+        request: the request to send upstream, prepared; its reply is data bytes, or a message with ``data``.
 
     Attributes:
         target: as given.
         requests: a tuple of one element, the request.
-        key: the PDU of the request; identical reads of one unit have the same.
-        place: always None, because the data of the reply are not cached.
+        key: the PDU of the request; identical reads of one unit have equal keys.
+        place: always None: no place in a cache, because the data of the reply are not cached.
         head: the bytes of the client's reply between the transaction identifier and the data.
     """
 
@@ -82,8 +82,8 @@ class ForwardPlans:
     """Cache of how reads seen before are forwarded, by the ten bytes after the transaction identifier.
 
     Attributes:
-        known: plans of the reads that are forwarded together.
-        others: reads that take the generic path.
+        known: plans of the reads that are forwarded together, by these bytes.
+        others: these bytes of the reads that take the generic path.
         sole_target: the target of all reads in ``known``; None if there are several targets, or no reads.
         several_units: whether clients named more than one unit so far.
     """
@@ -101,7 +101,11 @@ class ForwardPlans:
         return key in self.known or key in self.others
 
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Store how a read is forwarded; ``plan`` None means that it takes the generic path."""
+        """Store how a read is forwarded; ``plan`` None means that it takes the generic path.
+
+        ``key`` is the ten bytes after the transaction identifier. Where 4096 reads are stored already, they are
+        forgotten first.
+        """
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
                 self.others.clear()
@@ -129,7 +133,7 @@ class ReadObserver(Protocol):
         """The clock that ``began`` is measured with, in seconds."""
 
     def forwarded(self, client: "ClientIdentity", replies: Sequence[bytes], seconds: float) -> None:
-        """Report that reads which arrived together were answered with these ADUs; each took ``seconds``."""
+        """Report the replies, as ADUs, to reads that arrived together; each took ``seconds``."""
 
     def unanswered(self, client: "ClientIdentity", requests: int) -> None:
         """Report that a client disconnected before ``requests`` of its reads were answered."""
@@ -140,7 +144,7 @@ class ReadForwarder(Protocol):
     """Interface of a gateway's responder that can forward several reads together."""
 
     def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
-        """Return how a read is forwarded on the fast path; None if it must take the generic path."""
+        """Return how the read in ``pdu`` is forwarded on the fast path; None if it must take the generic path."""
 
 
 @lru_cache(maxsize=64)
@@ -201,7 +205,7 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward the reads at the start of ``buffer``, up to the first that is incomplete or not in ``plans.known``.
+        """Forward consecutive reads in ``buffer``, up to the first that is incomplete or not in ``plans.known``.
 
         Each takes a transaction slot until it is answered; no more are forwarded than there are free slots.
 
@@ -255,7 +259,7 @@ class ForwardedReads:
         return end
 
     def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
-        """Yield the plan of each read, up to the first read that is not known yet."""
+        """Yield the plan of each read in ``keys``, up to the first read that is not in ``plans.known``."""
         for key in keys:
             plan = self.plans.known.get(key)
             if plan is None:
@@ -263,7 +267,7 @@ class ForwardedReads:
             yield plan
 
     def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
-        """Forward reads that have several upstream units as targets: all reads for one unit together."""
+        """Forward reads whose upstream units differ: all reads for the same upstream unit together."""
         by_target: dict[ForwardingTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
         for transaction, plan in zip(transactions, plans, strict=True):
             those = by_target.setdefault(plan.target, ([], []))
@@ -275,7 +279,7 @@ class ForwardedReads:
     def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
         """Answer reads with the data that their upstream unit sent; `send` transmits the replies.
 
-        The three sequences have one element for each read, in the same order.
+        The three sequences have one element for each read, in the same order. Does nothing after `close`.
         """
         if self._is_open:
             count = len(plans)
@@ -292,11 +296,11 @@ class ForwardedReads:
                 self._ready += [transaction + plan.head + one for transaction, plan, one in reads]
 
     def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
-        """Answer one read with the decoded reply of its upstream; `send` transmits it."""
+        """Answer one read with the decoded reply of its upstream unit; `send` transmits it."""
         self.answer((transaction,), (plan,), (reply.data,))
 
     def refuse(self, transaction: bytes, plan: ForwardPlan, code: int) -> None:
-        """Answer one read with an exception code; `send` transmits it."""
+        """Answer one read with the exception code ``code``; `send` transmits it. Does nothing after `close`."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1

@@ -37,8 +37,8 @@ from ..pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters
 from .call import Call
 
 CHECK_EVERY: Final = 128
-"""Number of replies in a row that are alike in function and length, after which a marker is sent as a check (rule 7).
-So markers are less than a hundredth of the requests.
+"""Number of replies in a row that are alike in function and length, after which a marker is sent to check that replies
+are not shifted by one request (rule 7). So markers are less than a hundredth of the requests.
 """
 OWED_LIMIT: Final = 256
 """Owed replies of a unit that are kept one by one; of earlier ones only the number is kept. A unit that is dead for an
@@ -51,7 +51,7 @@ class MarkerKind(Enum):
     """Kinds of marker requests: harmless ones whose reply proves that no older reply will come.
 
     The kind that the unit answered last is tried first, then the others in this order; kinds that it did not answer are
-    left out. The regular checks of rule 7 use only the kinds in `_OF_CHECKS`, in the order given there.
+    left out. The regular checks after `CHECK_EVERY` similar replies use only the kinds in `_OF_CHECKS`, in that order.
     """
 
     RETURN_QUERY_DATA = "08/00 with a number of its own"
@@ -84,7 +84,7 @@ class OwedReply:
         request: the request, prepared.
         function: its function code.
         sent: when its last byte left, in seconds.
-        until: time up to which other requests of the same function wait for this reply (rule 5).
+        until: time in seconds up to which other requests of the same function wait for this reply (rule 5).
         call, position: the call that made the request, and its position there; ``call`` is None for a marker request,
             or for a cancelled call.
         times: number of attempts in a row that this entry stands for; above 1 only when the list is full.
@@ -160,7 +160,7 @@ class UnitDoubt:
         self.owed.append(reply)
 
     def is_owed_since(self, request: Request, sent: float) -> bool:
-        """Whether the latest owed reply is that to the attempt at ``request`` whose last byte left at ``sent``."""
+        """Whether the last entry of ``owed`` is for the attempt at ``request`` whose last byte left at ``sent``."""
         return bool(self.owed) and self.owed[-1].request is request and self.owed[-1].sent == sent
 
     def is_older(self, pdu: bytes) -> bool:
@@ -184,7 +184,7 @@ class UnitDoubt:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the owed replies in ``owed`` that a received PDU could be; it is taken for the first (rule 2)."""
+        """Return the replies in ``owed`` that a received PDU could be; the caller takes it for the first (rule 2)."""
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
@@ -225,8 +225,9 @@ class UnitDoubt:
     def in_doubt(self, request: Request, call: object, position: int) -> bool:
         """Whether a late reply, or a frame sent without a request, could be taken for the reply to this request.
 
-        See rule 3. ``call`` and ``position`` identify the request: replies in ``owed`` to earlier attempts at it do not
-        count. Those in ``older`` count always, because their requests are not known.
+        For a read only replies of the same function and length count, for a write all of its function (rule 3).
+        ``call`` and ``position`` identify the request: replies in ``owed`` to earlier attempts at it do not count.
+        Those in ``older`` count always, because their requests are not known.
         """
         function = request.wire[0]
         if self.unasked == function or function in self.older:
@@ -237,8 +238,9 @@ class UnitDoubt:
     def waits_until(self, function: int, call: object, position: int, now: float) -> float:
         """Return the earliest time at which a request with this function code may be sent, given late replies (rule 5).
 
-        It is ``now`` unless another request with this function code is owed a reply. ``call`` and ``position`` identify
-        the request to send; replies owed to earlier attempts at it do not delay it.
+        It is ``now`` unless ``pending`` has a reply to another request with this function code; then it is the latest
+        ``until`` of these. ``call`` and ``position`` identify the request to send; replies owed to earlier attempts at
+        it do not delay it. Entries of ``pending`` whose time is over are removed.
         """
         if not self.pending:
             return now
@@ -258,7 +260,7 @@ class UnitDoubt:
 
     @property
     def is_empty(self) -> bool:
-        """Whether no late reply of the unit can come, and no request has to wait for one."""
+        """Whether nothing is recorded that concerns requests: `is_owed` is False and ``pending`` is empty."""
         return not self.is_owed and not self.pending
 
     # Markers.
@@ -270,7 +272,8 @@ class UnitDoubt:
 
         Args:
             number: data of a marker of the kind 08/00, 0…65535; no marker whose reply is still owed may have the same.
-            is_check: whether it is sent for the regular check of rule 7, for which fewer kinds are used.
+            is_check: whether it is sent for the regular check after `CHECK_EVERY` similar replies, for which fewer
+                kinds are used.
         """
         kinds: Iterable[MarkerKind] = _OF_CHECKS if is_check else MarkerKind
         if self.works is not None and not is_check:
@@ -332,9 +335,10 @@ class UnitDoubt:
     # Replies in time.
 
     def heard(self, request: Request, *, is_exception: bool) -> None:
-        """Record a request that was answered in time; ``alike`` counts how many in a row were alike (rule 7).
+        """Record a request that was answered in time, and count in ``alike`` how many in a row were alike (rule 7).
 
-        A read without an exception is stored in ``good``, from which markers are made.
+        They are alike if they have the same function code, and replies of the same length or an exception. A read
+        without an exception is stored in ``good``, from which markers are made.
         """
         last, self.last = self.last, request
         if request is last or (
@@ -367,7 +371,7 @@ _READS: Final = (ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputR
 
 
 def _same_shape(request: Request, other: Request) -> bool:
-    """Whether the normal replies to two requests have the same length and first bytes, or may have them."""
+    """Whether the normal replies to two requests have the same length and first bytes; True if a length is unknown."""
     return (
         request is other
         or UNKNOWN_LENGTH in (request.expected_size, other.expected_size)

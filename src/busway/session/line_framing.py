@@ -67,9 +67,9 @@ class LineFraming:
         return encode_rtu(unit, pdu)
 
     def skip_requests(self, now: float) -> bool:
-        """Record that requests were answered without the receiver, as `RtuReceiver.skip_requests` does.
+        """Record that the caller has answered requests read at ``now``, without passing their bytes to the receiver.
 
-        Returns False, and records nothing, if the receiver needs the bytes; always with ASCII and with strict timing.
+        Returns False, and records nothing, if the receiver needs these bytes; so always with ASCII and strict timing.
         """
         return self._rtu is not None and self._rtu.skip_requests(now)
 
@@ -102,7 +102,8 @@ def line_framing(
         units: the own units of a server; a container whose content changes may be given.
         echo: whether the port echoes the bytes that are sent.
         strip_parity: only for ASCII: whether the eighth bit of a character is ignored.
-        started: when the port was opened, in the clock of later calls; None if the line is known to be idle.
+        started: when the port was opened, in the clock of ``now``; None if the line is known to be idle. No effect with
+            ASCII.
 
     Raises:
         ConfigError: a ``gap_limit`` below t3.5, or strict timing where characters have no times.

@@ -38,15 +38,15 @@ from .responder import (
 
 _DIAGNOSTICS: Final = int(FunctionCode.DIAGNOSTICS)
 _MOST_RIGHTS: Final = 256
-"""Most sets of rights whose fast path is kept; if there are more, all fast paths are dropped and built again."""
+"""Number of different rights for which a fast path is kept; above that all fast paths are dropped and built again."""
 MOST_READS: Final = 4096
 """Most reads that one fast path knows by all their bytes: enough for a poller of 4096 different ranges. Other reads are
 answered by the function for their unit and function code: that takes 1.0 µs instead of 0.4.
 """
 PLANNED: Final = frozenset({int(FunctionCode.READ_HOLDING_REGISTERS), int(FunctionCode.READ_INPUT_REGISTERS)})
-"""Codes of the functions whose reads are known by all their bytes.
+"""Function codes of the reads that a fast path stores by all their bytes: reads of registers.
 
-Reads of bits are not: their data must be shifted.
+Reads of bits are not stored, because their data must be shifted.
 """
 _MOST_FUNCTIONS: Final = 4096
 """Most answering functions (one for each unit and function code) that one fast path keeps."""
@@ -61,7 +61,7 @@ class ClientRights(Protocol):
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
         """Return a function that answers all requests of the class ``kind`` to a unit from their bytes.
 
-        None if the policy must decide about each request.
+        None if the policy must decide about each request; then all of them take the generic path.
         """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
@@ -91,7 +91,7 @@ class RequestObserver(Protocol):
     """Observer of requests and their outcomes, without influence on them. Seconds count from a request's arrival."""
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that they took together."""
+        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that they took in sum."""
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Called when a client disconnected before its forwarded reads were answered; ``requests`` is their number."""
@@ -146,14 +146,14 @@ class RequestPipeline:
 
     @property
     def generation(self) -> int:
-        """A number that changes when the functions returned by `fast_path` are no longer valid."""
+        """A number that changes when a fast path returned by `fast_path` is no longer valid."""
         authorizer = self.authorizer
         return self.responder.generation if authorizer is None else self.responder.generation + authorizer.generation
 
     def fast_path(self, client: ClientIdentity) -> "FastPath":
-        """Return the functions that answer a client's requests from their bytes.
+        """Return the fast path of a client: the functions that answer its requests from their bytes.
 
-        Clients with the same rights share them. A session calls it again when `generation` has changed.
+        Clients with the same rights share one. A session calls this again when `generation` has changed.
         """
         generation = self.generation
         if self._fast_of != generation or len(self._fast) > _MOST_RIGHTS:
@@ -165,9 +165,10 @@ class RequestPipeline:
         return found
 
     def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> Outcome:
-        """Decode and answer a request that the fast path did not answer.
+        """Decode a request that the fast path did not answer, authorize it, and return the outcome of the responder.
 
-        An exception of the responder other than `Refusal` is added to ``failures``, and the outcome is exception 04.
+        It is an exception reply if the request is not permitted or the responder raises `Refusal`. Any other exception
+        is added to ``failures``, and the outcome is exception reply 04. For a unit in listen-only mode it is `SILENCE`.
         """
         function = context.function
         was_listen_only = context.diagnostics.listen_only
@@ -264,9 +265,10 @@ class FastPath:
         return kind.direct(served.device) if self._rights is None else self._rights.bind(unit, served, kind)
 
     def learn_read(self, adu: bytes) -> bool:
-        """Store how to answer a read that was just answered on the generic path, for the next time.
+        """Store how to answer a read that was just answered by the function for its unit and function code.
 
-        ``adu`` is the whole request on TCP. Returns whether there is room for more reads.
+        ``adu`` is the whole request on TCP. Next time its bytes alone suffice. Nothing is stored if that is not
+        possible, for example because the read is not always permitted. Returns whether there is room for more reads.
         """
         plan = self._plan(adu[6], adu[7:])
         if plan is not None:
@@ -274,16 +276,20 @@ class FastPath:
         return len(self.reads) < MOST_READS
 
     def learn_frame(self, frame: bytes) -> None:
-        """Store how to answer an RTU frame of eight bytes, which holds a read just answered, for the next time."""
+        """Store how to answer an RTU frame of eight bytes, whose read was just answered: next time its bytes suffice.
+
+        Nothing is stored if the read is not always permitted, or if `MOST_READS` frames are stored already.
+        """
         if len(self.frames) < MOST_READS:
             plan = self._plan(frame[0], frame[1:-2])
             if plan is not None:
                 self.frames[frame] = plan
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
-        """Find out how a read that is not known yet is forwarded, and store that.
+        """Find out how a read that is not known yet is forwarded, and store that in ``forwards``.
 
-        Returns True if from now on this read is forwarded on the fast path. False also if it was known before.
+        Returns True if from now on this read is forwarded on the fast path. False if it takes the generic path, if it
+        was known before, or if ``adu`` is no read.
         """
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:

@@ -70,9 +70,9 @@ class _Caller:
         return chosen
 
     def has_served(self, unit: int) -> None:
-        """Record that a request to this unit is sent.
+        """Record that a request to this unit is sent: if units are served in turn, the unit goes to their end.
 
-        If units are served in turn, it goes to the end of their order.
+        Otherwise, and if the caller asks only one unit, do nothing.
         """
         served = self.served
         if served is not None and len(self.units) > 1:
@@ -92,7 +92,7 @@ class _Caller:
 
 
 class _Round:
-    """The callers of a queue in the order in which they send next (round robin)."""
+    """The callers of a queue in the order in which they have their next turns (round robin)."""
 
     __slots__ = ("callers", "last")
 
@@ -215,10 +215,10 @@ class RequestQueue:
         self.waiting += call.places
 
     def share(self, room: int) -> int:
-        """Return how many requests the caller that is picked next may send, if ``room`` more requests may be in flight.
+        """Return how many requests a queued caller may send in its turn, if ``room`` more requests may be in flight.
 
         A sole caller may send ``room``. With several callers it is 1; if ``burst`` is above 1, it is ``burst`` or an
-        equal part of ``room``, whichever is more. So it can be more than ``room``, which the caller must check.
+        equal part of ``room``, whichever is more. So the result can be above ``room``, which the sender must respect.
         """
         callers = len(self._callers)
         if callers == 1:

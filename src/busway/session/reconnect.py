@@ -17,7 +17,8 @@ from typing import Final
 class ConnectionState(Enum):
     """States of a client's connection.
 
-    SUSPECT is an open connection after a timeout, BACKING_OFF a pause before an attempt.
+    DOWN: not connected, and an attempt may be made at once. CONNECTING: an attempt is in progress. UP: connected.
+    SUSPECT: connected, and the last request timed out. BACKING_OFF: not connected, in a pause before the next attempt.
     """
 
     DOWN = "down"
@@ -30,7 +31,9 @@ class ConnectionState(Enum):
 class ConnectionEvent(Enum):
     """Events that change the state of a client's connection.
 
-    DIALLED: an attempt has begun; RELEASED: closed as unused.
+    DIALLED: an attempt to connect has begun. CONNECTED, FAILED: how it ended. LOST: the connection ended unexpectedly.
+    RELEASED: it was closed as unused. VALID_REPLY: it has brought a valid reply. TIMEOUT: a request timed out.
+    PAUSE_OVER: the pause before the next attempt is over.
     """
 
     DIALLED = "dialled"
@@ -66,13 +69,18 @@ neither as a success nor as a failure (rule 3).
 """
 
 FIRST_PAUSE: Final = 0.1
-"""Seconds of the first pause."""
+"""Longest time of the first pause, in seconds; with jitter a pause lasts half to all of its longest time."""
 LONGEST_PAUSE: Final = 5.0
-"""Seconds of the longest pause: a device that is back waits no longer than this to be connected to."""
+"""Most seconds of any pause: a device that is back waits no longer than this to be connected to."""
 
 
 class Reconnect:
     """State of one link's connection, and the pause before its next attempt to connect.
+
+    Args:
+        jitter: returns a random number 0…1, for the length of a pause.
+        first: longest time of the first pause, in seconds; it doubles with each further failure.
+        most: longest time of any pause, in seconds.
 
     Attributes:
         state: the current state.
@@ -138,7 +146,8 @@ class Reconnect:
 def _news(event: ConnectionEvent, reason: str, failed: int, state: ConnectionState, *, new_state: bool) -> str:
     """Return the log message for a connection event; empty if it needs none.
 
-    ``failed``: attempts and connections in a row without a valid reply before the event. ``state``: the state after it.
+    ``failed``: attempts and connections in a row without a valid reply before the event. ``state``: the state after the
+    event. ``new_state``: whether that differs from the state before.
     """
     if event is ConnectionEvent.VALID_REPLY:
         if failed:

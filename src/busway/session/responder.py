@@ -43,7 +43,7 @@ An element has the items in wire order; it is None if they do not exist.
 
 
 class ClientIdentity:
-    """Who sent a request: the client's address, its certificate and the listener that it uses.
+    """Who sent a request: the client's address, the role in its certificate, and the listener that it uses.
 
     Attributes:
         peer: ``host:port`` of the client, or the name of a serial line.
@@ -84,8 +84,9 @@ class Judged:
         is_denied: whether the request is refused.
         is_write: whether the request is a write: then the responder reports the values it replaces
             (`RequestContext.replacing`), and the audit log records the write.
-        check: called with the values that the request replaces; may raise `Refusal`. None permits every value.
-        replaced: the values that the request replaces; None if not known.
+        check: function of the authorizer, called with the values that the request replaces; it raises `Refusal` to
+            forbid the write. None: every value may be replaced.
+        replaced: the values that the request replaces, set by `RequestContext.replacing`; None before that.
     """
 
     __slots__ = ("check", "is_denied", "is_write", "replaced", "rule")
@@ -109,7 +110,8 @@ class RequestContext:
         diagnostics: counters, event log and mode of the unit asked.
         executed: for a broadcast, which goes to every unit of a line: ``id`` of each device that has executed it, so
             that a device with several units executes it once. None for other requests.
-        gone: called if the client disconnects before its late reply; a responder that returned `LATER` may set it.
+        gone: function to call if the client disconnects before its late reply; a responder that returns `LATER` can
+            set it. None: nothing is called.
         judged: the authorizer's decision about the request; None without an authorizer.
     """
 
@@ -217,7 +219,10 @@ class RequestContext:
         self.reply(ExceptionResponse(self.function, code))
 
     def abandon(self) -> None:
-        """Mark the request as abandoned by its client: no reply can be given, and the responder may stop working."""
+        """Mark the request as abandoned by its client: later replies are ignored, and ``gone`` is called if it is set.
+
+        The functions registered with `watch` get the outcome None.
+        """
         self._finish = None
         self.end(None)
         gone, self.gone = self.gone, None
@@ -242,11 +247,11 @@ class ForwardingTarget(Protocol):
     """Interface of a unit on another server to which requests are forwarded."""
 
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
-        """Forward one or several requests; the results are reported to ``asker``.
+        """Forward the requests in ``asked``; the results are reported to ``asker``.
 
-        For each request its method ``answer``, ``reply`` or ``refuse`` is called, possibly before this method returns,
-        with the request, and with the element of ``tags`` at the same position, which tells the caller which
-        request it is.
+        For each request a method of ``asker`` is called, possibly before this method returns: ``answer`` with data,
+        ``reply`` with a message, or ``refuse`` with an exception code. It gets the request, and the element of ``tags``
+        at the same position, by which ``asker`` knows the request.
         """
 
 
@@ -307,14 +312,17 @@ class Forwarding:
         self._answered(asked.client_reply(reply))
 
     def refuse(self, tag: None, asked: ForwardedMessage, code: int) -> None:
-        """Called by a target that refused the request: the client gets an exception reply with this code."""
+        """Called by a target that refused the request: the client gets an exception reply with this code.
+
+        So it does even if other targets of the request answer it.
+        """
         self._reply = None
         self._answered(ExceptionResponse(self._context.function, code))
 
     def send(self) -> None:
-        """Do nothing. A target calls it after its answers, so that several can be sent together.
+        """Do nothing: the client gets its only reply as soon as the last target has answered.
 
-        Here there is only one.
+        Targets call this method of every asker after their answers, so that several answers can be sent together.
         """
 
     def _answered(self, reply: Message) -> None:
@@ -347,7 +355,8 @@ class ServedUnit:
     """A unit for which a responder answers, with its device if that can be used directly, for speed.
 
     Attributes:
-        unit: the configured unit of its device; the first if the only device of a server has several.
+        unit: the unit asked, if it is configured. For a number under which a sole device answers besides (0, 255, or
+            any other), the first unit that is configured for the device.
         device: the device if it is in this process, else None. With a device, `Responder.answer` calls
             `RequestContext.replacing` before it executes a write.
         is_direct: whether requests may reach the device by the fast path.
@@ -381,16 +390,22 @@ class Responder(Protocol):
         """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Return the reply to a request, an awaitable of it, `LATER`, `SILENCE` or a `Forwarding`, as rule 1 says.
+        """Return the reply to a request, or an object that stands for a later reply or for none.
 
-        Called for requests to unknown units as well.
+        An awaitable of the reply: it is awaited. `LATER`: the responder calls `RequestContext.reply` once, later.
+        `SILENCE`: there is no reply. A `Forwarding`: the session sends its requests to their targets. Called for
+        requests to unknown units as well.
+
+        Raises:
+            Refusal: the client gets an exception reply with the code of the `Refusal`.
         """
 
 
 class SerialUnits:
-    """The units 1…247 that a responder serves, as a container for ``in``.
+    """The units 1…247 that are configured at a responder, as a container for ``in``.
 
-    Changes of the responder take effect at once.
+    A number under which a device only answers besides (unit policy ``any``) is not among them. Changes of the responder
+    take effect at once.
     """
 
     def __init__(self, responder: Responder) -> None:

@@ -2,8 +2,8 @@
 
 Knows the queue, retries and the errors a request ends with; knows no framing, and no reply.
 
-1. A read is repeated after a timeout or a lost connection; a write is repeated only if nothing of it left this host or
-   ``write_retries`` says so; otherwise it ends as `WriteOutcomeUnknown`.
+1. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
+   says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
 2. Every request gets exactly one outcome. A call whose requests all have their outcome is in ``finished``.
 3. A call may have a deadline; time in the queue counts.
 """
@@ -99,7 +99,7 @@ class CallTracker:
         self.begin(call, now)
 
     def begin(self, call: Call, now: float) -> None:
-        """Start to track a call. Used for a call that is sent without queueing; for others `submit` does it."""
+        """Start to track a call that is sent without queueing; a queued call is tracked by `submit`."""
         call.submitted = now
         if call.deadline is not None:
             self.deadlines += 1
@@ -107,7 +107,7 @@ class CallTracker:
     def begin_again(self) -> None:
         """Forget all calls: an exception such as KeyboardInterrupt may have left them inconsistent.
 
-        `resume` adds one again.
+        `resume` adds a call again.
         """
         self.queue.clear()
         self.finished.clear()
@@ -116,8 +116,8 @@ class CallTracker:
     def resume(self, call: Call, now: float) -> None:
         """Add a call again after `begin_again`, with the outcomes that it has; its connection was lost meanwhile.
 
-        Requests that were sent are repeated or fail as after any lost connection (rule 1). The others are queued, even
-        if the queue is full.
+        Requests that were sent are repeated or fail as after any lost connection (`failed`). The others are queued,
+        even if the queue is full.
         """
         call.open = call.outcomes.count(None)
         if call.deadline is not None:
@@ -226,7 +226,7 @@ class CallTracker:
                     self._given_up(call, position, error, now)
 
     def _given_up(self, call: Call, position: int, error: ModbusError, now: float) -> None:
-        """End a request that will not be sent; a write that was sent before ends as `WriteOutcomeUnknown`."""
+        """End a request that will not be sent, or not once more; a write sent before ends as `WriteOutcomeUnknown`."""
         if position in call.attempts:
             error.attempt = call.attempts[position] - 1  # the one after it was never begun
         if error.attempt and call.requests[position].is_write:
@@ -235,10 +235,11 @@ class CallTracker:
             self.conclude(call, position, self.placed(error, call, position, now))
 
     def failed(self, call: Call, position: int, error: ModbusError, now: float, *, again: bool) -> None:
-        """Handle a sent request without valid answer: repeat it if rule 1 allows that, else end it with an error.
+        """Handle a sent request without valid answer: repeat it while attempts are left, else end it with ``error``.
 
-        ``again`` False forbids a repetition. An error of a write becomes `WriteOutcomeUnknown`, because the write may
-        have been executed.
+        A read, or an idempotent write, has the call's ``retries``; another write has the link's ``write_retries``.
+        ``again`` False forbids a repetition. A write ends as `WriteOutcomeUnknown`, with ``error`` as its cause,
+        because it may have been executed.
         """
         request = call.requests[position]
         attempt = call.attempts.get(position, 1)
@@ -256,7 +257,7 @@ class CallTracker:
     def repeat(self, call: Call, position: int) -> None:
         """Repeat a read whose reply was not used, because it may have been a late one.
 
-        It does not use up one of the call's ``retries``, but the counter ``retries`` of the link includes it.
+        The repetition does not use up one of the call's ``retries``, but the link's counter ``retries`` includes it.
         """
         call.repeated = {**call.repeated, position: call.repeated.get(position, 0) + 1}
         self._again(call, position)

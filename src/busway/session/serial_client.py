@@ -50,16 +50,18 @@ if TYPE_CHECKING:
     from .line_framing import LineFraming
 
 OWED_FOR: Final = 2.0
-"""Multiple of the timeout after which even a unit that breaks the order of replies has replied (rule 5 of
-`late_replies`).
+"""Multiple of the timeout, counted from the last byte of a request, after which its late reply no longer delays other
+requests: even a unit that breaks the order of replies has replied by then (rule 5 of `late_replies`).
 """
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""Factor for a unit's usual response time, which is that of its slowest recent reply, at each faster reply."""
+"""Factor by which the usual response time of a unit falls at each reply that took less than that; a reply that took
+longer sets it to its own time.
+"""
 
 
 class MasterState(Enum):
-    """The states of the master (§2.4.1), and DRAINING, which follows a timeout (rule 3)."""
+    """States of the master of a line (Serial Line V1.02 §2.4.1); DRAINING: it waits for silence after a timeout."""
 
     IDLE = "idle"
     WAITING_FOR_REPLY = "waiting for reply"
@@ -72,11 +74,12 @@ class _RequestInFlight:
     """The request whose reply the master awaits.
 
     Attributes:
-        call: None if the call was cancelled, and for a marker request.
+        call: the call of the request; None if the call was cancelled, and for a marker request.
         marker: the marker request that this is; None for a request of a call.
         begun, sent: when its first byte left and when its last byte leaves, in the clock of ``now``.
-        expires: when it times out.
-        damage: bytes of the last damaged frame since it was sent.
+        expires: when it times out; for a broadcast, when the turnaround delay is over.
+        timeout: seconds allowed for a reply, by the options of the call.
+        damage: bytes of the last damaged frame since it was sent; empty without one.
         early: whether a frame was received that began too early to be its reply (rule 8).
     """
 
@@ -106,7 +109,7 @@ class SerialClientSession:
         counters: counters of the link.
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
-        valid_reply: whether the port, since it was opened, has brought a reply that answers a request.
+        valid_reply: whether the port, since it was opened, has brought a reply in time that answers a request.
         state: state of the master.
         breakers: the circuit breakers of the units.
         doubts: the late replies that units may still send.
@@ -200,7 +203,7 @@ class SerialClientSession:
         self._unit_gaps = dict(unit_gaps)
 
     def submit(self, call: Call, now: float) -> None:
-        """Queue a call.
+        """Queue a call; `transmit` sends its requests.
 
         Raises:
             InvalidRequest: a unit above 247, or a broadcast of a request that is no write; nothing was sent.
@@ -274,7 +277,7 @@ class SerialClientSession:
 
     @property
     def queued(self) -> int:
-        """Number of calls that have requests left to send."""
+        """Number of calls in the queue: those that have requests left to send."""
         return self._tracker.queue.size
 
     @property
@@ -355,9 +358,10 @@ class SerialClientSession:
         self._tracker.resume(call, now)
 
     def unreachable(self, now: float, error: ModbusError, *, keep_repeated: bool = False) -> None:
-        """End all waiting calls with one error, because the port could not be opened.
+        """End all queued calls, because the port could not be opened: each open request gets a copy of ``error``.
 
-        If ``keep_repeated``, a call of which a request is about to be repeated stays in the queue.
+        A write that was sent before ends as `WriteOutcomeUnknown`. If ``keep_repeated``, a call of which a request is
+        about to be repeated stays in the queue.
         """
         self._tracker.unreachable(now, error, keep_repeated=keep_repeated)
 
@@ -383,7 +387,8 @@ class SerialClientSession:
     def transmit(self, now: float) -> list[bytes]:
         """Return the frame to send now, as the only element of a list; an empty list if there is none.
 
-        Its timeout begins when its last character has left.
+        It is a request of a queued call, or a marker of the session's own. Its timeout begins when its last character
+        has left.
         """
         queue = self._tracker.queue
         if not self._connected or self.state is not MasterState.IDLE or not queue.size or self.recycle:
@@ -432,9 +437,9 @@ class SerialClientSession:
         return (is_clear and not self._not_asked_before) or self._askable_at(call, now) <= now
 
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
-        """Whether a read must wait until another call's read has been repeated often enough to use up all late replies.
+        """Whether the next request, a read, must wait while another call's read is repeated to use up late replies.
 
-        See rule 6 of `late_replies`.
+        Only one call of a unit does that at a time (rule 6 of `late_replies`).
         """
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
@@ -457,7 +462,7 @@ class SerialClientSession:
     def _marker_before(self, call: Call) -> Marker | None:
         """Return the marker request to send before the next request of a call; None if there is none to send.
 
-        A marker is a harmless request whose reply shows that no late reply can be taken for the reply to the next one.
+        After the reply to a marker, a harmless request, no late reply can be taken for the reply to the call's request.
         Function 08/01 (restart) needs none: a unit in listen-only mode answers nothing before it (V1.1b3 §6.8.1).
         """
         unit = call.unit
@@ -531,7 +536,10 @@ class SerialClientSession:
     # Receiving.
 
     def receive(self, buffer: bytes | bytearray, size: int, now: float) -> None:
-        """Process the first ``size`` bytes of ``buffer``, read at ``now``."""
+        """Process the first ``size`` bytes of ``buffer``, read at ``now``.
+
+        Calls that they complete are added to ``finished``.
+        """
         self._last_byte = max(self._last_byte, now)
         for found in self._receiver.receive(bytes(memoryview(buffer)[:size]), now):
             self._found(found, now)
@@ -567,7 +575,11 @@ class SerialClientSession:
             self._of_awaited_unit(awaited, found, now)
 
     def _is_early(self, awaited: _RequestInFlight, frame: SerialFrame) -> bool:
-        """Whether a received frame began before t3.5 had passed since the last byte of the request (rule 8)."""
+        """Whether a received frame began, or ended, too early to be the reply to the request in flight (rule 8).
+
+        On a wire: it began before t3.5 had passed since the last byte of the request, or, with the option
+        ``early_replies``, before the first byte. Where characters take no time: it ended before the first byte.
+        """
         if not self.characters_take_time or self._framing.is_network:
             return frame.ended < awaited.begun
         if self._serial.early_replies:
@@ -602,7 +614,7 @@ class SerialClientSession:
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
         """Whether a reply that does not fit the request in flight is the late reply to an older request.
 
-        If not, it is a broken reply. Its function code is that of the request.
+        If False, it is a broken reply to the request in flight, whose function code it has.
         """
         last = doubt.last
         return (
@@ -668,7 +680,7 @@ class SerialClientSession:
             self.notes.append(text)
 
     def _owe(self, awaited: _RequestInFlight) -> None:
-        """Record that the reply to the request in flight may still come late."""
+        """Record that the reply to the request in flight may still come late; for a broadcast do nothing."""
         if awaited.unit == BROADCAST_UNIT:
             return
         until = awaited.sent + OWED_FOR * awaited.timeout
@@ -680,9 +692,10 @@ class SerialClientSession:
     def _reply(
         self, awaited: _RequestInFlight, frame: SerialFrame, now: float, doubt: UnitDoubt, *, owes_own: bool = False
     ) -> None:
-        """End the request in flight with the reply in ``frame``.
+        """End the request in flight with the reply in ``frame``: its outcome is a message or an error.
 
-        ``owes_own``: True if it may be the late reply to an earlier attempt at the same request; then the reply to the
+        But if the reply fits only an older request, it is handled as a late one and the request goes on waiting.
+        ``owes_own``: True if the reply may belong to an earlier attempt at the same request; then the reply to the
         latest attempt may still come.
         """
         pdu = frame.pdu
@@ -722,7 +735,10 @@ class SerialClientSession:
         self._conclude(awaited, outcome, now)
 
     def _marked(self, marker: Marker, outcome: Message | ModbusError, doubt: UnitDoubt) -> None:
-        """Handle the reply to a marker request: it proves that no late reply of this unit will come."""
+        """Record that a unit answered a kind of marker request, which proves that no late reply of the unit will come.
+
+        A shorter read that was answered with an error proves it too, but that kind is not used again for the unit.
+        """
         if isinstance(outcome, ModbusError) and marker.kind is MarkerKind.OTHER_LENGTH:
             doubt.not_marked(marker.kind)  # it reads nothing but that length
         else:
@@ -742,7 +758,10 @@ class SerialClientSession:
             self._tracker.conclude(call, position, self._tracker.placed(outcome, call, position, now))
 
     def _learn_pace(self, awaited: _RequestInFlight, frame: SerialFrame, doubt: UnitDoubt) -> None:
-        """Update the usual response time of a unit, unless the reply may belong to an earlier attempt."""
+        """Update the usual response time of a unit with a reply, unless it may belong to an earlier attempt.
+
+        It is the time of this reply, or 0.9 of the earlier value if that is longer.
+        """
         unit = frame.unit
         if self._not_asked_before:
             self._not_asked_before.pop(unit, None)
@@ -770,7 +789,7 @@ class SerialClientSession:
     # Timeouts.
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick` or `transmit`, by the clock of ``now``; None for never."""
+        """Return the time at which to call `tick` and `transmit`, by the clock of ``now``; 0: at once; None: never."""
         first = self._next_step()
         times = [self._receiver.deadline()]
         if self._tracker.deadlines:
@@ -783,7 +802,10 @@ class SerialClientSession:
         return first
 
     def _next_step(self) -> float | None:
-        """Return the time at which the state of the master changes if nothing is received."""
+        """Return the time of the master's next step if nothing is received: a timeout, the end of a wait, or a request.
+
+        0 means at once; None that there is nothing to do.
+        """
         if self._awaited is not None:
             return self._awaited.expires
         if self.state is MasterState.DRAINING:
@@ -816,9 +838,9 @@ class SerialClientSession:
         self._tracker.expire_queue(now, in_flight, self._why_not_sent)
 
     def _why_not_sent(self, call: Call) -> NoReply | None:
-        """Return the error of a call whose deadline passed while it waited because of late replies.
+        """Return the error for a call whose deadline passed while its request had to wait because of late replies.
 
-        None if it waited for another reason.
+        None if the call waited for another reason.
         """
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not self._is_in_doubt(doubt, call):
@@ -841,9 +863,9 @@ class SerialClientSession:
         )
 
     def _keep_deadline(self, awaited: _RequestInFlight, now: float) -> None:
-        """End the call in flight if its deadline has passed.
+        """End the request in flight with an error if the deadline of its call has passed.
 
-        The line still waits for the reply to its request (rule 7).
+        The master still waits for the reply before it sends another request (rule 7).
         """
         call = awaited.call
         if call is not None and call.deadline is not None and now >= call.deadline:
@@ -852,7 +874,10 @@ class SerialClientSession:
             self._tracker.failed(call, awaited.position, error, now, again=False)
 
     def _turned_around(self, awaited: _RequestInFlight, now: float) -> None:
-        """End a broadcast: the turnaround delay, in which the servers execute it, is over."""
+        """End a broadcast: the turnaround delay, in which the servers execute it, is over.
+
+        Its outcome is the request itself, because there is no reply.
+        """
         self._idle(now)
         if awaited.call is not None:
             self._tracker.conclude(awaited.call, awaited.position, awaited.request)
@@ -884,7 +909,11 @@ class SerialClientSession:
             self.counters.recycled += 1
 
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
-        """Handle a marker request without reply: the call for which it was sent fails once its attempts are used up."""
+        """Handle a marker request without reply: queued calls that had to wait for it fail if no attempt is left.
+
+        Each queued call of the unit that is still in doubt counts the marker; it fails when it has counted more markers
+        than it has ``retries``.
+        """
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)
         doubt.alike = 0
@@ -920,7 +949,7 @@ class SerialClientSession:
         return NoReply(f"no reply within {waited:.3g} s")
 
     def _failed(self, awaited: _RequestInFlight, error: ModbusError, now: float, *, again: bool) -> None:
-        """End the request in flight with an error, or arrange its repetition."""
+        """End the request in flight with ``error``; or, if ``again``, repeat it while attempts are left."""
         self._try_at = 0.0
         if awaited.call is not None:
             doubt = self.doubts.units.get(awaited.unit)

@@ -50,7 +50,7 @@ class FrameToSend:
 
     Attributes:
         frame: its bytes.
-        not_before: when its first byte may leave.
+        not_before: the earliest time at which its first byte may leave, in the clock of ``now``.
     """
 
     frame: bytes
@@ -69,9 +69,9 @@ class _Answer:
         _count_answer(self.context, self.reply)
 
     def lost(self, *, write_failed: bool = False) -> None:
-        """Count the request as one without reply, for the diagnostics; an exception reply is counted as exception too.
+        """Count the request as one without reply, for the diagnostics; a lost exception reply also counts as exception.
 
-        ``write_failed``: whether the port did not accept the reply.
+        ``write_failed``: True if the port did not accept the reply, False if it was not sent for another reason.
         """
         diagnostics = self.context.diagnostics
         if isinstance(self.reply, ExceptionResponse):
@@ -177,10 +177,10 @@ class SerialServerSession:
         return [*filter(None, map(self.process, self.find(data, now)))]
 
     def answer_known(self, data: bytes, now: float) -> list[bytes] | None:
-        """Return the replies to bytes from a network, if all of them are RTU frames with reads answered before.
+        """Return the reply frames to bytes from a network, if these are nothing but RTU frames with known reads.
 
-        ``now`` is when they were read. None if they are not; then nothing was done, and the bytes have to be passed to
-        `receive`.
+        Known are reads that the fast path has stored. ``now`` is when the bytes were read. Otherwise return None: then
+        nothing was done, and the bytes have to be passed to `receive`.
         """
         if len(data) % _READ_SIZE or not self._takes_more or self._waiting is not None:
             return None
@@ -210,7 +210,11 @@ class SerialServerSession:
         return self._receiver.receive(data, now)
 
     def process(self, frame: Received) -> FrameToSend | None:
-        """Process a received frame, or damaged bytes. Returns the reply; None if there is none, or not yet."""
+        """Process a received frame, or damaged bytes. Returns the reply; None if there is none, or not yet.
+
+        A reply that is ready later is passed to ``deliver``. A request that is still being processed, or whose reply
+        has not left, is given up first: the master no longer waits for it (rule 4).
+        """
         self._abandon()
         if isinstance(frame, Damaged):
             self.damaged_frames += 1
@@ -291,7 +295,7 @@ class SerialServerSession:
             answer.lost(write_failed=True)
 
     def take_no_more(self) -> None:
-        """Ignore all further requests; the reply to a request in progress may still be sent."""
+        """Execute and answer no more requests; one in progress is still answered, unless another frame comes first."""
         self._takes_more = False
 
     def close(self) -> None:
@@ -339,7 +343,7 @@ class SerialServerSession:
         context._finish = None
 
     def _broadcast(self, pdu: bytes) -> None:
-        """Execute a broadcast on every unit that is not in listen-only mode; each counts it and its outcome."""
+        """Execute a broadcast on every unit that is not in listen-only mode; every unit counts the broadcast."""
         units = [unit for unit in range(1, LAST_SERIAL_UNIT + 1) if unit in self._units]
         self._diagnostics.received_broadcast(units)
         request = self._pipeline.functions.decode_request(pdu)
@@ -365,7 +369,8 @@ class SerialServerSession:
     def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
         """Whether a unit has executed a broadcast, judged by what `RequestPipeline.answer` returned for it.
 
-        An exception is counted. False also if the responder has not finished yet; then the driver awaits it.
+        An exception is counted. False also if the request was forwarded, or if the responder has not finished yet; an
+        awaitable is added to ``deferred``.
         """
         if isinstance(outcome, ExceptionResponse):
             context.diagnostics.failed(outcome.exception)
@@ -399,7 +404,7 @@ class SerialServerSession:
             context.diagnostics.kept_silent()
 
     def _abandon(self) -> None:
-        """Drop the request in progress, or its reply: another frame was received, so the master no longer waits."""
+        """Drop the request in progress or its unsent reply: another frame was received, so the master waits no more."""
         leaving, self._leaving = self._leaving, None
         if leaving is not None:
             self.abandoned += 1

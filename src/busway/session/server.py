@@ -35,7 +35,7 @@ from .transaction_slots import TransactionSlots
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
-"""Splits reads of twelve bytes into the transaction identifier and the ten other bytes; these find a known read."""
+"""Splits reads of twelve bytes into the transaction identifier and the ten bytes by which a known read is found."""
 _UNIT = 6
 _FUNCTION = 7
 """Offset of the function code in an ADU; `_UNIT` is that of the unit."""
@@ -66,12 +66,13 @@ class TcpServerSession:
         deferred: replies that the driver has to await; the driver empties the list.
         failures: failures of the responder to log; the driver empties the list.
         unfinished: number of received bytes of a frame that is not complete yet.
-        requests: requests received so far.
-        discarded: frames that got no answer: foreign protocol identifier, function above 127.
+        requests: requests received so far, without ``discarded``.
+        discarded: frames so far that were ignored: foreign protocol identifier, or function above 127.
         refused_busy: requests answered 06 because all slots were taken.
         rest: received bytes that are not processed yet, because the share was used up or `put_off` was called. Call
             `go_on` until it is empty before you pass in more.
-        spent: requests processed by the last call, known reads not counted; the driver resets it to 0.
+        spent: requests that the last call of `receive` or `go_on` has processed, known reads not counted. A call
+            with nothing but known reads leaves it as it was, so the driver resets it to 0 once it has used it.
     """
 
     __slots__ = (
@@ -115,8 +116,8 @@ class TcpServerSession:
             pipeline: answers the requests.
             diagnostics: counters and modes of the units of the listener.
             slots: limit of requests that wait for their reply.
-            deliver, deliver_together: called with one reply, or with several, that are ready only after `receive` has
-                returned. Without the second, the first is called for each.
+            deliver: called with a reply frame that is ready only after `receive` has returned.
+            deliver_together: called with several such frames; if None, ``deliver`` is called for each of them.
             client: who sends the requests; None if not known.
             share: most requests that one call of `receive` processes, known reads not counted; None for no limit.
         """
@@ -163,7 +164,8 @@ class TcpServerSession:
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
         """Process the first ``size`` bytes of ``buffer``. Returns the reply frames to send, in order.
 
-        Nothing is processed, and nothing returned, once ``broken`` is set.
+        The beginning of an incomplete frame is kept for the next call. Once ``broken`` is set, bytes are ignored and an
+        empty list is returned.
         """
         if self.broken:
             return []
@@ -302,13 +304,13 @@ class TcpServerSession:
         return out
 
     def _joined(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept beginning of a frame followed by the first ``size`` bytes of ``buffer``, and the length."""
+        """Return the kept beginning of a frame followed by the first ``size`` bytes of ``buffer``, and their number."""
         assert self._buffer is not None  # since something is unfinished
         self.unfinished = 0
         return self._buffer.join(buffer, size)
 
     def put_off(self, buffer: bytes | bytearray, size: int) -> None:
-        """Keep the first ``size`` bytes of ``buffer`` unprocessed, in ``rest``, until `go_on` is called."""
+        """Add the first ``size`` bytes of ``buffer`` to ``rest`` unprocessed; `go_on` processes them later."""
         if self.unfinished:
             buffer, size = self._joined(buffer, size)
         self.rest += bytes(memoryview(buffer)[:size])
@@ -369,9 +371,10 @@ class TcpServerSession:
         )
 
     def _generic_path(self, transaction: int, unit: int, pdu: bytes) -> bytes:
-        """Decode a request, ask the responder, encode the reply.
+        """Process a request by `RequestPipeline.answer`, and return the frame of the reply.
 
-        Returns the frame; empty if there is no reply, or not yet.
+        Empty if there is no reply, or not yet; a later one is passed to ``deliver``. If no transaction slot is free,
+        the reply is exception 06.
         """
         function = pdu[0]
         if function > 0x7F:

@@ -2,12 +2,13 @@
 
 Knows timeouts, replies and times; knows no bytes. ``jitter`` returns a number 0…1; a test can fix it.
 
-1. Three timeouts in a row open the breaker of a unit: its requests fail at once and cost the line nothing.
+1. ``open_after`` timeouts in a row open the breaker of a unit: its requests fail at once and cost the line nothing.
 2. After a pause the next request of a caller is the probe: it is sent once, with a short timeout. The breaker sends no
    requests of its own. A failed probe doubles the pause, up to ``longest_pause``; a unit that is back is used again
    after at most that limit plus the probe's own time.
-3. A probe waits twice as long as the unit (or, if unknown, the slowest on the line) usually takes, and at least
-   ``probe_timeout``. With the defaults three dead units cost the others less than a twentieth of the line.
+3. A probe waits twice as long as the unit (or, if unknown, the slowest on the line) usually takes, at least
+   ``probe_timeout``, and never longer than the timeout of its call. With the defaults three dead units cost the others
+   less than a twentieth of the line.
 4. Any valid reply of the unit, even a late one, closes its breaker.
 """
 
@@ -19,7 +20,11 @@ from ..options.lines import BreakerParameters
 
 
 class BreakerState(Enum):
-    """States of a circuit breaker: closed (requests are sent), open (they fail at once), probing (one is sent)."""
+    """States of a unit's circuit breaker.
+
+    CLOSED: requests are sent. OPEN: they fail at once until a pause is over. PROBING: one request was sent to see
+    whether the unit answers again.
+    """
 
     CLOSED = "closed"
     OPEN = "open"
@@ -35,7 +40,12 @@ class _UnitBreaker:
 
 
 class Breakers:
-    """The circuit breakers of one link, one for each unit."""
+    """The circuit breakers of one link, one for each unit.
+
+    Args:
+        parameters: number of timeouts that open a breaker, pauses, and the shortest timeout of a probe.
+        jitter: returns a random number 0…1; a pause lasts nine tenths to all of its full length.
+    """
 
     __slots__ = ("_jitter", "_units", "parameters")
 
@@ -50,7 +60,7 @@ class Breakers:
         return BreakerState.CLOSED if breaker is None else breaker.state
 
     def states(self) -> dict[int, BreakerState]:
-        """Return the circuit breaker's state for each unit that has timed out and has not answered since, by unit."""
+        """Return the state of the circuit breaker, by unit, of each unit that timed out and has not answered since."""
         return {unit: breaker.state for unit, breaker in self._units.items()}
 
     @property
@@ -62,9 +72,9 @@ class Breakers:
         return self._units
 
     def suspended_for(self, unit: int, now: float) -> float | None:
-        """Return the seconds until a suspended unit may be probed; None if a request to the unit may be sent now.
+        """Return the seconds until a suspended unit may be asked again; None if a request to it may be sent now.
 
-        While a probe is in flight, these are the seconds until its timeout.
+        While a probe is in flight, these are the seconds until the probe times out.
         """
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED or now >= breaker.probe_at:
@@ -87,7 +97,7 @@ class Breakers:
         return probe
 
     def is_probing(self, unit: int) -> bool:
-        """Whether the request in flight to this unit is a probe of its open circuit breaker.
+        """Whether the request in flight to this unit is a probe, sent to see whether the unit answers again.
 
         A probe is not repeated.
         """
@@ -117,7 +127,8 @@ class Breakers:
     def timed_out(self, unit: int, now: float) -> bool:
         """Record that a unit did not answer in time. Returns whether its circuit breaker is open now.
 
-        If ``open_after`` is 0, breakers are off: nothing is recorded, and the result is False.
+        It opens after ``open_after`` timeouts in a row, and again after a probe without answer. If ``open_after`` is 0,
+        breakers are off: nothing is recorded, and the result is False.
         """
         if not self.parameters.open_after:
             return False

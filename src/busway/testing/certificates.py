@@ -75,7 +75,7 @@ class CertificateStore:
         Args:
             name: name of the certificate and of its files.
             hosts: host names and addresses for which it is valid.
-            days: how long it is valid from now on; negative for an expired one.
+            days: days for which it is valid from now on; negative for an expired one.
             authority: the authority that signs it; the trusted one by default.
         """
         return self.write(name, (authority or self.authority).server(hosts, name=name, days=days))
@@ -88,17 +88,17 @@ class CertificateStore:
         Args:
             name: name of the certificate and of its files.
             role: role that it carries; None for none.
-            days: how long it is valid from now on; negative for an expired one.
+            days: days for which it is valid from now on; negative for an expired one.
             authority: the authority that signs it; the trusted one by default.
         """
         return self.write(name, (authority or self.authority).client(name, role=role, days=days))
 
     def expired_server(self) -> CertificateFiles:
-        """Create a server certificate that expired yesterday."""
+        """Create a server certificate that expired a day ago, and write its files."""
         return self.server("expired server", days=_EXPIRED_DAYS)
 
     def expired_client(self, *, role: str | None = None) -> CertificateFiles:
-        """Create a client certificate that expired yesterday."""
+        """Create a client certificate that expired a day ago, and write its files."""
         return self.client("expired client", role=role, days=_EXPIRED_DAYS)
 
     def self_signed(self, name: str = "self-signed", *, hosts: Sequence[str] = HOSTS) -> CertificateFiles:
@@ -106,15 +106,15 @@ class CertificateStore:
         return self.write(name, Authority.self_signed(name, hosts))
 
     def client_with_role_value(self, value: bytes, *, name: str = "odd role") -> CertificateFiles:
-        """Create a client certificate whose role extension holds these raw bytes."""
+        """Create a client certificate whose role extension holds the raw bytes ``value``, and write its files."""
         return self.write(name, self.authority.client_with(name, [value]))
 
     def client_with_two_roles(self, first: bytes, second: bytes, *, name: str = "two roles") -> CertificateFiles:
-        """Create a client certificate with two role extensions, which hold these raw bytes."""
+        """Create a client certificate with two role extensions, which hold these raw bytes, and write its files."""
         return self.write(name, self._two_roles(name, first, second))
 
     def client_without_purpose(self, name: str = "any purpose") -> CertificateFiles:
-        """Create a client certificate without extended key usage."""
+        """Create a client certificate without extended key usage, and write its files."""
         return self.write(name, self.authority.client_with(name, [], states_purpose=False))
 
     def revocation_list(
@@ -129,7 +129,7 @@ class CertificateStore:
         Args:
             revoked: the certificates on the list.
             authority: the authority that signs it; the trusted one by default.
-            days: how long it is valid from now on; negative for an expired list.
+            days: days for which it is valid from now on; negative for an expired list.
             name: the file is NAME.crl in the directory; an old one is replaced.
         """
         file = self.directory / f"{name}.crl"

@@ -42,8 +42,8 @@ __all__ = ["NOISE", "LineByte", "PacedLine", "Transmission", "VirtualLine", "Vir
 GRANULARITY = 0.0005
 """Characters within this many seconds may be delivered together, by default.
 
-Waking two programs for every character of 115 200 baud would take more than a processor; this is below 1.5 characters
-at every rate, where the specification holds that silence at 750 µs.
+To wake two programs for every character at 115 200 baud would take more than a processor. It is shorter than t1.5 at
+every baud rate: the specification fixes t1.5 at 750 µs for rates above 19 200 baud.
 """
 
 SPIN = 0.0001
@@ -52,12 +52,12 @@ SPIN = 0.0001
 A sleeping thread is woken some 50 µs late, and finding out what to deliver takes as long.
 """
 ROUNDING = 1e-9
-"""Most seconds that may be lost by rounding when the time of a pty is subtracted and added."""
+"""Most seconds by which a time may be wrong after the transit time of a pty was subtracted and added again."""
 
 TRANSIT_SAMPLES = 11
 """Number of measurements of the time that a pty takes."""
 TIME_TO_FALL_ASLEEP = 0.002
-"""Seconds before each measurement: a processor wakes up faster if it has not slept for long."""
+"""Seconds without activity before each measurement: a processor that has slept for long wakes up more slowly."""
 LONGEST_TRANSIT = 0.0002
 """Longest time that is assumed for a pty, in seconds.
 
@@ -93,7 +93,7 @@ class _Pty:
 
 @dataclass(slots=True)
 class _Order:
-    """A function call that another thread wants the thread of the simulated line to make, and its result."""
+    """A function call that another thread wants the thread of the simulated line to make, and the error it raised."""
 
     action: Callable[[], object]
     done: threading.Event = field(default_factory=threading.Event)
@@ -102,7 +102,7 @@ class _Order:
 
 @dataclass(slots=True)
 class _Listener:
-    """A thread that waits until the simulated line has been silent for a time."""
+    """The wait of one thread for a silence of the simulated line, which lasts ``silence`` seconds."""
 
     silence: float
     heard: threading.Event = field(default_factory=threading.Event)
@@ -111,11 +111,11 @@ class _Listener:
 class PacedLine:
     """A serial bus in real time with the given number of ports. A context manager that closes it at the end.
 
-    Its methods may be called from any thread.
+    Its methods may be called from any thread. After `close`, all that need the bus raise `ValueError`.
 
     Attributes:
         paths: path of each port, by number. A path is a symbolic link; it stays the same when its port is unplugged and
-            plugged in again.
+            plugged in again, unless `replug` gets a new name.
         settings: baud rate and character format, which determine the length of a character.
         character_time: seconds that one character takes.
         overruns: number of characters that were lost because no program read them.
@@ -187,7 +187,7 @@ class PacedLine:
 
     @property
     def collisions(self) -> int:
-        """Number of characters damaged because two ports sent at once."""
+        """Number of characters damaged because two ports sent at once, since the beginning or `forget`."""
         return self._line.collisions
 
     @property
@@ -207,14 +207,14 @@ class PacedLine:
         return copied
 
     def transmissions(self, silence: float | None = None) -> list[Transmission]:
-        """Return the bytes seen on the line, split at silences and at changes of sender.
+        """Return the characters of `tap`, split at silences and at changes of the sending port.
 
         ``silence`` is the number of seconds that separate two transmissions of one port; 1.5 characters if None.
         """
         return gathered(self.tap, self.character_time, silence)
 
     def forget(self) -> None:
-        """Clear the recorded characters and the counters of the line."""
+        """Clear the recorded characters (`tap`) and the counters ``collisions`` and ``overruns`` of the line."""
 
         def clear() -> None:
             self._line.tap.clear()

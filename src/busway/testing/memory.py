@@ -63,7 +63,7 @@ class MemoryTransport(asyncio.Transport):
     # What a protocol asks.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes to the other end of the connection in memory, as one segment."""
+        """Send bytes to the other end of the connection in memory, as one segment; nothing if this end is closed."""
         if self._closing or not data:
             return
         assert self._pair is not None
@@ -85,12 +85,12 @@ class MemoryTransport(asyncio.Transport):
             self._pair.something_left()
 
     def abort(self) -> None:
-        """Close this end of the connection in memory at once; segments on their way are dropped."""
+        """Close this end of the connection in memory; segments from it that are still on their way are dropped."""
         self.in_transit.clear()
         self.close()
 
     def is_closing(self) -> bool:
-        """Whether either end of the connection in memory was closed."""
+        """Whether this end was closed, or the connection in memory has ended because the other end was closed."""
         return self._closing
 
     def pause_reading(self) -> None:
@@ -115,11 +115,11 @@ class MemoryTransport(asyncio.Transport):
         return sum(len(data) for _, data in self.in_transit)
 
     def set_protocol(self, protocol: asyncio.BaseProtocol) -> None:
-        """Set the asyncio protocol that gets the bytes that arrive at this end."""
+        """Set the asyncio protocol to which arriving bytes are passed at this end."""
         self._protocol = protocol
 
     def get_protocol(self) -> asyncio.BaseProtocol:
-        """Return the asyncio protocol that gets the bytes that arrive at this end."""
+        """Return the asyncio protocol to which arriving bytes are passed at this end."""
         assert self._protocol is not None
         return self._protocol
 
@@ -154,7 +154,7 @@ class MemoryTransport(asyncio.Transport):
             protocol.data_received(data)
 
     def lose(self) -> bool:
-        """End the connection in memory at this end. Returns whether it was open before."""
+        """End the connection at this end, and call ``connection_lost`` of its protocol. Returns whether it was open."""
         if self._lost:
             return False
         self._closing = self._lost = True
@@ -224,7 +224,7 @@ class MemoryPair:
             pass
 
     def _step(self, sender: MemoryTransport, receiver: MemoryTransport) -> bool:
-        """Deliver one segment from sender to receiver, or the end of the stream. Returns whether there was one."""
+        """Deliver one segment from sender to receiver, or the end of the connection. Returns whether there was one."""
         if receiver.is_reading():
             data = sender.due(self.now)
             if data:

@@ -36,7 +36,7 @@ from ..server.server import Server
 REMEMBERED_REQUESTS = 10_000
 """Number of requests that a server keeps in its list ``requests``."""
 LONGEST_WAIT = 10.0
-"""Seconds after which waiting for a condition, which should hold at once, fails."""
+"""Most seconds to wait for a condition; then waiting fails with `TimeoutError`."""
 
 
 class FaultyServer:
@@ -44,7 +44,7 @@ class FaultyServer:
 
     Args:
         device: the device that answers for every unit; or devices by unit identifier, 0…255.
-        fault_profiles: names of fault profiles, or faults.
+        fault_profiles: the faults from the beginning on: names of fault profiles, or faults.
         seed: seed of random choices.
         clock: clock of delays; the event loop's by default.
         host: address to listen on; the system chooses a free port.
@@ -57,7 +57,7 @@ class FaultyServer:
     Attributes:
         endpoint: URL of the server; empty before it is started.
         loop: its event loop; None before it is started.
-        faults: the faults.
+        faults: the faults that the server has now.
         requests: the requests received, in order; the latest `REMEMBERED_REQUESTS`.
     """
 
@@ -165,10 +165,10 @@ class FaultyServer:
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait in the server's event loop until ``condition`` returns True.
 
-        It is called whenever the server's state changes.
+        The condition is called at once, and again whenever the server's state changes.
 
         Raises:
-            TimeoutError: it did not return True within `LONGEST_WAIT` seconds.
+            TimeoutError: the condition did not return True within `LONGEST_WAIT` seconds.
         """
         async with asyncio.timeout(LONGEST_WAIT):
             while not condition():
@@ -176,12 +176,12 @@ class FaultyServer:
                 await self._changed_here.wait()
 
     def wait_until(self, condition: Callable[[], bool]) -> None:
-        """Wait in any thread but the server's until ``condition`` returns True.
+        """Block, in any thread but the server's, until ``condition`` returns True.
 
-        It is called whenever the server's state changes.
+        The condition is called at once, and again whenever the server's state changes.
 
         Raises:
-            TimeoutError: it did not return True within `LONGEST_WAIT` seconds.
+            TimeoutError: the condition did not return True within `LONGEST_WAIT` seconds.
         """
         with self._changed:
             if not self._changed.wait_for(condition, LONGEST_WAIT):

@@ -168,7 +168,7 @@ class SimulatedDevice:
         times: int | None = None,
         **parameters: Any,  # Any: what the fault profile takes
     ) -> "Iterator[AppliedFault]":
-        """Make the device misbehave while the block runs: ``with device.fault("late", delay=2.0) as fault: …``.
+        """Context manager that makes the device misbehave: ``with device.fault("late", delay=2.0) as fault: …``.
 
         Args:
             fault_profile: the name of a fault profile (`busway.testing.FAULT_PROFILES`).
@@ -181,7 +181,7 @@ class SimulatedDevice:
             times: number of requests after these that it applies to; None for any number.
             parameters: the parameters of the fault profile.
 
-        Returns:
+        Yields:
             The fault: ``struck`` is the number of requests it has changed, ``off()`` and ``on()`` switch it.
 
         Raises:
@@ -206,7 +206,7 @@ class SimulatedDevice:
             board.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
-        """Wait until a client writes an item after this call. Returns the new value of the item.
+        """Block until a client writes an item after this call. Returns the value that the item has then.
 
         Args:
             address: address of the item, or the name of a point.
@@ -214,6 +214,7 @@ class SimulatedDevice:
 
         Raises:
             TimeoutError: no client wrote the item in time.
+            InvalidRequest: there is no such point, and the text is no address.
         """
         name = self._key(address)
         place = self.simulation.points[name].section.place if name is not None else parse_address(address)

@@ -18,7 +18,7 @@ from ..options.ports import Parity, SerialSettings
 from ..transport.serial.marks import Received
 
 NOISE = -1
-"""The port number of characters that no port has sent, in the recorded characters."""
+"""Port number of recorded characters that no port has sent: `VirtualLine.inject` has put them on the line."""
 
 TAP_SIZE = 200_000
 """Characters that are recorded, some 100 bytes of memory each: four minutes of uninterrupted traffic at 9600 baud."""
@@ -49,7 +49,7 @@ class Transmission:
 
     Attributes:
         port: number of the port that sent them, or `NOISE`.
-        begin, end: from the first start bit to the last stop bit, in seconds.
+        begin, end: times of the beginning of the first character and of the end of the last one, in seconds.
         data: the characters as they were received.
         damaged: number of characters that differ from what was sent.
     """

@@ -64,7 +64,7 @@ async def accept_from(
 
 
 class EpollAcceptor:
-    """Accepts connections through an epoll set; its arguments and errors are those of `accept_from`."""
+    """Accepts connections through an epoll set; arguments and errors of its creation are those of `accept_from`."""
 
     def __init__(
         self,
@@ -86,13 +86,13 @@ class EpollAcceptor:
         self._watch()
 
     def ready(self, events: int) -> None:
-        """Accept the clients that wait at the listening socket."""
+        """Accept clients that wait at the listening socket, at most `ACCEPTED_PER_TURN`; the rest in later turns."""
         for _ in range(ACCEPTED_PER_TURN):
             if not (self._is_watched and self._accept()):
                 return
 
     def _accept(self) -> bool:
-        """Accept one client at the listening socket. Returns whether another one may be waiting."""
+        """Accept one client at the listening socket. Returns False if none waits or accepting had to be paused."""
         try:
             connection, peer = self._listening.accept()
         except (BlockingIOError, InterruptedError):
@@ -161,8 +161,8 @@ class LoopAcceptor:
     def accept_no_more(self) -> None:
         """Stop accepting connections; those just accepted still arrive within a few turns of the event loop.
 
-        The listener is closed only after that. If it were closed at once, asyncio would forget connections that it is
-        just accepting; they would stay open without an owner until garbage collection.
+        Call `close` only after these turns: asyncio would forget connections that it is just accepting, and they would
+        stay open without an owner until garbage collection.
         """
         for bound in self._server.sockets:
             with contextlib.suppress(NotImplementedError):  # loops that do not accept by readiness

@@ -12,15 +12,18 @@ if TYPE_CHECKING:
     import asyncio
 
 RECEIVE_SIZE = 65_536
-"""Most bytes that one receive call returns: some 5000 read requests."""
+"""Size of the shared buffer, and so the most bytes that one receive call returns: some 5000 read requests."""
 
 _shared: "WeakKeyDictionary[asyncio.AbstractEventLoop, bytearray]" = WeakKeyDictionary()
 _windows: dict[int, memoryview] = {}
-"""The view created last, by its size: a view takes 312 bytes, so connections share it."""
+"""For each size the view created last: a view takes 312 bytes, so connections share it."""
 
 
 def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
-    """Return the one buffer into which all connections of an event loop receive bytes."""
+    """Return the buffer of `RECEIVE_SIZE` bytes into which all connections of an event loop receive.
+
+    For an event loop of the kind ``Proactor`` (Windows) return a new one of 4096 bytes for each call.
+    """
     if "Proactor" in type(loop).__name__:
         return bytearray(4096)
     try:
@@ -31,7 +34,7 @@ def receive_buffer(loop: "asyncio.AbstractEventLoop") -> bytearray:
 
 
 def receive_window(buffer: bytearray, size: int) -> memoryview:
-    """Return a view of the first ``size`` bytes of a buffer; connections with the same buffer share it."""
+    """Return a view of the first ``size`` bytes of a buffer; connections with the same buffer and size share it."""
     window = _windows.get(size)
     if window is None or window.obj is not buffer:
         window = _windows[size] = memoryview(buffer)[:size]

@@ -21,7 +21,9 @@ from .epoll.watcher import EpollSet, can_watch
 Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
-"""The epoll set of each event loop. It exists as long as its connections, so it does not keep the loop alive."""
+"""The epoll set of each event loop, for outgoing connections. It exists only as long as one of these connections, so it
+does not keep the loop alive.
+"""
 
 
 async def open_stream(
@@ -97,7 +99,10 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
 
 
 def _with_zone(address: Any) -> Any:  # of whatever family
-    """Return a socket address as (host, port), with the zone of a link-local IPv6 address in the host for uvloop."""
+    """Return a link-local IPv6 address as (host, port) with its zone in the host, as uvloop needs it.
+
+    Every other socket address is returned unchanged.
+    """
     if len(address) == 4 and address[3]:
         return f"{address[0]}%{address[3]}", address[1]
     return address
@@ -111,7 +116,7 @@ def dial_through(interface: str, host: str, port: int, local_address: str | None
         host: host name or address of the peer.
         port: its TCP port.
         local_address: local address to connect from; None lets the system choose.
-        timeout: seconds allowed for each address of the host; the socket keeps it as its timeout.
+        timeout: seconds allowed for each address of the host. The returned socket keeps it as the timeout of its calls.
 
     Raises:
         OSError: the host name cannot be resolved, or no address of it can be connected to.
@@ -129,7 +134,7 @@ class _Attempts:
     """Attempts to connect to the addresses of one peer, one after the other.
 
     Attributes:
-        problem: why the last attempt failed.
+        problem: why the last attempt failed; before the first, that the host has no address.
     """
 
     def __init__(self, interface: str | None, local_address: str | None) -> None:
@@ -138,9 +143,10 @@ class _Attempts:
         self.problem = OSError("the host has no address")
 
     def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
-        """Yield for each usable address of the peer a socket, with interface and local address set, and the address.
+        """Yield, for each usable address of the peer, a socket that is not connected yet, and the address.
 
-        ``found`` are the peer's addresses, as ``getaddrinfo`` returns them.
+        Interface and local address of the socket are set. Addresses for which that fails are left out. ``found`` are
+        the peer's addresses, as ``getaddrinfo`` returns them.
         """
         for family, kind, protocol, _, address in found:
             try:
@@ -161,9 +167,9 @@ class _Attempts:
 
     @contextlib.contextmanager
     def noting_failure(self, connection: socket.socket) -> Iterator[None]:
-        """Return a context manager that closes the socket if its block raises.
+        """Return a context manager for a connection attempt: it closes the socket if its block raises.
 
-        An `OSError` is stored in ``problem`` and suppressed; other exceptions are raised.
+        An `OSError` is stored in ``problem`` and not raised further; other exceptions are.
         """
         with contextlib.ExitStack() as unless_connected:
             unless_connected.callback(connection.close)

@@ -26,7 +26,7 @@ class Interface:
         name: the system's name of the interface: ``eth0``.
         address: numeric IP address.
         netmask: ``255.255.255.0``, or ``/64`` for IPv6.
-        gateway: address of the default gateway of the interface; empty without one.
+        gateway: address of the default gateway of the interface; empty without one, and always for IPv6.
     """
 
     name: str
@@ -38,7 +38,7 @@ class Interface:
 def interfaces_with(host: str) -> tuple[Interface, ...]:
     """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family.
 
-    Empty on systems other than Linux.
+    Only the first IPv4 address of each interface is found. Empty on systems other than Linux.
     """
     if sys.platform != "linux":
         return ()

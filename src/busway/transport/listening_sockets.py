@@ -19,7 +19,7 @@ from ..errors import ConfigError
 
 _NO_SUCH_FAMILY: Final = frozenset({errno.EAFNOSUPPORT, errno.EADDRNOTAVAIL, errno.EPROTONOSUPPORT})
 _TRIES: Final = 16
-"""Most attempts to find a port that is free in IPv4 and in IPv6, where the system chooses the port."""
+"""Most attempts to find a port that is free for all addresses of a listener, if the system chooses the port."""
 
 
 def bound_sockets(
@@ -27,8 +27,8 @@ def bound_sockets(
 ) -> list[socket.socket]:  # Any: as getaddrinfo gives them
     """Return a bound, non-blocking socket for each address of a listener; not listening yet.
 
-    Addresses of a family that the system lacks are left out, unless no other is left. With port 0 the system chooses
-    the port, the same for all sockets.
+    Addresses of a family that the system lacks are left out; if all are, the error is raised. With port 0 the system
+    chooses the port, the same for all sockets.
 
     Args:
         addresses: results of ``getaddrinfo``, all of one socket type and one port.

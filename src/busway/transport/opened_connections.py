@@ -10,10 +10,13 @@ _counts: list[Callable[[], int]] = []
 
 
 def counted_by(count: Callable[[], int]) -> None:
-    """Register a function that returns a number of open client connections; it may be called from any thread."""
+    """Register a function that returns a number of open client connections, for `dialled_connections`.
+
+    The function must be safe to call from any thread.
+    """
     _counts.append(count)
 
 
 def dialled_connections() -> int:
-    """Return the number of open client connections of this process, summed over all functions of `counted_by`."""
+    """Return the number of open client connections of this process: the sum of what all registered functions return."""
     return sum(count() for count in _counts)

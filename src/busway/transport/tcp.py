@@ -16,9 +16,9 @@ from .serial.waiting import wait_ready
 
 
 def configure(connection: socket.socket, parameters: SocketParameters) -> None:
-    """Set the options of a connected TCP socket; options that the system lacks are left out. Raises `OSError`.
+    """Set the options of a connected TCP socket; those that the system does not know are left out.
 
-    Does nothing to a socket that is neither IPv4 nor IPv6.
+    Does nothing to a socket that is neither IPv4 nor IPv6. Raises `OSError` if the system refuses an option.
     """
     if connection.family not in (socket.AF_INET, socket.AF_INET6):
         return
@@ -48,7 +48,7 @@ def set_buffers(connection: socket.socket, parameters: SocketParameters) -> None
 
 
 def discard_on_close(connection: Any) -> None:
-    """Make a later close reset the TCP connection, so that bytes the peer has not received yet are dropped.
+    """Make closing reset the TCP connection, so that bytes which the peer has not received yet are dropped.
 
     Args:
         connection: a socket, or what ``get_extra_info("socket")`` of a transport returns. Does nothing for None.
@@ -61,7 +61,8 @@ def discard_on_close(connection: Any) -> None:
 def takes_bytes(connection: Any) -> bool:
     """Whether a TCP connection would accept bytes to send now.
 
-    ``connection`` is a socket, or what ``get_extra_info("socket")`` of a transport returns; for None it is False.
+    ``connection`` is a socket, or what ``get_extra_info("socket")`` of a transport returns. False for None, and for a
+    socket that is closed.
     """
     if connection is None:
         return False
@@ -138,7 +139,7 @@ _TLS_ERRORS = frozenset({"SSLError", "TlsFailure"})
 
 
 def network_kind(error: BaseException) -> LinkDownKind:
-    """Return the kind of `LinkDown` for a network error, such as ``refused`` or ``timeout``."""
+    """Return the kind of `LinkDown` for a network error, such as ``refused`` or ``timeout``; ``other`` if unknown."""
     if isinstance(error, socket.gaierror):
         return "unresolved"
     if any(one.__name__ in _TLS_ERRORS for one in type(error).__mro__):

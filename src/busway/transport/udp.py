@@ -19,7 +19,7 @@ from ..options.sockets import SocketParameters
 from .tcp import link_down, set_buffers
 
 MAX_DATAGRAM = 2048
-"""Bytes of a datagram that are received: more than any frame has. Of a longer datagram the system drops the rest."""
+"""Most bytes of one datagram that are received, more than any frame has; the system drops the rest of a longer one."""
 
 
 class DatagramConnection(asyncio.DatagramProtocol):
@@ -54,7 +54,7 @@ class DatagramConnection(asyncio.DatagramProtocol):
     # What a link calls.
 
     def write(self, data: bytes) -> None:
-        """Send one frame as a UDP datagram."""
+        """Send one frame as a UDP datagram; if the system is busy, it waits in the transport."""
         if self._transport is not None:
             self._transport.sendto(data)
 
@@ -128,7 +128,10 @@ class BlockingDatagramSocket:
     def __init__(
         self, host: str, port: int, parameters: SocketParameters, *, endpoint: str, whole: Callable[[bytes], bool]
     ) -> None:
-        """Open the UDP socket; arguments and errors are those of `open_datagram`."""
+        """Open the UDP socket; arguments and errors are those of `open_datagram`.
+
+        Resolving the host name blocks, without a limit of its own.
+        """
         self._whole = whole
         self.dropped: int = 0
         try:
@@ -151,9 +154,10 @@ class BlockingDatagramSocket:
         return self._socket.fileno()
 
     def recv_into(self, buffer: bytearray) -> int:
-        """Receive the next datagram that is a whole frame into ``buffer``, and return its size.
+        """Receive the next datagram that is a whole frame into ``buffer``, and return its size in bytes.
 
-        Raises `BlockingIOError` if no such datagram has been received.
+        ``buffer`` must have at least `MAX_DATAGRAM` bytes. Raises `BlockingIOError` if no such datagram has been
+        received.
         """
         while True:
             try:
@@ -166,7 +170,10 @@ class BlockingDatagramSocket:
             self.dropped += 1
 
     def send(self, data: bytes) -> int:
-        """Send one frame as a UDP datagram, and return its size. Raises `OSError`."""
+        """Send one frame as a UDP datagram, and return its size in bytes.
+
+        Raises `OSError` if the system does not accept it, but not if nothing listens at the peer's port.
+        """
         with contextlib.suppress(ConnectionRefusedError):
             self._socket.send(data)
             return len(data)

@@ -2,8 +2,8 @@
 
 On the wire an item is an offset 0…65535 in one of four tables; the data model numbers the same items 1…65536
 (Application Protocol V1.1b3 §4.4). Manuals use either, and a value read one item off looks plausible, so every notation
-here has a declared base. Knows notations only; whether a device has the item, or a request may span it, is not known
-here.
+here has a declared base, the number of its first item. Knows notations only; nothing here knows which items a device
+has, or how many one request can cover.
 
 ======================================  ====  =====================================================================
 notation                                base  meaning
@@ -75,10 +75,11 @@ class Address:
     """The address of one register or bit in a table, or of one bit of a register.
 
     Attributes:
-        table: which of the four tables; None if the called function decides.
+        table: which of the four tables; None if the address names none and the function that takes it decides.
         offset: the item as on the wire, 0…65535.
         bit: a bit of the register, 0 (least significant)…15; None for the whole item.
-        text: the text from which it was parsed; empty if it was not parsed.
+        text: the text or the digits of the ``int`` that `parse_address` got, for messages; empty if not parsed. Two
+            addresses are equal also if their texts differ.
 
     Raises:
         InvalidRequest: offset or bit out of range, or a bit of a coil or discrete input. Nothing was sent.
@@ -116,8 +117,10 @@ def parse_address(
     """Parse a data address in any notation, such as ``40001``, ``4x1`` or ``holding:0``, by the rules of this file.
 
     Args:
-        value: an offset, a text in one of the notations, or an `Address`, which is returned with the table filled in.
-        table: the table that the caller means; None if the notation names it, or the result may have no table.
+        value: an offset, a text in one of the notations, or an `Address`, which is returned with ``table`` if it has no
+            table of its own; ``base`` does not change it.
+        table: the table that the caller means. None: the notation names it; an ``int`` becomes an address without a
+            table then.
         base: number of the first item, 0 or 1; None for each notation's own base.
 
     Raises:

@@ -83,7 +83,7 @@ class BitCodec:
 
     @property
     def place(self) -> tuple[int, int]:
-        """Position of the bit in the two bytes of the register on the wire: byte 0 or 1, and the mask in that byte."""
+        """Position of the bit in the register on the wire: byte 0 (the first) or 1, and the mask in that byte."""
         is_low = self._bit < 8
         return int(is_low is not bool(self._swaps)), 1 << (self._bit & 7)
 

@@ -4,7 +4,7 @@
 >>> link.unit(1).read("4x1", busway.FLOAT32)               # a float
 >>> link.unit(1).read("4x9", busway.string(16))            # a str
 
-An order is named beside them: ``read("4x1", busway.FLOAT32, order="CDAB")``.
+They have the byte order ``ABCD``; another order is named beside them: ``read("4x1", busway.FLOAT32, order="CDAB")``.
 """
 
 from typing import Any, Final, Literal

@@ -23,7 +23,8 @@ def custom_layout(name: str, written: str) -> struct.Struct:
         written: its FORMAT: a byte order and letters, such as ``>hHl``.
 
     Raises:
-        InvalidRequest: the format is not supported, or its size is odd, zero or above 250 bytes. Nothing was sent.
+        InvalidRequest: the format is not supported or holds no number, or its size is odd, zero or above 250 bytes.
+            Nothing was sent.
     """
     match = _FORMAT.fullmatch(written)
     if match is None:
@@ -55,11 +56,11 @@ class CustomCodec:
         self.expects: str = f"{self._length} numbers that fit {layout.format}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the tuples of numbers that registers in wire order hold."""
+        """Return the tuples that registers in wire order hold; each has one number (``bool`` for ``?``) per letter."""
         return list(self._layout.iter_unpack(swapped(data, self._swaps)))
 
     def encode(self, values: list[object]) -> bytes:
-        """Return the registers, in wire order, that hold tuples or lists of numbers.
+        """Return the registers, in wire order, that hold tuples or lists with all numbers of the format.
 
         Raises:
             InvalidRequest: a value does not fit the format. Nothing was sent.

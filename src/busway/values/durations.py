@@ -12,7 +12,7 @@ def duration(text: str, *, bare: bool = False) -> float | None:
 
     Args:
         text: a number with a unit: ms, s, m or min, h, d (days), w (weeks).
-        bare: whether a number without a unit is taken as seconds.
+        bare: whether a number without a unit is taken as seconds; otherwise the result for it is None.
     """
     match = _DURATION.fullmatch(text.strip())
     if match is None or (match[2] is None and not bare):

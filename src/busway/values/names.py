@@ -24,7 +24,7 @@ Order: TypeAlias = Literal[
 """Names of the orders of bytes and registers (`busway.values.orders`)."""
 
 Level: TypeAlias = Literal["basic", "regular", "extended"]
-"""Names of the levels of device identification."""
+"""Names of the levels of device identification, which say how many objects are read (function 43/14)."""
 
 TableName: TypeAlias = Literal["coils", "discrete_inputs", "input_registers", "holding_registers"]
 """Names of the four tables (`busway.codes.Table`)."""

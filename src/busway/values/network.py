@@ -23,7 +23,10 @@ NETWORK_TYPES: Final = tuple(_SIZES)
 
 
 def network_size(name: str) -> int:
-    """Return the number of bytes of a kind of network address: ``ipv4``, ``ipv6``, ``eui48`` or ``eui64``."""
+    """Return the number of bytes of a kind of network address: ``ipv4``, ``ipv6``, ``eui48`` or ``eui64``.
+
+    Raises ``KeyError`` for other names.
+    """
     return _SIZES[name]
 
 

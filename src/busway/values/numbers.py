@@ -44,7 +44,7 @@ def whole_number(text: str) -> int:
 
 
 class _StructLayout:
-    """Converts registers and numbers by a ``struct`` format, with byte swaps if the byte order needs them."""
+    """Converts registers to numbers by a ``struct`` format letter, and back; swaps bytes if the byte order needs it."""
 
     def __init__(self, letter: str, order: ByteOrder) -> None:
         self.letter = letter

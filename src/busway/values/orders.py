@@ -96,10 +96,10 @@ class ByteOrder:
 
     @property
     def swaps(self) -> tuple[str, ...]:
-        """The swaps, in sequence, that turn values from wire order into big-endian order; for `swapped`.
+        """The swaps that `swapped` applies, in sequence, to turn values from wire order to big-endian order, or back.
 
         Each swap is the type code of an `array` whose items are byte-swapped (``H``, ``I`` or ``Q``), or two digits:
-        which two of three registers are exchanged, such as ``02`` for the first and the last.
+        which two of three registers are exchanged, such as ``02`` for the first and the last. Empty for ``ABCD``.
         """
         if self.size == 6:
             return tuple(each for each in ("H" if self.mask & 1 else "", _EXCHANGES[self.mask & 6]) if each)
@@ -119,7 +119,7 @@ class ByteOrder:
 
     @property
     def registers(self) -> tuple[int, ...]:
-        """The position on the wire of each register of the value, the most significant first."""
+        """The position on the wire of each register of a value, most significant first: ``(1, 0)`` for ``CDAB``."""
         if self.size == 6:
             return tuple("ABCDEF".index(self.text[2 * place]) // 2 for place in range(3))
         return tuple(place ^ (self.mask >> 1) for place in range(self.size // 2))
@@ -178,10 +178,10 @@ def _between_three_and_others(text: str, size: int, given_size: int, mask: int) 
 
 
 def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
-    """Return ``data`` with the byte swaps of a `ByteOrder` applied to all its values.
+    """Return a copy of ``data`` with the swaps of a `ByteOrder` applied to all its values; a second call undoes them.
 
     Args:
-        data: bytes, a whole number of values.
+        data: bytes, a whole number of values of the order's size.
         swaps: the swaps, in sequence, as `ByteOrder.swaps` gives them.
     """
     for swap in swaps:

@@ -53,7 +53,7 @@ class StringCodec:
         self.expects: str = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the texts that registers in wire order hold.
+        """Return the texts that registers in wire order hold. A text ends at the first NUL; padding is removed.
 
         Raises:
             BadReply: the bytes are not text in this encoding; ``raw`` holds the bytes of all values.

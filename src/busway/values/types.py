@@ -12,9 +12,9 @@ name (short form)                 registers  value
 ``bcd16`` ``bcd32`` ``bcd64``     1, 2, 4    ``int``, packed decimal digits: 4, 8, 16
 ``string:N``                      (N+1)//2   ``str`` of up to N bytes, N = 1…250
 ``bits``                          1          tuple of 16 ``bool``, least significant first
-``bit:N``                         1          ``bool``, bit N = 0…15 (0 the least significant); only for reading
-``int8:low`` ``uint8:high`` …     1          ``int``, half a register; only for reading
-``field:N-M``                     1          ``int``, bits N…M of a register (``field:4-7:signed``); only for reading
+``bit:N``                         1          ``bool``, bit N = 0…15 (0 the least significant); rule 4
+``int8:low`` ``uint8:high`` …     1          ``int``, half a register; rule 4
+``field:N-M``                     1          ``int``, bits N…M of a register (``field:4-7:signed``); rule 4
 ``ipv4`` ``ipv6``                 2, 8       ``str``, ``192.168.1.20``
 ``eui48`` ``eui64``               3, 4       ``str``, ``00:1B:44:11:3A:B7``
 ``custom:FORMAT``                 as needed  tuple of numbers, as Python's ``struct`` has them: ``custom:>hHl``
@@ -31,6 +31,8 @@ Rules:
 1. A `ValueType` is compiled once and kept: frequent readers hold it or call `value_type` again.
 2. Bytes are in wire order, as in the messages: each register high byte first, unless the order says otherwise.
 3. A value of the caller that does not fit is `InvalidRequest`; bytes of a device that mean nothing are `BadReply`.
+4. A part of a register cannot be encoded alone, as that would overwrite the other bits: `ValueType.encode` refuses it,
+   and `ValueType.merge` writes it into the present register.
 """
 
 from collections.abc import Callable, Iterable
@@ -56,7 +58,9 @@ _PADDINGS: Final = ("nul", "space")
 
 
 class Codec(Protocol):
-    """Interface of the converter of a value type between registers and values; its caller checks lengths.
+    """Interface of a converter between registers and the values of one type.
+
+    The caller checks that the data for `decode` is a whole number of values.
 
     Attributes:
         expects: which values the type can hold, in words: ``a whole number 0…65535``.
@@ -85,9 +89,10 @@ class ValueType(Generic[Value]):
     Two value types are equal if their names and orders are.
 
     Attributes:
-        name: the name in full, ``float32``.
-        order: the order in letters for this type's size, ``CDAB``.
-        registers: registers that one value takes.
+        name: the name in full, ``float32``, also if the type was asked for by its short form ``f32``.
+        order: the order in letters for this type's size, ``CDAB``; ``AB`` or ``BA`` for types that only know the order
+            of the two bytes of a register, such as texts.
+        registers: number of registers that one value takes.
     """
 
     name: str
@@ -138,9 +143,11 @@ class ValueType(Generic[Value]):
         Args:
             values: values as `decode` returns them; a single value is given as ``[value]``. Number types accept every
                 integer, and float types every real number, that fits, also those of other libraries, but not ``bool``.
+                The result for no values is no bytes.
 
         Raises:
-            InvalidRequest: a value does not fit, or the type is only for reading. Nothing was sent.
+            InvalidRequest: a value does not fit, the type is a part of a register (`merge` writes it), or ``values`` is
+                a text, bytes or not iterable. Nothing was sent.
         """
         if isinstance(values, str | bytes | bytearray | memoryview) or not isinstance(values, Iterable):
             raise InvalidRequest(
@@ -150,23 +157,27 @@ class ValueType(Generic[Value]):
 
     @property
     def is_part(self) -> bool:
-        """Whether a value is a part of a register: ``bit``, ``field``, ``int8`` or ``uint8``. `merge` keeps the rest.
+        """Whether a value is a part of a register: ``bit``, ``field``, ``int8`` or ``uint8``.
 
-        False for texts with one character in each register: writing one overwrites the unused bytes too.
+        If True, `encode` refuses values, and `merge` writes one and keeps the rest of the register. False for texts
+        with one character in each register: writing one overwrites the unused bytes too.
         """
         return isinstance(self._codec, BitCodec | FieldCodec)
 
     @property
     def bit_place(self) -> tuple[int, int] | None:
-        """Where the bit of a ``bit:N`` type is on the wire: byte 0 or 1, and mask in the byte. None for other types."""
+        """Position of the bit of a ``bit:N`` type in the register on the wire; None for other types.
+
+        The byte, 0 (the first) or 1, and the mask in that byte.
+        """
         return self._codec.place if isinstance(self._codec, BitCodec) else None
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """Return registers with one value written into them; bits that do not belong to the value stay unchanged.
+        """Return the registers of one value, in wire order; bits that do not belong to the value stay as in ``held``.
 
         Args:
-            value: as for `encode`.
-            held: the present ``2 * registers`` bytes of the registers; used only where `is_part`.
+            value: one value, as in the values for `encode`.
+            held: the present ``2 * registers`` bytes of the registers; not looked at unless `is_part`.
 
         Raises:
             InvalidRequest: the value does not fit. Nothing was sent.
@@ -180,7 +191,8 @@ class ValueType(Generic[Value]):
         Args:
             text: integers in decimal, ``0x…`` or ``0b…``; BCD in decimal only; floats as Python writes them, ``inf``
                 and ``nan`` too; strings unchanged; ``bits`` as the register's number (``0b101`` sets bits 0 and 2);
-                ``bit:N`` as on, off, true, false, 1, 0. Spaces around numbers and states do not matter.
+                ``bit:N`` as on, off, true, false, 1, 0; network addresses as usual; ``custom`` as numbers separated by
+                commas. Spaces around a text do not matter, except for strings.
 
         Raises:
             InvalidRequest: the text is no value of this type; names text, type and range. Nothing was sent.
@@ -214,8 +226,8 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
     """Return the value type with a given name and byte order, compiled once.
 
     Args:
-        name: a name of the table in this file, such as ``float32``; capitals do not matter. A `ValueType` keeps its own
-            order unless ``order`` is given.
+        name: a name of the table in this file, such as ``float32``; capitals do not matter, except in the format of
+            ``custom``. A `ValueType` keeps its own order if ``order`` is ``ABCD``.
         order: byte and register order; ``ABCD`` is the specification's. `busway.values.orders` has the others, and says
             how an order of another length than the type's is applied.
 
@@ -234,7 +246,7 @@ def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: i
 
     Args:
         data: bytes in wire order, two for each register.
-        type: a name such as ``float32``, or a `ValueType`, which keeps its own order unless ``order`` is given.
+        type: a name such as ``float32``, or a `ValueType`, which keeps its own order if ``order`` is ``ABCD``.
         order: byte and register order.
         count: number of values that the bytes must hold exactly; None for as many as there are.
 
@@ -255,7 +267,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
 
     Args:
         values: values of the type, in a sequence.
-        type: a name such as ``float32``, or a `ValueType`, which keeps its own order unless ``order`` is given.
+        type: a name such as ``float32``, or a `ValueType`, which keeps its own order if ``order`` is ``ABCD``.
         order: byte and register order.
 
     Raises:

@@ -2,10 +2,11 @@
 
 Knows PDUs as bytes and the words of reports; knows no connection, no framing and no time.
 
-1. A check belongs to one clause and is of one level. It is a must only if the clause is one.
-2. Its steps say what is sent and what may come back. Anything else is a failure, or a warning for a should.
-3. A basic check is about one facet of every reply, such as its transaction identifier. The others assume what the basic
-   checks have shown, so one defect fails one check and not all.
+1. A check belongs to one clause and has one level. It is a must only if the clause is one.
+2. Its steps say what is sent and which answers are accepted. Any other answer fails the check; if the check is a
+   should, it is only a warning.
+3. A basic check judges one facet of every reply, such as its transaction identifier. The other checks rely on the basic
+   ones, so that one defect of a device fails one check and not all.
 """
 
 from collections.abc import Callable, Iterator
@@ -17,17 +18,19 @@ from ...codes import Table
 
 
 class Level(IntEnum):
-    """What a check may do to a device; each level includes those below it."""
+    """What a check may do to a device. A run up to a level includes the checks of all lower levels."""
 
     READ = 0
-    """Whole requests that read, also with contents that have to be refused."""
+    """The check sends undamaged requests that only read, also invalid ones that the device has to refuse."""
     DIAG = 1
-    """Diagnostics, unknown functions, damaged frames and broken streams too."""
+    """The check may also send diagnostics, unknown function codes, damaged frames and broken streams."""
     WRITE = 2
-    """Writes to the scratch items too: registers and coils that the user has named for writing."""
+    """The check may also write to the scratch items: the registers and coils that the user has named for this."""
     DISRUPTIVE = 3
-    """Also requests that may stop a device, reset its counters, or write beyond the scratch items if a device executes
-    what it must refuse."""
+    """The check may also stop the device, reset its counters, or send invalid writes.
+
+    A faulty device that executes such a write, instead of refusing it, may change items beyond the scratch items.
+    """
 
 
 class Strength(Enum):
@@ -41,12 +44,12 @@ class Outcome(Enum):
     """The outcome of a check; the value is the word that reports show.
 
     Attributes:
-        PASSED: the device does what is asked for.
-        FAILED: it does not, and the check is a must.
-        WARNED: it does not, and the check is a should.
-        NOT_OFFERED: the device does not have the function that the check is about.
-        UNDECIDED: nothing can be said, such as after an earlier failure.
-        ABORTED: the device no longer answers, or no longer did when the check was to run.
+        PASSED: the device does what the check asks for.
+        FAILED: the device does not, and the check is a must.
+        WARNED: the device does not, and the check is a should.
+        NOT_OFFERED: the device does not have the function that the check is about: it answers exception 01.
+        UNDECIDED: the check could not be made, for example because a check that it relies on has failed.
+        ABORTED: the device stopped answering during this check or an earlier one.
     """
 
     PASSED = "pass"
@@ -58,14 +61,16 @@ class Outcome(Enum):
 
 
 class Facet(Enum):
-    """Parts of an exchange that can be wrong by themselves, in the order in which they are judged.
+    """Parts of an exchange that can be wrong independently of each other; every fault belongs to one of them.
+
+    The list says when each part is right.
 
     Attributes:
-        ANSWERED: a reply came in time, or silence where that is accepted.
-        CLEAN: nothing else came: no other bytes, no second reply.
+        ANSWERED: a reply came in time, or silence where the check accepts silence.
+        CLEAN: nothing but the reply came: no other bytes, no second reply.
         TRANSACTION: the reply has the transaction identifier of the request.
         PROTOCOL: the protocol identifier of the reply is 0.
-        UNIT: the reply is of the unit that was asked.
+        UNIT: the unit identifier of the reply is that of the request.
         FORM: function code and length of the reply fit the request.
         CONTENT: the reply is one that the check accepts.
     """
@@ -107,9 +112,9 @@ class FrameDamage(Enum):
 
 
 class TlsChange(Enum):
-    """Ways in which a check breaks a rule of TLS on purpose, so that a secure device must refuse the connection.
+    """Ways to change a TLS handshake on purpose, so that a secure device must refuse the client or its request.
 
-    The value is the text for reports.
+    The value describes the change in reports: "by TLS 1.0", "with an expired certificate".
     """
 
     PLAIN = "without TLS"
@@ -126,20 +131,21 @@ class TlsChange(Enum):
 
 
 _ANY_EXCEPTION: Final = 255
-"""Number of accepted exception codes from which on they are not listed: all of them, or all but one."""
+"""From this number of accepted exception codes on, `Accepts` is described as "any exception", without the codes."""
 
 
 @dataclass(frozen=True, slots=True)
 class Accepts:
-    """What a device may do after one request; anything else is a fault. ``str()`` gives it in words.
+    """What a device may do after one request; anything else is a fault. ``str()`` describes it in words.
 
     Attributes:
-        reply: whether a normal reply may come. Its form is checked against the request if the request is valid.
+        reply: whether a normal reply is accepted. Its length is compared with the request if the request is valid.
         exact: the only PDU that a normal reply may have; None for any.
-        exceptions: the exception codes that may come.
-        silence: whether the device may give no answer.
+        exceptions: the exception codes that are accepted in an exception reply.
+        silence: whether no answer is accepted.
         closed: whether the device may close the connection instead of answering.
-        wrong_with: returns what is wrong with the PDU of a normal reply, empty if nothing is; None for no such test.
+        wrong_with: function that takes the PDU of a normal reply and returns what is wrong with it, empty if nothing
+            is; None for no further test.
     """
 
     reply: bool = False
@@ -164,15 +170,16 @@ class Accepts:
 
 @dataclass(frozen=True, slots=True)
 class Ask:
-    """Step of a check: send one request and judge what comes back.
+    """Step of a check: send one request, and judge what comes back.
 
     Attributes:
         pdu: the PDU of the request; it need not be valid.
-        accepts: what may come back.
+        accepts: the accepted answers.
         unit: unit identifier of the request; None for the unit that is checked.
-        transaction: transaction identifier of the request; None for the next one.
+        transaction: transaction identifier of the request; None for the next number of the connection.
         damage: how the frame is damaged; None for a correct frame.
-        pieces: offsets at which the frame is cut; the pieces are sent one after the other. Empty for no cut.
+        pieces: offsets in the frame, ascending, at which it is cut; the pieces are sent one after the other. Empty for
+            no cut.
     """
 
     pdu: bytes
@@ -185,7 +192,10 @@ class Ask:
 
 @dataclass(frozen=True, slots=True)
 class Together:
-    """Step of a check: send several requests at once; each must be answered, in any order, if only by exception 06."""
+    """Step of a check: send several requests in one write (Modbus TCP only).
+
+    Each of them must be answered, in any order, with a normal reply or exception 06.
+    """
 
     pdus: tuple[bytes, ...]
 
@@ -197,7 +207,7 @@ class Idle:
 
 @dataclass(frozen=True, slots=True)
 class Reopen:
-    """Step of a check: close the connection and open a new one."""
+    """Step of a check: close the connection and open a new one; a serial port stays open."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,8 +215,8 @@ class BesideIt:
     """Step of a check: send a request over a second connection while the first one stays open.
 
     Attributes:
-        ask: the request.
-        change: the rule of TLS that the second connection breaks; None for a correct handshake.
+        ask: the request, and the accepted answers.
+        change: how the TLS handshake of the second connection is changed; None for a correct connection.
     """
 
     ask: Ask
@@ -215,7 +225,7 @@ class BesideIt:
 
 @dataclass(frozen=True, slots=True)
 class CutOff:
-    """Step of a check: send the first ``size`` bytes of the frame of a request and close the connection."""
+    """Step of a check: send only the first ``size`` bytes of the frame with this PDU, and close the connection."""
 
     pdu: bytes
     size: int
@@ -231,13 +241,14 @@ class Check:
     Attributes:
         id: unique name of the check.
         clause: the clause of the specifications that asks for it, a key of `CLAUSES`.
-        says: what the device does if it passes, without a subject.
-        word: whether it is a must or a should.
-        level: what it may do to the device.
-        steps: what is sent, and what may come back.
+        says: what a correct device does, as a sentence without subject.
+        word: whether the check is a must or a should.
+        level: what the check may do to the device.
+        steps: what is sent, and which answers are accepted.
         facet: for a basic check, the only facet of the replies that it judges; None for other checks.
-        function: the function code that it is about, which the device need not have; None for none.
-        opens: whether it shows that the device has the function at all; the function's other checks need its success.
+        function: the function code that the check is about, which a device need not have; None for none.
+        opens: True if the check shows whether the device has ``function`` at all. If it does not pass, the later checks
+            of this function are not made.
     """
 
     id: str
@@ -252,7 +263,7 @@ class Check:
 
     @property
     def requests(self) -> Iterator[bytes]:
-        """The PDUs that the steps `Ask` and `Together` of the check send, in order."""
+        """Iterator over the PDUs that the steps `Ask` and `Together` of the check send, in order."""
         for step in self.steps:
             if isinstance(step, Ask):
                 yield step.pdu
@@ -261,7 +272,7 @@ class Check:
 
     @property
     def writes(self) -> bool:
-        """Whether the check sends a request that writes, so that the scratch items must be saved before."""
+        """Whether the check sends a request of a writing function, so that the scratch items must be saved first."""
         return any(pdu[0] in _WRITING for pdu in self.requests)
 
 
@@ -270,7 +281,7 @@ _WRITING: Final = frozenset({5, 6, 15, 16, 22, 23})
 
 @dataclass(frozen=True, slots=True)
 class Items:
-    """Consecutive registers or bits of one table: the first address, 0-based, and how many."""
+    """Consecutive registers or bits of one table: the 0-based address of the first, and their number."""
 
     table: Table
     address: int
@@ -283,12 +294,12 @@ class Target:
 
     Attributes:
         framing: ``mbap``, ``rtu`` or ``ascii``.
-        has_connections: whether it is reached by connections, which can be made again; False for a serial port.
+        has_connections: True for a network, where a connection can be closed and made again; False for a serial port.
         unit: identifier of the unit that is checked.
-        probe: one register or bit that can be read at any time; reading it shows that the device lives.
+        probe: one register or bit that can be read at any time; reading it shows that the device still works.
         registers: scratch registers, which checks may write; None for none.
         coils: scratch coils, which checks may write; None for none.
-        is_secure: whether it is reached over TLS.
+        is_secure: whether the device is reached over TLS.
     """
 
     framing: str
@@ -305,7 +316,7 @@ class Evidence:
     """Bytes that a check sent or received, or an event such as the end of the connection; shown in reports.
 
     Attributes:
-        sent: True for bytes to the device, False for bytes from it.
+        sent: True for bytes sent to the device and for what the check did, False for what came from the device.
         data: the bytes; empty for an event.
         words: the meaning of the bytes, from the dissector; for an event, what happened.
     """

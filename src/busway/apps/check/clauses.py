@@ -1,6 +1,6 @@
-"""The clauses that checks belong to, in a few words each; ``docs/conformance.toml`` has them in full.
+"""The clauses of the specifications that checks belong to, in a few words each.
 
-Knows names and words only. A test compares the names with those of the documentation.
+Knows names and words only; ``docs/conformance.toml`` has the clauses in full. A test compares the names with it.
 """
 
 from typing import Final
@@ -49,4 +49,4 @@ CLAUSES: Final = {
     "T28": "frames that are none",
     "T30": "a reply repeats unit, transaction and protocol",
 }
-"""What each clause is about, in the order of reports."""
+"""What each clause is about, by the name of the clause."""

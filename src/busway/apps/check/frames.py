@@ -1,10 +1,10 @@
-"""Frames of checks: requests as bytes, also damaged ones, and replies found in what was received.
+"""Frames of checks: builds requests as bytes, also damaged ones, and finds replies in the received bytes.
 
-Knows the three framings; knows no function and no connection.
+Knows the three framings; knows no function code and no connection.
 
-1. A damage is one function from a whole frame to bytes, in one table per framing. Damages that make no sense for a
-   framing are not in its table.
-2. A search takes any bytes and finds what is in them: frames, and bytes that are in no frame. It judges nothing.
+1. A damage is a function from a whole frame to damaged bytes, in one table per framing. Damages that make no sense for
+   a framing are not in its table.
+2. A search takes any bytes and separates them into frames and bytes that are in no frame. It judges neither.
 """
 
 import re
@@ -25,7 +25,7 @@ from .check import FrameDamage
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One received frame: unit identifier, PDU, the raw bytes, and on MBAP transaction and protocol identifier."""
+    """One received frame: unit identifier, PDU and all its bytes (``raw``); on MBAP also the other header fields."""
 
     unit: int
     pdu: bytes
@@ -35,31 +35,34 @@ class Frame:
 
 
 _AROUND_PDU: Final = 3
-"""Bytes of an RTU frame beside its PDU."""
+"""Number of bytes of an RTU frame beside its PDU: the unit and the CRC."""
 
 
 class FrameSearch(Protocol):
-    """Interface of a search for frames in the bytes received on one connection."""
+    """Interface of an object that finds frames in the bytes received on one connection or line.
+
+    ``function`` is the function code of the request whose reply is expected; 0 if none is.
+    """
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Take received bytes, and return the frames that they complete; ``function`` is the code asked for last."""
+        """Take received bytes, and return the frames that are now complete."""
 
     def finish(self, function: int) -> list[Frame]:
-        """Return the frames that are complete if no more bytes come; ``function`` as of `receive`."""
+        """Return the frames that are complete if no more bytes come; called after the timeout."""
 
     def take_rest(self) -> bytes:
-        """Return the received bytes that are in no complete frame. On a serial line they are then forgotten."""
+        """Return the received bytes that are in no complete frame. On RTU and ASCII they are then forgotten."""
 
 
 class MbapSearch:
-    """Finds frames in a stream of Modbus on TCP/IP; arguments as of `FrameSearch`."""
+    """Finds MBAP frames in a TCP stream. Interface: `FrameSearch`; the argument ``function`` is not used."""
 
     def __init__(self) -> None:
         self._receiver = MbapReceiver()
         self._broken = b""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Take received bytes, and return the frames that they complete."""
+        """Take received bytes, and return the frames that are now complete."""
         found = []
         for one in self._receiver.receive(data):
             if one.kind is FrameKind.BROKEN:
@@ -76,28 +79,28 @@ class MbapSearch:
     def take_rest(self) -> bytes:
         """Return the bytes that broke the stream; if none did, the bytes of an unfinished frame.
 
-        Nothing is forgotten: no frame can follow on a broken stream, and an unfinished frame may be completed.
+        They are kept: after a broken stream no frame can follow, and an unfinished frame may still be completed.
         """
         return self._broken or self._receiver.unfinished
 
 
 class RtuSearch:
-    """Finds frames in the bytes of an RTU line: those whose CRC fits. Arguments as of `FrameSearch`."""
+    """Finds RTU frames in the bytes of a line: sections whose CRC is right. Interface: `FrameSearch`."""
 
     def __init__(self) -> None:
         self._kept = b""
         self._junk = b""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Take received bytes, and return the frames that they complete.
+        """Take received bytes, and return the frames that are now complete.
 
-        After bytes that begin no frame, only frames of the function asked for are searched.
+        A frame that does not begin at the first byte is found only if its function code is ``function``.
         """
         self._kept += data
         return self._found(function, is_over=False)
 
     def finish(self, function: int) -> list[Frame]:
-        """Return frames with a right CRC that are shorter than they announce: no more bytes will come."""
+        """Return the frames with a right CRC that are shorter than they announce; called after the timeout."""
         return self._found(function, is_over=True)
 
     def _found(self, function: int, *, is_over: bool) -> list[Frame]:
@@ -111,15 +114,15 @@ class RtuSearch:
         return found
 
     def take_rest(self) -> bytes:
-        """Return the bytes that are in no frame, and forget them."""
+        """Return the bytes that are in no frame, in the order received, and forget them."""
         rest, self._kept, self._junk = self._junk + self._kept, b"", b""
         return rest
 
     def _next(self, function: int, *, is_over: bool) -> tuple[int, int] | None:
-        """Return start and end of the next frame in the received bytes; None if there is none yet.
+        """Return the offsets (start, end) of the next frame in the kept bytes; None if there is none yet.
 
-        The length that a reply announces is tried first: in one frame of 256 the second byte of the CRC is 0, and then
-        the CRC fits without this byte too. ``is_over``: no more bytes will come.
+        The length that a reply announces is tried before all others: in one frame of 256 the last byte of the CRC is 0,
+        and then the CRC is right without this byte too. ``is_over``: no more bytes will come.
         """
         data = self._kept
         for start in range(len(data) - 3):
@@ -142,9 +145,9 @@ class RtuSearch:
 
 
 class AsciiSearch:
-    """Finds frames in the characters of an ASCII line: from colon to CR LF, with an LRC that fits.
+    """Finds ASCII frames in the characters of a line: from colon to CR LF, with a right LRC.
 
-    Arguments as of `FrameSearch`.
+    Interface: `FrameSearch`; the argument ``function`` is not used.
     """
 
     def __init__(self) -> None:
@@ -152,7 +155,7 @@ class AsciiSearch:
         self._junk = b""
 
     def receive(self, data: bytes, function: int) -> list[Frame]:
-        """Take received characters, and return the frames that they complete."""
+        """Take received characters, and return the frames that are now complete."""
         self._kept += data
         found = []
         while match := _ASCII_FRAME.search(self._kept):
@@ -189,7 +192,10 @@ def _with_crc(body: bytes) -> bytes:
 
 
 def _ascii_damaged(change: _Damager) -> _Damager:
-    """Return a function that changes the digits of an ASCII frame, LRC included, and keeps its colon and end."""
+    """Return a function that damages an ASCII frame: it applies ``change`` to the hexadecimal digits, LRC included.
+
+    The colon and the CR LF stay.
+    """
     return lambda frame: b":" + change(frame[1:-2]) + frame[-2:]
 
 
@@ -231,7 +237,10 @@ _ASCII: Final[Mapping[FrameDamage, _Damager]] = {
 
 
 def damages_of(framing: str) -> Mapping[FrameDamage, _Damager]:
-    """Return the damages that a framing has: for each the function that makes damaged bytes from a whole frame."""
+    """Return the damages that exist for a framing: ``mbap``, ``rtu`` or ``ascii``.
+
+    Each has a function that takes a whole correct frame and returns the damaged bytes.
+    """
     return {"mbap": _MBAP, "rtu": _RTU, "ascii": _ASCII}[framing]
 
 
@@ -253,6 +262,6 @@ def encode_frame(framing: str, unit: int, pdu: bytes, transaction: int, damage: 
 
 
 def new_search(framing: str) -> FrameSearch:
-    """Return a new search for frames of one connection; ``framing`` is ``mbap``, ``rtu`` or ``ascii``."""
+    """Return a new search for the frames of one connection or line; ``framing`` is ``mbap``, ``rtu`` or ``ascii``."""
     kinds: Mapping[str, Callable[[], FrameSearch]] = {"mbap": MbapSearch, "rtu": RtuSearch, "ascii": AsciiSearch}
     return kinds[framing]()

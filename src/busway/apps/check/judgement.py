@@ -2,8 +2,7 @@
 
 Knows requests, frames and what a check accepts; knows no connection and no time.
 
-1. Every finding belongs to one facet. Facets are judged in their order, and a later one only if the earlier ones leave
-   something to judge.
+1. Every finding belongs to one facet. If there is no reply, or it cannot be read as one, later facets are not judged.
 2. The limits and lengths of replies are those of the project's own functions, so no rule is written twice.
 """
 
@@ -18,7 +17,10 @@ from .check import Accepts, Ask, Facet
 from .frames import Frame
 
 _NO_MATTER = (0, 255)
-"""Unit identifiers on Modbus TCP/IP to which the reply may have any other (Messaging on TCP/IP V1.0b §4.4.2.1)."""
+"""Unit identifiers of requests on TCP to which the reply may carry any unit identifier.
+
+Messaging on TCP/IP V1.0b §4.4.2.1.
+"""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,14 +28,15 @@ class CheckedExchange:
     """One request of a check as it was sent, and what came back in time.
 
     Attributes:
-        ask: the step of the check: the request, and what may come back.
+        ask: the step of the check: the request, and the accepted answers.
         unit: unit identifier that was sent.
         transaction: transaction identifier that was sent; without meaning on serial lines.
-        sent: the frame that was sent.
-        frames: the frames that came back.
+        sent: the frame that was sent; empty if no connection could be made.
+        frames: the frames that came back, in order.
         rest: received bytes that are in no whole frame.
-        closed: whether the device closed the connection.
-        is_deaf: whether the device did not answer a correct read sent after the request, though it had to.
+        closed: whether the device closed or refused the connection.
+        is_deaf: whether the device left a correct read unanswered that was sent after the request; it had to answer
+            that.
     """
 
     ask: Ask
@@ -48,14 +51,14 @@ class CheckedExchange:
 
 @dataclass(frozen=True, slots=True)
 class Finding:
-    """One fault of an exchange: the facet that is wrong, and what is wrong in words."""
+    """One fault of an exchange: the facet that is wrong, and a sentence that says what is wrong."""
 
     facet: Facet
     words: str
 
 
 def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
-    """Return what is wrong with an exchange, by the order of facets; an empty list if the check accepts all of it.
+    """Return the faults of an exchange; an empty list if the check accepts it.
 
     Args:
         exchange: the request and what came back.
@@ -77,13 +80,16 @@ def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
 
 
 def is_refused_function(exchange: CheckedExchange) -> bool:
-    """Whether the device answered exception 01: it does not have the function of the request."""
+    """Whether the first reply is exception 01, by which a device says that it does not have the function."""
     own = [one for one in exchange.frames if one.transaction in (0, exchange.transaction)]
     return bool(own) and own[0].pdu == bytes((exchange.ask.pdu[0] | 0x80, 1))
 
 
 def _without_strangers(exchange: CheckedExchange, framing: str) -> tuple[Sequence[Frame], list[Finding]]:
-    """Return the frames that may be the reply, and a finding for other frames and bytes that came."""
+    """Return the frames that may be the reply, and the findings for all other frames and bytes that came.
+
+    On MBAP the reply has the transaction identifier of the request; on a line an echo of the request is left out.
+    """
     faults = []
     frames = list(exchange.frames)
     if framing == "mbap":
@@ -137,9 +143,11 @@ def _of_exception(pdu: bytes, accepts: Accepts) -> list[Finding]:
 
 
 def _wrong_form(asked: bytes, pdu: bytes) -> str:
-    """Return in words how length or limits of a normal reply do not fit the request; empty if they fit.
+    """Return what is wrong with the length or the limits of a normal reply, in words; empty if nothing is.
 
-    Empty also if the request itself is not valid.
+    Args:
+        asked: the PDU of the request. If it is invalid, the result is empty.
+        pdu: the PDU of the reply.
     """
     request = STANDARD.decode_request(asked) if asked[0] < 0x80 else None
     if not isinstance(request, Request):

@@ -14,18 +14,21 @@ from .clauses import CLAUSES
 from .summary import SCHEMA, Summary, by_clause
 
 _TOLD: Final = (Outcome.FAILED, Outcome.WARNED, Outcome.ABORTED)
-"""Outcomes of checks whose evidence Markdown and HTML reports show."""
+"""Outcomes whose evidence (bytes sent and received) the Markdown and HTML reports show."""
 _LONGEST_HEX: Final = 40
 
 
 def hex_of(data: bytes) -> str:
-    """Return bytes as spaced hexadecimal digits; of more than 40 bytes only the first 40, and how many there are."""
+    """Return bytes as spaced hexadecimal digits; of more than 40 bytes the first 40, followed by the total number."""
     shown = data[:_LONGEST_HEX].hex(" ")
     return shown if len(data) <= _LONGEST_HEX else f"{shown} … ({len(data)} bytes)"
 
 
 def line_of(evidence: Evidence) -> str:
-    """Return one piece of evidence as a line: an arrow for the direction, the bytes, and what they mean."""
+    """Return one piece of evidence as a line: ``->`` (sent) or ``<-`` (received), the bytes, and what they mean.
+
+    An event without bytes is ``--`` and its text.
+    """
     if not evidence.data:
         return f"-- {evidence.words}"
     return f"{'->' if evidence.sent else '<-'} {hex_of(evidence.data)}   {evidence.words}"
@@ -37,7 +40,10 @@ def counts_line(summary: Summary) -> str:
 
 
 def markdown(summary: Summary) -> str:
-    """Return the report as Markdown: a table of all checks, evidence of failures, and changes since the baseline."""
+    """Return the report as Markdown: a table of all checks, and the differences from the earlier run, if there is one.
+
+    Failed, aborted and warned checks have a section with their reason and evidence.
+    """
     lines = [
         f"# Check of {summary.endpoint}, unit {summary.unit}",
         "",
@@ -67,7 +73,7 @@ def markdown(summary: Summary) -> str:
 
 
 def as_json(summary: Summary) -> str:
-    """Return the report as JSON, with all evidence; `baseline_of` reads it for comparison with a later run."""
+    """Return the report as JSON text, with all evidence; `baseline_of` reads it for comparison with a later run."""
     report = {
         "schema": SCHEMA,
         "endpoint": summary.endpoint,
@@ -94,10 +100,10 @@ def _json_of(result: Result) -> dict[str, object]:
 
 
 def junit(summary: Summary) -> str:
-    """Return the report as JUnit XML.
+    """Return the report as JUnit XML, one test case per check.
 
-    Failed checks are failures, aborted ones errors; warnings are only output; checks that are undecided or not offered
-    are skipped tests.
+    Failed checks are failures, aborted ones errors, warned ones passed tests with output; undecided checks and those
+    that are not offered are skipped.
     """
     counts = summary.counts
     skipped = counts[Outcome.NOT_OFFERED] + counts[Outcome.UNDECIDED]
@@ -171,7 +177,7 @@ REPORTS: Final[Mapping[str, Callable[[Summary], str]]] = {
     "json": as_json,
     "md": markdown,
 }
-"""The functions that make a report, by the name that ``--report`` has for the form."""
+"""The function that formats a report, by the name of its form, which is the word before ``=`` in ``--report``."""
 
 REPORT_BEGINNINGS: Final[Mapping[str, bytes]] = {
     "html": b'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>Check of ',
@@ -179,4 +185,7 @@ REPORT_BEGINNINGS: Final[Mapping[str, bytes]] = {
     "json": b'{\n "schema": ',
     "md": b"# Check of ",
 }
-"""The first bytes of a report, by the name of its form: an older report is known by them, and may be overwritten."""
+"""The first bytes of a report, by the name of its form.
+
+A file that begins with them is taken for an older report, and may be overwritten.
+"""

@@ -1,15 +1,18 @@
 """Runs checks against a device, one after the other, and gives the result of each.
 
-Knows wires, frames, judgements and the clock; knows no single check.
+Knows connections, frames, judgements and the clock; knows no single check.
 
-1. Basic checks come first. A facet that one of them has shown to be wrong fails no other check: a wrong unit is
-   overlooked, and after any other failure the rest is undecided.
-2. Then checks run from safe to risky. After each, the probe is read: a device that has died ends the run.
-3. To find out that a request is not answered, a run does not wait for the whole timeout: after ``quiet`` seconds, or
-   once something came, it sends a read of the probe. What comes before the reply to the probe is the answer. Two frames
-   on a line need that gap, and a device that drops one of two requests in a segment fails only the checks about that.
-   On a serial line the timeout is waited for if the request may be answered, since no other frame may come between.
-4. The scratch items are read before the first check that writes, written back after the last one, and read again.
+1. Basic checks come first. A facet that failed there is not judged again in other checks. After a wrong unit or
+   protocol identifier, and on a serial line after extra bytes, the other checks are made all the same; after any other
+   failed basic check they are all undecided.
+2. Then checks run from safe to risky. After each, the probe is read: if the device no longer answers, all further
+   checks are aborted.
+3. To find out that a request stays unanswered, a run does not wait for the whole timeout: after ``quiet`` seconds, or
+   as soon as something comes, it sends a read of the probe. What comes before the reply to this read is the answer to
+   the request. The gap is needed between two frames on a line, and on TCP for devices that drop the second of two
+   requests in one segment. If the request may be answered, on a serial line the whole timeout is waited for: no other
+   frame may come between request and reply.
+4. The scratch items are read before the first check that writes, written back after the last check, and read again.
 """
 
 from collections.abc import Callable, Iterator, Sequence
@@ -48,9 +51,12 @@ from .tls_wire import CannotOffer
 from .wire import Dialer, Wire
 
 _OVERLOOKED: Final = frozenset({Facet.UNIT, Facet.PROTOCOL})
-"""Facets that do not matter to other checks: after a basic check has failed in one of them, the others go on."""
+"""Facets that do not hide other faults: if a basic check finds one of them wrong, the other checks are still made.
+
+If it finds another facet wrong, all other checks are undecided.
+"""
 _LINES_TOO: Final = frozenset({Facet.CLEAN})
-"""Further such facets on serial lines, where the search for frames skips junk."""
+"""Facets that do not hide other faults on serial lines: extra bytes, which the search for frames skips there."""
 _REVIVALS: Final = 3
 _READS: Final = {Table.COILS: 1, Table.DISCRETE_INPUTS: 2, Table.HOLDING_REGISTERS: 3, Table.INPUT_REGISTERS: 4}
 
@@ -61,8 +67,8 @@ class Pace:
 
     Attributes:
         timeout: the longest wait for a reply.
-        quiet: the time from a request that may stay unanswered to the next frame.
-        idle: how long checks of idle connections send nothing.
+        quiet: pause after a request that may stay unanswered, before the next frame is sent.
+        idle: time in which checks of idle connections send nothing.
     """
 
     timeout: float = 1.0
@@ -75,7 +81,7 @@ class _DiedError(Exception):
 
 
 class _Conversation:
-    """Sends the requests of checks over one connection to the device, and collects evidence of what goes over it.
+    """Sends the requests of checks over one connection or serial line, and collects evidence of the traffic.
 
     Args:
         dialer: opens the connection.
@@ -120,15 +126,15 @@ class _Conversation:
         return self._wire is not None
 
     def idle(self) -> None:
-        """Keep the connection open, and send nothing for the idle time of the run."""
+        """Open the connection if there is none, and send nothing for the idle time of the run. May raise `LinkDown`."""
         self._tell(f"nothing is sent for {self._pace.idle:g} s")
         self.open()
         self._dialer.sleep(self._pace.idle)
 
     def second(self, change: TlsChange | None = None) -> "_Conversation":
-        """Return a conversation over a second connection to the same device, not open yet.
+        """Return a conversation over a second connection to the same device; the connection is opened when it is used.
 
-        ``change``: how its TLS handshake breaks the rules; None for a correct one.
+        ``change``: how its TLS handshake is changed; None for a correct connection.
         """
         if change is None:
             return _Conversation(self._dialer, self._target, self._pace)
@@ -138,12 +144,12 @@ class _Conversation:
     # Evidence.
 
     def take_evidence(self) -> tuple[Evidence, ...]:
-        """Return the evidence collected since the last call, in order."""
+        """Return the evidence collected since the previous call, in order, and forget it."""
         taken, self._evidence = tuple(self._evidence), []
         return taken
 
     def add_evidence(self, more: Sequence[Evidence]) -> None:
-        """Append evidence collected elsewhere, such as over a second connection."""
+        """Append evidence that another conversation has collected, such as that over a second connection."""
         self._evidence += more
 
     def _tell(self, words: str) -> None:
@@ -159,9 +165,10 @@ class _Conversation:
     # Asking.
 
     def ask(self, ask: Ask) -> CheckedExchange:
-        """Send one request and return the exchange: what came back within the timeout, or until the connection ended.
+        """Send one request, and return it with what came back until its reply, the timeout or the connection's end.
 
-        Opens the connection if there is none. If the device closes it, the exchange says so.
+        Opens the connection if there is none. If the device closes it, the exchange says so. If silence is accepted, a
+        read of the probe follows the request, and the exchange has what came before the reply to that read.
 
         Raises:
             LinkDown: no connection can be made.
@@ -180,7 +187,10 @@ class _Conversation:
         return CheckedExchange(ask, unit, transaction, frame, tuple(frames), rest, closed)
 
     def ask_together(self, pdus: Sequence[bytes]) -> list[CheckedExchange]:
-        """Send several requests in one write, and return the exchange of each, in order; for MBAP only.
+        """Send several requests in one write, and return an exchange for each, in order. For MBAP only.
+
+        An exchange has the frames with its own transaction identifier; bytes that are in no frame are in the last
+        exchange.
 
         Raises:
             LinkDown: no connection can be made.
@@ -207,7 +217,11 @@ class _Conversation:
         return exchanges
 
     def cut_off(self, pdu: bytes, size: int) -> None:
-        """Send the first ``size`` bytes of the frame of a request and close the connection."""
+        """Send only the first ``size`` bytes of the frame of a request, and close the connection.
+
+        Raises:
+            LinkDown: no connection can be made.
+        """
         self.open()
         frame = encode_frame(self._target.framing, self._target.unit, pdu, self._next_transaction())
         self._sent(frame[:size], ())
@@ -219,7 +233,10 @@ class _Conversation:
         return self._transaction
 
     def _sent(self, frame: bytes, pieces: tuple[int, ...]) -> bool:
-        """Discard what came late, and send a frame, cut at the offsets in ``pieces``; return False if that failed."""
+        """Discard bytes that came late, and send a frame, in pieces cut at the offsets ``pieces``.
+
+        Returns False if the device has closed the connection.
+        """
         assert self._wire is not None
         while late := self._wire.receive(0):  # for an earlier request; on a stream it may end a frame that had begun
             self._search.receive(late, 0)
@@ -248,10 +265,14 @@ class _Conversation:
         return lambda found: any(not sent.endswith(one.raw) for one in found) or len(found) > 1 or _is_echo_alike(found)
 
     def _received(self, function: int, ends: Callable[[Sequence[Frame]], bool]) -> tuple[list[Frame], bytes, bool]:
-        """Receive until ``ends`` returns True for the frames so far, the timeout is over or the connection ends.
+        """Receive frames until ``ends`` returns True, the timeout is over, or the connection ends.
+
+        Args:
+            function: function code of the request whose reply is expected.
+            ends: tells from the frames received so far whether they are all.
 
         Returns:
-            The frames, the bytes that are in none, and whether the device closed the connection.
+            The frames, the bytes that are in no frame, and whether the device closed the connection.
         """
         assert self._wire is not None
         until = self._dialer.now() + self._pace.timeout
@@ -274,9 +295,10 @@ class _Conversation:
         return frames, rest, False
 
     def _followed(self, ask: Ask, unit: int, transaction: int, frame: bytes) -> CheckedExchange:
-        """After a request that may stay unanswered, send a read of the probe, and return the exchange of the request.
+        """Send a read of the probe behind a request that may stay unanswered, and return the exchange of the request.
 
-        The request has just been sent. What comes before the reply to the probe is its answer (rule 3).
+        The request (``frame``) was sent just before. What comes before the reply to the probe is its answer. On a line
+        where the request may be answered, its answer is waited for first, and the probe is read only if none comes.
         """
         if self._target.framing != "mbap":
             if ask.accepts.reply or ask.accepts.exceptions:  # the device may answer: it must not be interrupted
@@ -319,7 +341,10 @@ class _Conversation:
         return CheckedExchange(ask, unit, transaction, frame, before, b"", closed, is_deaf)
 
     def _must_hear_on(self, ask: Ask) -> bool:
-        """Whether the device must answer a correct read that follows this request: it can tell the request's end."""
+        """Whether a correct device answers a read that follows this request, whatever it does with the request itself.
+
+        False where the device may not recognise where the request ends, such as after a damaged frame.
+        """
         if self._target.framing == "mbap":
             return ask.damage in (None, FrameDamage.PROTOCOL_1, FrameDamage.PROTOCOL_FFFF)
         return ask.damage is None and ask.pdu[0] in STANDARD
@@ -329,12 +354,12 @@ _BETWEEN_PIECES: Final = 0.01
 
 
 def _is_echo_alike(found: Sequence[Frame]) -> bool:
-    """Whether the first frame is of function 05, 06, 08 or 22, whose replies repeat the request."""
+    """Whether the first frame is of function 05, 06, 08 or 22, whose normal reply has the bytes of the request."""
     return bool(found) and found[0].pdu[0] in (5, 6, 8, 22)
 
 
 def probe_of(target: Target, count: int = 1) -> bytes:
-    """Return the PDU of a read of the target's probe; of ``count`` items, from the probe on."""
+    """Return the PDU of a request that reads ``count`` items of the target, beginning with its probe."""
     probe = target.probe
     return bytes((_READS[probe.table],)) + probe.address.to_bytes(2, "big") + count.to_bytes(2, "big")
 
@@ -344,11 +369,12 @@ class CheckRun:
 
     Args:
         dialer: opens connections to the device.
-        target: how the device is reached, and which items may be read and written; the same as of the checks.
+        target: how the device is reached, and which items may be read and written; the one for which the checks were
+            made.
         pace: the waiting times.
 
     Attributes:
-        is_dead: whether the device has stopped to answer during the run.
+        is_dead: whether the device has stopped answering during the run.
     """
 
     def __init__(self, dialer: Dialer, target: Target, pace: Pace) -> None:
@@ -362,11 +388,12 @@ class CheckRun:
     def results(self, checks: Sequence[Check]) -> Iterator[Result]:
         """Run the checks in their order, and yield the result of each as soon as it is known.
 
-        If a check writes scratch items, they are restored at the end, and one more result (`RESTORED`) tells whether
-        that succeeded; the iterator has to be used up or closed.
+        If one of the checks writes, the scratch items are restored at the end, and one more result (`RESTORED`) tells
+        whether that succeeded; if nothing was written, it is undecided. The iterator has to be used up or closed, since
+        only then the items are restored.
 
         Raises:
-            LinkDown: no connection to the device can be made at the beginning. Nothing was sent.
+            LinkDown: no connection to the device can be made at the beginning; nothing was sent.
         """
         self._talk.open()
         scratch = _Scratch(self._talk, self._target)
@@ -392,10 +419,7 @@ class CheckRun:
 
     @property
     def _is_worth_it(self) -> bool:
-        """Whether further checks can find anything.
-
-        They cannot if the device no longer answers, or after a failed basic check that leaves all others undecided.
-        """
+        """Whether the device still answers, and no failed basic check has left all other checks undecided."""
         return not self.is_dead and not self._hidden_by
 
     # One check.
@@ -440,7 +464,7 @@ class CheckRun:
         return Result(check, outcome, reason, evidence)
 
     def _learn(self, check: Check, outcome: Outcome) -> None:
-        """Remember from a check's outcome which facets are wrong and which functions are missing, for later checks."""
+        """Store what a check's outcome means for later checks: which facets are wrong, which functions are missing."""
         failed = outcome in (Outcome.FAILED, Outcome.WARNED)
         if check.facet is not None and failed:
             overlooked = _OVERLOOKED | (_LINES_TOO if self._target.framing != "mbap" else frozenset())
@@ -454,11 +478,11 @@ class CheckRun:
                 self._closed_functions[check.function] = (Outcome.UNDECIDED, f"{check.id} failed before")
 
     def _judged(self, check: Check) -> tuple[Outcome, str]:
-        """Execute the steps of a check until one fails, and return the check's outcome with the reason for it.
+        """Execute the steps of a check until one fails; return the outcome and its reason, empty for ``PASSED``.
 
         Raises:
             LinkDown: no connection can be made.
-            CannotOffer: this machine cannot make a changed TLS handshake.
+            CannotOffer: this machine cannot make the changed TLS handshake of the check.
         """
         for step in check.steps:
             for exchange in self._taken(step):
@@ -472,9 +496,10 @@ class CheckRun:
         return Outcome.PASSED, ""
 
     def _outcome(self, check: Check, faults: Sequence[Finding]) -> tuple[Outcome, str] | None:
-        """Return the outcome of a check, and its reason, if the faults of one exchange decide it.
+        """Return the outcome of a check and its reason if a fault of one exchange fails it; None if the check goes on.
 
-        None if the check goes on.
+        A basic check looks at the faults of its own facet only. Other checks ignore facets that a basic check found
+        wrong.
         """
         failure = Outcome.FAILED if check.word is Strength.MUST else Outcome.WARNED
         if check.facet is not None:
@@ -488,7 +513,7 @@ class CheckRun:
         return None
 
     def _taken(self, step: Step) -> Iterator[CheckedExchange]:
-        """Execute one step of a check, and yield the exchanges to be judged; many steps have none."""
+        """Execute one step of a check, and yield its exchanges to be judged: none, one, or for `Together` several."""
         talk = self._talk
         match step:
             case Ask():
@@ -505,9 +530,9 @@ class CheckRun:
                 yield self._asked_beside(ask, change)
 
     def _asked_beside(self, ask: Ask, change: TlsChange | None) -> CheckedExchange:
-        """Send a request over a second connection, while the first stays open, and return the exchange.
+        """Send a request over a second connection while the first stays open, and return the exchange.
 
-        If the device refuses the connection, the exchange says that the device closed it.
+        If the second connection cannot be made, the exchange says that the device closed it.
 
         Raises:
             LinkDown: the first connection cannot be made.
@@ -526,14 +551,15 @@ class CheckRun:
     # Life.
 
     def _alive(self, check: Check, outcome: Outcome, reason: str) -> tuple[Outcome, str]:
-        """Read the probe after a check, by up to three tries, and return the check's outcome and reason.
+        """Read the probe after a check, in up to three attempts, and return the check's outcome and reason.
 
-        A new connection is made before the first try if the check has left none open or ended other than with `PASSED`
-        or `NOT_OFFERED`, and after each try that is not answered. If a check that passed needs more than one try, it
-        becomes `FAILED`, or `WARNED` if it is no must; not if it accepts that the connection is closed.
+        A new connection is made before the first attempt if the check has left none open, or if its outcome is neither
+        `PASSED` nor `NOT_OFFERED`; and after each attempt without an answer. If a check has passed but the first
+        attempt is not answered, the outcome becomes `FAILED`, or `WARNED` if the check is a should; it stays `PASSED`
+        if the check allows the device to close the connection.
 
         Raises:
-            _DiedError: no try was answered.
+            _DiedError: no attempt was answered.
             LinkDown: no connection can be made.
         """
         expects_close = any(isinstance(step, Ask) and step.accepts.closed for step in check.steps)
@@ -555,10 +581,10 @@ class CheckRun:
 
 
 class _Scratch:
-    """Saves the scratch items, which checks may write, and restores and verifies them after the last check.
+    """Saves the values of the scratch items before checks write to them, and restores them after the last check.
 
     Attributes:
-        is_saved: whether their values are known, so that they can be restored.
+        is_saved: whether the values of all scratch items are known.
     """
 
     def __init__(self, talk: _Conversation, target: Target) -> None:
@@ -568,7 +594,7 @@ class _Scratch:
         self.is_saved: bool = False
 
     def save(self) -> bool:
-        """Read the scratch items, at the first call only, and return whether their values are known.
+        """Read the scratch items, unless their values are known already; return whether they are known now.
 
         Raises:
             LinkDown: no connection can be made.
@@ -582,7 +608,10 @@ class _Scratch:
         return self.is_saved
 
     def restore(self) -> str:
-        """Write back the saved values and read them again; return what is wrong as a sentence, empty for nothing."""
+        """Write the saved values back and read them again; return what is wrong first as a sentence, empty if nothing.
+
+        Nothing is sent if the values are not known. An error of the connection is such a sentence, and not raised.
+        """
         try:
             for items, data in self._saved if self.is_saved else ():
                 self._write(items, data)
@@ -626,4 +655,4 @@ RESTORED: Final = Check(
     Level.WRITE,
     (),
 )
-"""The check, added at the end of a run that writes, whose result tells whether the scratch items were restored."""
+"""The check that a run adds at its end if it may have written: whether the scratch items have their old values."""

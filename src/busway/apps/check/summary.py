@@ -21,9 +21,9 @@ class Summary:
     Attributes:
         endpoint: URL of the device.
         unit: identifier of the unit that was checked.
-        level: name of the highest level of the checks.
+        level: name of the highest level of the checks, in lower case: ``read``.
         results: the result of each check, in the order in which they ran.
-        baseline: outcomes of an earlier run, by the names of checks; empty for no comparison.
+        baseline: outcome of each check of the earlier run, by the check's name; empty if there is none to compare with.
     """
 
     endpoint: str
@@ -34,13 +34,13 @@ class Summary:
 
     @property
     def counts(self) -> dict[Outcome, int]:
-        """The number of checks with each outcome, 0 included."""
+        """The number of checks with each outcome; outcomes that no check has are 0."""
         counted = Counter(one.outcome for one in self.results)
         return {outcome: counted[outcome] for outcome in Outcome}
 
     @property
     def failures(self) -> tuple[Result, ...]:
-        """The results for which the run counts as failed: failed checks that did not fail in the earlier run."""
+        """The results that make the run a failure: checks that failed now and had not failed in the earlier run."""
         return tuple(
             one
             for one in self.results
@@ -49,12 +49,15 @@ class Summary:
 
     @property
     def is_aborted(self) -> bool:
-        """Whether the device died during the run, so that checks could not be made."""
+        """Whether a check was aborted, because the device stopped answering during the run."""
         return any(one.outcome is Outcome.ABORTED for one in self.results)
 
     @property
     def changes(self) -> tuple[tuple[str, str, str], ...]:
-        """The checks of both runs whose outcome differs: name of the check, its outcome then and now."""
+        """The checks whose outcome differs from the earlier run: name, outcome then, outcome now (words of `Outcome`).
+
+        Checks that only one of the runs has are left out.
+        """
         return tuple(
             (one.check.id, self.baseline[one.check.id], one.outcome.value)
             for one in self.results
@@ -63,14 +66,14 @@ class Summary:
 
 
 def baseline_of(report: Any, name: str) -> dict[str, str]:
-    """Return the outcomes of an earlier run, by the names of checks, from its JSON report.
+    """Return the outcome of each check of an earlier run, by the check's name, from the JSON report of that run.
 
     Args:
         report: the decoded JSON.
-        name: name of its file, for errors.
+        name: name of the report's file, for errors.
 
     Raises:
-        ConfigError: the JSON is no report of `busway check`, or of another version.
+        ConfigError: the JSON is no report of `busway check`, or has another schema version.
     """
     checks = report.get("checks") if isinstance(report, dict) else None
     if not isinstance(checks, list) or report.get("schema") != SCHEMA:

@@ -1,7 +1,7 @@
-"""Connections that a secure device must refuse: old versions, weak suites, no certificate, or one without the rights.
+"""Connections that a secure device must refuse: old TLS versions, weak suites, no client certificate, or a wrong one.
 
-Knows sockets and TLS contexts; knows no request. If this machine's TLS library cannot offer a connection, or the user
-has not given the certificate for it, `CannotOffer` says so, and the check stays undecided.
+Knows sockets and TLS contexts; knows no request. If this machine's TLS library cannot make such a connection, or the
+user has not given the certificate for it, `CannotOffer` is raised, and the check is undecided.
 """
 
 import socket
@@ -34,7 +34,7 @@ CERTIFICATES: Final = {
     "denied": TlsChange.DENIED_ROLE,
     "no-role": TlsChange.NO_ROLE,
 }
-"""The certificates that a user may give, by the word that ``--certificates`` has for each."""
+"""The changes of a handshake that need a certificate of the user, by the word that ``--certificates`` has for each."""
 _ASKED_FOR: Final = {
     "expired": "a client certificate of the device's authority whose time is over",
     "revoked": "a client certificate that the device's revocation list names",
@@ -45,32 +45,33 @@ _ASKED_FOR: Final = {
 
 @dataclass(frozen=True, slots=True)
 class ClientCertificate:
-    """A client certificate that a user gave: paths of the PEM files of certificate and key."""
+    """Paths of the PEM files of a client certificate that the user has given, and of its key."""
 
     certificate: str
     key: str
 
 
 class CannotOffer(Exception):
-    """Error: this machine cannot make such a handshake, or lacks the certificate for it; the check is undecided."""
+    """Error: this machine cannot make the changed TLS handshake, or the certificate for it is missing or unsuitable."""
 
 
 def changed_channel(
     settings: LinkSettings, change: TlsChange, given: Mapping[TlsChange, ClientCertificate]
 ) -> "socket.socket | ChangedChannel":
-    """Connect to a device over TCP and make a TLS handshake that breaks one rule.
+    """Connect to a device over TCP, and make a TLS handshake with one change.
 
     Args:
         settings: the settings of the link to the device.
-        change: which rule of the handshake is broken.
-        given: the client certificates that the user has given.
+        change: what is changed in the handshake.
+        given: the client certificates that the user has given, by the change that they are for.
 
     Returns:
-        The connection, whose socket does not block: a plain one for `TlsChange.PLAIN`, else one over TLS.
+        The connection, whose socket does not block: a plain socket for `TlsChange.PLAIN`, otherwise one over TLS.
 
     Raises:
         LinkDown: the device cannot be reached, or refuses the handshake.
-        CannotOffer: this machine cannot make such a handshake, or the user's certificate for it is missing or another.
+        CannotOffer: this machine cannot make the handshake, or the user's certificate for it is missing or unsuitable.
+        ConfigError: a certificate or key cannot be read.
     """
     endpoint, limit = settings.endpoint, settings.sockets.connect_timeout
     context = None if change is TlsChange.PLAIN else _context(settings, change, given)
@@ -123,7 +124,9 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
     """Return the client certificate that the user has given for a changed handshake.
 
     Raises:
-        CannotOffer: the user has given none, it does not have the fault to be tested, or it cannot be read.
+        CannotOffer: the user has given none, it does not have the fault to be tested (such as being expired), or the
+            package that reads certificates is not installed.
+        ConfigError: the file of the certificate cannot be read.
     """
     word = next(word for word, one in CERTIFICATES.items() if one is change)
     if change not in given:
@@ -146,10 +149,10 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
 
 
 def _load_foreign(context: ssl.SSLContext) -> None:
-    """Load into a TLS context a new client certificate from a new authority, which the device does not know.
+    """Load a new client certificate into a TLS context, of a new authority that the device does not know.
 
     Raises:
-        CannotOffer: the package for certificates is not installed.
+        CannotOffer: the package that creates certificates is not installed.
     """
     try:
         from ...transport.tls.certificates.authority import Authority
@@ -164,20 +167,20 @@ def _load_foreign(context: ssl.SSLContext) -> None:
 
 
 class ChangedChannel:
-    """A TLS connection with a non-blocking socket, which has the methods of a socket that `NetworkWire` needs."""
+    """A TLS connection with a non-blocking socket, wrapped to behave like a plain non-blocking socket."""
 
     def __init__(self, channel: ssl.SSLSocket) -> None:
         self._channel = channel
 
     def fileno(self) -> int:
-        """Return the file descriptor of the socket, to wait for it."""
+        """Return the file descriptor of the socket."""
         return self._channel.fileno()
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Receive bytes into a buffer and return their number, 0 at the end of the connection.
+        """Receive bytes into a buffer and return their number; 0 at the end of the connection.
 
         Raises:
-            BlockingIOError: no bytes are there yet.
+            BlockingIOError: no bytes have come yet.
         """
         try:
             return self._channel.recv_into(buffer)
@@ -185,10 +188,10 @@ class ChangedChannel:
             raise BlockingIOError from error
 
     def send(self, data: bytes, /) -> int:
-        """Send bytes and return how many were taken.
+        """Send bytes and return how many of them the socket has taken.
 
         Raises:
-            BlockingIOError: the socket takes none at present.
+            BlockingIOError: the socket takes no bytes now.
         """
         try:
             return self._channel.send(data)

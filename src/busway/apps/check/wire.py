@@ -1,4 +1,4 @@
-"""Connections over which checks send bytes as they are: TCP, TLS and serial ports, opened as a link opens them.
+"""Connections over which checks send unchanged bytes: TCP, TLS and serial ports, opened as a client's link opens them.
 
 Knows the connectors of the client; knows no request and no frame.
 """
@@ -26,15 +26,15 @@ _RECEIVE_SIZE = 65_536
 
 
 class Wire(Protocol):
-    """Interface of one open connection, or of an open serial port."""
+    """Interface of an open connection, or of an open serial port, that sends and receives bytes."""
 
     def send(self, data: bytes) -> None:
-        """Send bytes as they are. Raises `LinkDown` if the connection has ended."""
+        """Send bytes unchanged. Raises `LinkDown` if the connection has ended."""
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the bytes that come within ``timeout`` seconds; empty if none do, None if the connection has ended.
+        """Return received bytes as soon as there are any; empty if none come within ``timeout`` seconds.
 
-        Does not wait for more after the first bytes.
+        None if the connection has ended.
         """
 
     def close(self) -> None:
@@ -42,11 +42,11 @@ class Wire(Protocol):
 
 
 class Dialer(Protocol):
-    """Interface of what opens connections to the checked device, and of the clock of a run.
+    """Interface of an object that opens connections to the checked device, and has the clock of a run.
 
     Attributes:
         framing: ``mbap``, ``rtu`` or ``ascii``.
-        has_connections: whether there are connections, which can be made again; False for a serial port.
+        has_connections: True for a network, where a connection can be closed and made again; False for a serial port.
     """
 
     framing: str
@@ -62,9 +62,9 @@ class Dialer(Protocol):
         """Wait for this many seconds."""
 
     def changed(self, change: TlsChange) -> "Dialer":
-        """Return a dialer whose connections have a changed TLS handshake.
+        """Return a dialer whose connections have a changed TLS handshake; on a serial port this dialer itself.
 
-        Its `open` raises `CannotOffer` if this machine cannot make such a handshake.
+        Its `open` raises `CannotOffer` if this machine cannot make the changed handshake.
         """
 
 
@@ -74,17 +74,17 @@ def dialer_for(
     *,
     certificates: "Mapping[TlsChange, ClientCertificate] | None" = None,
 ) -> "NetworkDialer | SerialDialer":
-    """Return a dialer for an endpoint, which opens connections or the port with the options of a link.
+    """Return the dialer of an endpoint, which opens connections (or the serial port) with the options of a link.
 
     Nothing is opened yet.
 
     Args:
         url: the endpoint.
-        options: options of the link, beside those in the URL.
-        certificates: client certificates given by the user for checks of TLS handshakes.
+        options: options of the link, in addition to those in the URL.
+        certificates: client certificates that the user has given for checks of TLS handshakes.
 
     Raises:
-        ConfigError: the URL or an option is invalid, or checks cannot use the endpoint, such as UDP.
+        ConfigError: the URL or an option is invalid, or the endpoint is neither TCP, TLS nor a serial port.
     """
     settings = link_settings(url, options or {})
     endpoint = settings.endpoint
@@ -108,7 +108,7 @@ class _RealTime:
 
 
 class NetworkDialer(_RealTime):
-    """Opens TCP and TLS connections to a device; the framing may be that of a serial line."""
+    """Opens TCP or TLS connections to a device; the framing over TCP may also be RTU or ASCII."""
 
     has_connections = True
 
@@ -136,7 +136,7 @@ class NetworkDialer(_RealTime):
 
 
 class _ChangedDialer(_RealTime):
-    """Opens connections with a TLS handshake that breaks one rule, so that a secure device must refuse them."""
+    """Opens connections with one change in the TLS handshake, so that a secure device must refuse them."""
 
     has_connections = True
 
@@ -151,7 +151,8 @@ class _ChangedDialer(_RealTime):
 
         Raises:
             LinkDown: the device cannot be reached, or refuses the handshake.
-            CannotOffer: this machine cannot make such a handshake.
+            CannotOffer: this machine cannot make the handshake, or the user's certificate for it is missing or
+                unsuitable.
         """
         from .tls_wire import changed_channel
 
@@ -186,7 +187,10 @@ class NetworkWire:
             raise link_down(error, endpoint=self._url) from error
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the bytes that come within ``timeout`` seconds; empty if none do, None if the connection has ended."""
+        """Return received bytes as soon as there are any; empty if none come within ``timeout`` seconds.
+
+        None if the connection has ended.
+        """
         until = time.monotonic() + timeout
         while True:
             try:
@@ -219,7 +223,7 @@ class _Channel(Protocol):
 
 
 class SerialDialer(_RealTime):
-    """Opens a serial port with the settings of its URL."""
+    """Opens a serial port with the settings (baud rate, parity) of its URL."""
 
     has_connections = False
 
@@ -239,7 +243,7 @@ class SerialDialer(_RealTime):
 
         Raises:
             LinkDown: the port cannot be opened.
-            ConfigError: the port does not have these settings.
+            ConfigError: the port does not support the settings of its URL.
         """
         return SerialWire(self._settings, self._port)
 
@@ -261,7 +265,10 @@ class SerialWire:
         self._port.drain(_LONGEST_DRAIN)
 
     def receive(self, timeout: float) -> bytes | None:
-        """Return the bytes that come within ``timeout`` seconds; empty if none come, None if the port has gone."""
+        """Return received bytes as soon as there are any; empty if none come within ``timeout`` seconds.
+
+        None if the port has gone.
+        """
         try:
             data = self._port.read(timeout)[0]
         except LinkDown:
@@ -279,7 +286,7 @@ _LONGEST_DRAIN = 10.0
 
 
 def _trace(settings: LinkSettings, carrier: object) -> ConnectionTrace | None:
-    """Return the log of one connection; None if traffic is neither logged nor captured."""
+    """Return a new traffic log for one connection; None if traffic is neither logged nor captured."""
     if not TRACE.level:
         return None
     return trace_for(settings.endpoint.framing, settings.endpoint.url, is_server=False, carrier=carrier)

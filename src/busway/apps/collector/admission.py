@@ -4,9 +4,9 @@ Pure: knows plans and periods; knows no clock and no socket.
 
 1. The load of a link is the seconds that its reads take in each second. Above `MOST_LOAD` rounds will be late, because
    silent devices, repetitions and writes need the rest.
-2. A poll class whose period is not longer than its own reads, the longest read of another device and one timeout
-   together may miss rounds even on a quiet link. A device that is alone on its link waits for no other.
-3. Each class is counted by itself, as if no reads were shared. So the real load is that or less.
+2. A poll class can miss rounds even on a quiet link if its period is not longer than its own reads, the longest read of
+   another device and one timeout together. A device that is alone on its link waits for no other.
+3. Each class is counted by itself, as if no reads were shared. So the real load is the computed one or less.
 """
 
 from collections.abc import Iterable, Mapping
@@ -16,16 +16,16 @@ from typing import Final
 from .plan_cache import PlanBook
 
 MOST_LOAD: Final = 0.85
-"""Seconds of reads in each second that a link may be planned for, at most."""
+"""Largest load of a link that is accepted, in seconds of reads in each second."""
 
 
 @dataclass(frozen=True, slots=True)
 class LinkLoad:
-    """The computed load of a link: the part of its time that polling its devices takes.
+    """The result of the admission test of a link: its computed load, and the poll periods that it cannot keep.
 
     Attributes:
         link: name of the link.
-        load: seconds of reads in each second, all poll classes together.
+        load: seconds of reads in each second, all poll classes together; above 1 is possible.
         by_class: seconds of reads in each second, by poll class.
         problems: the poll periods that cannot be kept, each as a sentence that says what to change; empty if none.
     """
@@ -37,7 +37,7 @@ class LinkLoad:
 
     @property
     def fits(self) -> bool:
-        """Whether the link can keep the poll periods of all its devices."""
+        """Whether the link can keep the poll periods of all its devices: True if there are no ``problems``."""
         return not self.problems
 
 

@@ -1,7 +1,7 @@
 """Reads a collector file into links, devices with their points, and read plans; reports all errors at once.
 
-Knows which section becomes which part of a collector; opens no port and no store. It reads the file, and the profiles
-that the file names.
+Knows which section becomes which part of a collector; opens no port and no store. It reads the collector file, and the
+device profiles that the file names.
 """
 
 import os
@@ -47,10 +47,10 @@ from .sinks.interface import Sink, TopicSink
 from .sinks.options import make_sink
 
 LINK_DEFAULTS: Final[Mapping[str, Any]] = {"port_wait": 0.0, "retries": 0, "open_after": 0}
-"""Options of links that have another default here: a link neither waits for a missing port nor repeats requests to
-silent devices nor suspends them. The schedule does that, because it knows what else is due."""
+"""Defaults of link options that differ for collectors: a link neither waits for a missing port, nor repeats requests to
+silent devices, nor suspends them. The schedule does this instead, because it knows what else is due."""
 LEARNT_FILE: Final = "learnt.json"
-"""Name of the file in the store's folder that keeps what was learnt about devices."""
+"""Name of the file in the store's folder in which a collector keeps what it learns about devices."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,9 +64,9 @@ class CollectedDevice:
         profile: its device profile, as the file names it.
         firmware: its firmware version, as the file says; empty for unknown.
         points: all its points, computed ones included.
-        rules: limits and ranges of reads that it allows.
-        items: the points that are read, by poll class.
-        cost: the assumed cost of its reads until the real one is learnt.
+        rules: which reads the device allows: ranges, and most registers and bits.
+        items: the points that are read, by poll class; computed points are not among them.
+        cost: the assumed cost of its reads, used until the real one is learnt.
         fixed: whether the seconds per register in ``cost`` are certain, because the baud rate of its line is known.
     """
 
@@ -82,15 +82,23 @@ class CollectedDevice:
     fixed: bool
 
     def book(self, known: DeviceKnowledge) -> PlanBook:
-        """Return a new cache of the device's read plans, which starts with what is known about the device."""
+        """Return a new, empty cache of the device's read plans.
+
+        Args:
+            known: what was learnt about the device; its plans keep to that.
+        """
         return PlanBook(self.items, self.rules, self.cost, fixed=self.fixed, knowledge=known)
 
     def hold_limits(self, periods: Mapping[str, float]) -> dict[str, float]:
-        """Return for each point the seconds after which its value is held; ``periods`` is seconds by poll class."""
+        """Return the seconds without a read after which the value of each point is held, by name (`held_values`).
+
+        Args:
+            periods: poll periods in seconds, by poll class.
+        """
         return hold_limits(self.points, self.items, periods)
 
     def descriptions(self) -> list[PointDescription]:
-        """Return the descriptions of the device's points, such as units of measure, which the store keeps."""
+        """Return what the store keeps of each of the device's points beside samples, such as the unit of measure."""
         return [
             PointDescription(
                 self.name,
@@ -109,15 +117,15 @@ class CollectorConfiguration:
     """The checked contents of a collector file: links, devices with their points, poll periods, store and sinks.
 
     Attributes:
-        common: what files of other applications have too: links, security, control, metrics.
-        file: the sections of the file.
+        common: the parts that files of other applications have too: links, security, control, metrics.
+        file: the sections of the file, as they were written.
         text: the text of the file.
         store: path of the store's folder.
         periods: poll periods in seconds, by poll class.
         devices: the devices, by name.
         sinks: the systems that samples are sent to, with the options of delivery, by name.
         pages: the pages for Prometheus, by name.
-        inputs: by name of a sink, where commands from the server of that sink are received.
+        inputs: the inputs that receive commands from the servers of sinks, by name of the sink.
     """
 
     common: Configuration
@@ -142,25 +150,28 @@ class CollectorConfiguration:
 
     @property
     def hosts(self) -> Mapping[str, Sequence[str]]:
-        """The machines that can reach a link, the preferred one first, by name of the link.
+        """The names of the machines that can reach a link, the preferred one first, by name of the link.
 
-        No entry if all machines can.
+        A link that all machines can reach is left out.
         """
         return {each.name: each.hosts for each in self.file.link if each.hosts}
 
     @property
     def sink_keys(self) -> Mapping[str, SinkSection]:
-        """The table of each sink and page for Prometheus of this configuration, by name, for comparison."""
+        """The ``[[sink]]`` section of each sink and page for Prometheus, by name; a reload compares them."""
         return {each.name: each for each in self.file.sink if each.name in self.sinks or each.name in self.pages}
 
     @property
     def input_keys(self) -> Mapping[str, SinkSection]:
-        """The table of each sink from whose server commands are received, by name, for comparison."""
+        """The ``[[sink]]`` section of each sink that also receives commands, by name; a reload compares them."""
         return {each.name: each for each in self.file.sink if each.name in self.inputs}
 
     @property
     def gateway_waits(self) -> Mapping[str, float]:
-        """By link, the seconds for which what is behind it may hold a request; without links that hold none."""
+        """The seconds for which a gateway behind a link may hold a request in its queue, by name of the link.
+
+        Links without such a time are left out.
+        """
         return {each.name: each.gateway_wait for each in self.file.link if each.gateway_wait}
 
     @property
@@ -173,7 +184,7 @@ class CollectorConfiguration:
         return [device for device in self.devices.values() if device.link == link]
 
     def hold_limits(self) -> dict[tuple[str, str], float]:
-        """Return for each point, by device and name, the seconds after which its value is held."""
+        """Return the seconds without a read after which the value of each point is held, by device and point name."""
         return {
             (device.name, point): limit
             for device in self.devices.values()
@@ -181,12 +192,19 @@ class CollectorConfiguration:
         }
 
     def known_of(self, device: CollectedDevice, knowledge: Knowledge) -> DeviceKnowledge:
-        """Return what ``knowledge`` has about a device with its present profile, firmware, endpoint and unit."""
+        """Return what is known about a device, from ``knowledge``; only pinned facts if the device was changed.
+
+        Changed means another profile, firmware, endpoint or unit than when the facts were learnt (`Knowledge.of`).
+        """
         place = f"{self.links[device.link].settings.endpoint.url} unit {device.unit}"
         return knowledge.of(device.name, device.profile, device.firmware, place)
 
     def loads(self, knowledge: Knowledge) -> list[LinkLoad]:
-        """Return the result of the admission test of each link: its load, and the poll periods that it cannot keep."""
+        """Return the result of the admission test of each link: its load, and the poll periods that it cannot keep.
+
+        Args:
+            knowledge: what was learnt about the devices; their read plans, and so the loads, depend on it.
+        """
         found = []
         for name, link in self.links.items():
             books = [
@@ -268,7 +286,7 @@ def _check_places(
     devices: Mapping[str, CollectedDevice],
     report: ConfigurationReport,
 ) -> None:
-    """Report devices and points that a sink would send under the same topic, because it replaces some characters."""
+    """Report to ``report`` devices and points that a sink would send under one topic: it replaces some characters."""
     for index, section in enumerate(file.sink):
         if section.name in sinks:
             sink, options = sinks[section.name]
@@ -366,7 +384,7 @@ _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
 def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
-    """Return an error of a profile as an error of the collector file, at the device that names the profile."""
+    """Return an error of a profile as an error of the collector file, placed at the device that names the profile."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
     is_path = "/" in section.profile or "." in section.profile
@@ -424,7 +442,10 @@ def _device(
 
 
 def _is_float32(point: Point) -> bool:
-    """Whether the values of a point are numbers of type float32 as the device holds them, changed by nothing."""
+    """Whether the values of a point are numbers of type float32 exactly as the device holds them.
+
+    False if a scale, another conversion, a formula or a running total changes them.
+    """
     conversion = point.conversion
     is_changed = conversion.changes or conversion.scale_from or point.formula or point.rollover is not None
     return point.type == "float32" and not is_changed

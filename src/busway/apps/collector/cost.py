@@ -15,12 +15,12 @@ from ...codes import Table
 from ...framing.timing import Parity, SerialTiming
 
 TURNAROUND: Final = 0.010
-"""Seconds between the last character of a request and the first of its reply, until they are learnt."""
+"""Assumed seconds between the last character of a request and the first of its reply, used until learnt."""
 ROUND_TRIP: Final = 0.005
-"""Seconds of a read over a network, until they are learnt."""
+"""Assumed seconds that a read over a network takes, used until learnt."""
 NETWORK_REGISTER: Final = 0.16e-6
-"""Seconds of a register over a network: two bytes at 100 Mbit/s. Not zero, so that of two plans with as many reads the
-one with fewer registers wins."""
+"""Seconds that a register takes over a network: two bytes at 100 Mbit/s. Not zero, so that of two plans with equally
+many reads the one with fewer registers is cheaper."""
 
 _RTU_CHARACTERS: Final = 13  # request: unit, function, address 2, count 2, CRC 2; reply: unit, function, length, CRC 2
 _ASCII_CHARACTERS: Final = 28  # request: ':', 7 bytes in 14, CR LF; reply: ':', 4 bytes in 8, CR LF
@@ -56,7 +56,7 @@ class ReadCost:
         return self.base + self.per_item(table) * width
 
     def with_base(self, base: float) -> "ReadCost":
-        """Return a copy with another base (seconds of each request), for another device on the same line."""
+        """Return a copy with another base (seconds for each request), such as for another device on the same line."""
         return replace(self, base=base)
 
 
@@ -69,7 +69,8 @@ def line_cost(
         timing: how long characters and silences take on the line.
         framing: RTU has two silences for each read; ASCII has none, and twice the characters for each byte.
         turnaround: seconds that the device takes before it answers.
-        gap: seconds between a reply and the next request where that is longer than the silence.
+        gap: least seconds between a reply and the next request. On RTU it replaces a shorter silence; on ASCII it is
+            added.
     """
     if framing == "ascii":
         return ReadCost(

@@ -1,14 +1,15 @@
-"""Points of one device that are derived from reads: totals, computed points, members of groups of variable size.
+"""Computes points of one device that are derived from reads: totals, computed points, members of variable groups.
 
 Pure: knows points and their latest readings; knows no request and no clock.
 
 1. The sample of an accumulator is its total, which goes on when the counter begins again: `busway.points.derived`
    decides when a counter has begun again.
 2. Computed points get a sample at the end of each round that read one of their inputs.
-3. The size of some groups is itself a point of the device. Members of such a group are read once the size is known, and
-   only those that the device has.
-4. An input that was not read when it was due, as after an outage, is held: what is computed from it is uncertain.
-5. Whether the clock is right decides for the time of the computed sample, whenever its inputs were read.
+3. Some groups have a variable size, which is itself a point of the device. Members of such a group are read once the
+   size is known, and only those that the device has.
+4. An input that was not read when it was due, as after an outage, is held: a value computed from it is uncertain.
+5. A computed sample is uncertain because of the clock if the clock is not right at its own time, no matter how the
+   clock was when its inputs were read.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,13 +23,13 @@ from .samples import NANOSECONDS, CounterState, PointGroup, SampleBatch
 
 
 class DerivedPoints:
-    """Computes totals of counters, values of computed points, and sizes of groups of one device, from its reads.
+    """Computes totals of counters, values of computed points, and members of variable groups of one device.
 
     Args:
         device: name of the device.
         points: all points of the device.
         counters: the states of accumulators stored before a restart; their totals go on from there.
-        limits: seconds after which the value of a point is held, by its name.
+        limits: seconds without a read after which the value of a point is held, by its name; None for none.
     """
 
     def __init__(
@@ -79,10 +80,11 @@ class DerivedPoints:
 
         Args:
             batch: the samples of the read.
-            at: when it ended, seconds of the monotonic clock.
+            at: when the read ended, seconds of the monotonic clock.
 
         Returns:
-            The samples, and whether the size of a group has changed, so that `absent` gives other points.
+            The samples, with the states of the counters among them; and whether the size of a group has changed, so
+            that `absent` returns other points.
         """
         found = {
             name: Reading(value, reason)
@@ -150,7 +152,11 @@ class DerivedPoints:
         )
 
     def _held(self, at: float) -> dict[str, Reading]:
-        """Return the good inputs of formulas that were not read when they were due, as held (rule 4)."""
+        """Return readings with the reason `Reason.HELD` for good inputs that were not read when they were due (rule 4).
+
+        Args:
+            at: seconds of the monotonic clock.
+        """
         return {
             name: Reading(reading.value, Reason.HELD)
             for name, limit in self._limits.items()

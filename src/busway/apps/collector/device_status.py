@@ -1,6 +1,6 @@
-"""The status of a polled device: whether it answers, and what its reads have brought.
+"""Collects the status of a polled device: whether it answers, how its reads went, and what was learnt about it.
 
-Knows a poller; asks nothing of a device.
+Knows a poller; sends nothing to a device.
 """
 
 from dataclasses import dataclass
@@ -10,18 +10,18 @@ from .poller import LinkPoller
 
 @dataclass(frozen=True, slots=True)
 class CollectedDeviceStatus:
-    """The status of a polled device: whether it answers, and what its reads have brought.
+    """The status of a polled device: whether it answers, how its reads went, and what was learnt about it.
 
     Attributes:
         name: name of the device.
         link: name of its link.
         state: ``polled``, ``silent``, ``maintenance``, ``not asked yet``, or ``nothing to read`` (no readable point).
-        reads: reads of points since the start, failed ones included.
-        failures: reads of points that failed since the start.
-        rounds: polling rounds completed since the start.
-        skipped: due times at which no round was made since the start, because the one before still waited.
-        worst_wait: the longest delay of a round by requests other than its own, in seconds.
-        last_error: the last error of a read; empty if there was none.
+        reads: number of reads in polling rounds since the device is polled, failed ones included.
+        failures: number of these reads that failed.
+        rounds: number of polling rounds completed.
+        skipped: number of due times at which no round was made, because the one before still waited.
+        worst_wait: the longest time in seconds by which a round ended later than its own reads alone need.
+        last_error: the last error of a read, also if the device answers again; empty if there was none.
         learnt: facts learnt about the device, as sentences.
         unread: points that no allowed read can fetch, each with its reason, as sentences.
         silent_since: since when its rounds have stopped, because it is silent or in maintenance, nanoseconds since 1970

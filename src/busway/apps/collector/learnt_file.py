@@ -1,6 +1,6 @@
 """The file beside the store in which a collector keeps what it learns about devices, over restarts.
 
-Knows one file; `knowledge` knows its contents.
+Knows one file; `knowledge` defines its contents.
 """
 
 from pathlib import Path
@@ -30,7 +30,9 @@ class LearntFile:
         return read_knowledge(read_text(str(self.path)), str(self.path)) if self.path.exists() else Knowledge()
 
     def write(self, text: str) -> None:
-        """Replace the whole file by a text (`Knowledge.text`) if it differs from the last one. Waits for the disk.
+        """Replace the whole file by a text (`Knowledge.text`); do nothing if the text is the one written last.
+
+        Waits for the disk.
 
         Raises:
             OSError: the file cannot be written; it is as before.

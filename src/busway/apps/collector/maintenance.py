@@ -1,10 +1,10 @@
-"""Devices in maintenance, which are not polled: which, since when, who began it, and why; kept with the store.
+"""Records which devices are in maintenance and therefore not polled: since when, who began it, and why.
 
-Knows the manifest, the audit log and sentences; pollers leave the devices alone.
+Knows the manifest, the log and the audit log; pollers leave the devices alone.
 
 1. Maintenance is recorded in the manifest before polling stops, so it goes on after a crash and a new start.
-2. Maintenance is one interval of the device, with begin and end, over restarts and reloads.
-3. Begin and end of maintenance are a sentence in the log and a line of the audit log, with who and why.
+2. A maintenance is one interval of the device, from its begin to its end, also over restarts and reloads.
+3. Begin and end of a maintenance are each a sentence in the log and a line of the audit log, with who and why.
 """
 
 import json
@@ -40,7 +40,7 @@ class MaintenanceBook:
         return self._rows
 
     def begin(self, device: str, at: int, by: str, why: str) -> MaintenanceRow:
-        """Record that the maintenance of a device begins; the caller stops polling it.
+        """Record that the maintenance of a device begins, and return the record; the caller stops polling the device.
 
         A device already in maintenance keeps its begin, and gets the new ``by`` and ``why``.
 
@@ -65,7 +65,7 @@ class MaintenanceBook:
         return row
 
     def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
-        """Record that the maintenance of a device ends, and return its whole interval; the caller polls it again.
+        """Record that the maintenance of a device ends, and return its interval; the caller polls the device again.
 
         Args:
             device: name of a device that is in maintenance.
@@ -75,6 +75,7 @@ class MaintenanceBook:
 
         Raises:
             ConfigError: the store cannot be written; the maintenance goes on.
+            KeyError: the device is not in maintenance.
         """
         row = self._rows[device]
         try:
@@ -97,7 +98,10 @@ class MaintenanceBook:
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, correction: ClockCorrection) -> None:
-        """Correct each begin of maintenance that was recorded before the computer's wall clock was right."""
+        """Correct each begin of a maintenance that was recorded before the wall clock was right, in memory only.
+
+        The manifest corrects its own records.
+        """
         for row in list(self._rows.values()):
             self._rows[row.device] = replace(row, begin=correction.corrected(row.begin))
 

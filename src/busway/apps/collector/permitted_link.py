@@ -14,9 +14,9 @@ class PermittedLink:
     Args:
         name: the name of the link.
         link: the link that sends the requests.
-        permit: called with the name right before requests are sent; raises `LinkDown` if they may not be sent.
-        unanswered: called with the name after requests of which one may have been sent, and got no valid reply;
-            None if nothing has to know.
+        permit: called with the name right before requests are sent; raises `LinkDown` to forbid sending.
+        unanswered: called with the name after requests of which at least one may have been sent and got no valid reply;
+            None if it is not needed.
     """
 
     def __init__(
@@ -28,8 +28,8 @@ class PermittedLink:
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
         """Send requests to a unit if ``permit`` allows it now, and return a reply or an error for each, in order.
 
-        In a fleet it does while this collector owns the link. Otherwise nothing is sent, and its `LinkDown` stands for
-        each request.
+        If ``permit`` raises `LinkDown`, nothing is sent, and the result has that error for each request. In a fleet,
+        ``permit`` allows sending while this collector owns the link.
         """
         try:
             self._permit(self._name)
@@ -46,7 +46,7 @@ class PermittedLink:
 
 
 def _may_be_on_its_way(outcome: object) -> bool:
-    """Whether a request with this outcome may have been sent, and may not have reached its device yet."""
+    """Whether a request with this outcome (reply or error) may have been sent, and may still reach its device later."""
     if isinstance(outcome, LinkDown):
         return outcome.sent
     answered_or_not_sent = (ExceptionReply, InvalidRequest, Overloaded, UnitSuspended)

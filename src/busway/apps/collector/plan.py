@@ -6,12 +6,13 @@ Knows items, what a device allows, and what a read costs; knows no clock, no soc
    inside another is free.
 2. A value is never split over two reads.
 3. Reads stop at forbidden registers, at the borders of readable ranges and at those of exact blocks.
-4. A register of no item may clear when it is read. So such holes are read only inside readable ranges, or where the
-   device's rules say ``bridge``. A hole between wanted items that other items fill is no such hole.
-5. Within these limits the plan is exact. Items of which none lies inside another have one order, by start and by end,
-   and some cheapest plan reads a run of them at a time. The best run that ends with item j begins where
-   ``best[i] − c · start[i]`` is least, over all i that one read reaches; a monotone queue keeps that minimum, so that
-   the time is linear in the items.
+4. A register that belongs to no item could change when it is read. So a hole of such registers between two items is
+   read only inside readable ranges, or if the device's rules say ``bridge``. Registers of items that are not wanted are
+   no hole.
+5. Within these limits the plan is the cheapest one. Items of which none lies inside another have one order, by start
+   and by end, and there is a cheapest plan in which each read fetches items that follow each other in it. The best read
+   that ends with item j begins with the item i for which ``best[i] − c · start[i]`` is least, of all i that the read
+   can reach; a monotone queue keeps that minimum, so the time is linear in the number of items.
 """
 
 from bisect import bisect_left, bisect_right
@@ -87,7 +88,7 @@ class PlannedRead:
         table: the table to read.
         start: first register or bit to read, 0-based.
         width: number of registers or bits to read.
-        items: the items whose values the read brings, those not wanted included, by their start.
+        items: the items whose values the read fetches, in the order of their starts; also those that were not wanted.
         seconds: how long the read is expected to take.
     """
 
@@ -116,7 +117,7 @@ class DevicePlan:
     """The read requests that fetch the wanted items of a device in the shortest time.
 
     Attributes:
-        reads: the requests, by table, then by address.
+        reads: the requests, in the order of tables and addresses.
         unreadable: wanted items that no allowed request can fetch, each with the reason.
         seconds: the time that all requests are expected to take together.
     """
@@ -138,8 +139,8 @@ def plan_reads(
         others: items that need not be read; a read that covers them anyway lists them too.
 
     Returns:
-        Reads that bring every wanted item, apart from those in ``unreadable``. Each item is in one read, the first that
-        covers it; an atomic group is in one read as a whole.
+        Reads that fetch every wanted item, apart from those in ``unreadable``. Each item is listed in one read, the
+        first that covers it; an atomic group is in one read as a whole.
     """
     due = _by_table(wanted)
     idle = _by_table(others)
@@ -210,7 +211,7 @@ def _by_table(items: Iterable[ReadItem]) -> dict[Table, list[ReadItem]]:
 
 
 def _blocks(items: list[ReadItem]) -> list[_Block]:
-    """Return items as blocks, one for each item or atomic group, sorted by start; of equal starts the wider first."""
+    """Return items as blocks, one for each item or atomic group, sorted by start; with equal starts the wider first."""
     blocks: list[_Block] = []
     groups: dict[Hashable, list[ReadItem]] = {}
     for item in items:
@@ -262,9 +263,12 @@ def _plan_table(
 
 
 class _Borders:
-    """Decides by a device's rules which ranges of a table may be read, and which of them by one read.
+    """Decides by a device's rules which ranges of a table may be read, and which of them together by one read.
 
-    ``items`` are all items of the table, wanted or not.
+    Args:
+        table: the table.
+        rules: which reads the device allows.
+        items: all items of the table, wanted or not.
     """
 
     def __init__(self, table: Table, rules: ReadRules, items: Sequence[ReadItem]) -> None:
@@ -279,7 +283,10 @@ class _Borders:
         self._borders = sorted(rules.borders.get(table, ()))
 
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
-        """Return the range to read for a block of items, or None with the reason why no read may fetch the block."""
+        """Return the range to read for a block of items and an empty text; or None and why no read may fetch the block.
+
+        The range is that of the block, or the exact block of the device that the block lies in.
+        """
         start, end, items = block
         found: ItemRange | None = None
         if self._exact is not None:
@@ -339,7 +346,7 @@ class _Borders:
 
 
 def _runs(items: Iterable[ReadItem]) -> tuple[list[int], list[int]]:
-    """Return where the runs of registers or bits that items fill begin, in order, and where each of them ends."""
+    """Return the starts and the ends of the runs of registers or bits that items fill without a hole, in order."""
     starts: list[int] = []
     ends: list[int] = []
     last = -1
@@ -381,7 +388,7 @@ def _ranges(spans: Sequence[ItemRange]) -> _Ranges | None:
 
 
 def _without_inner(places: list[_Place]) -> list[_Place]:
-    """Return ranges without those that lie inside another one, sorted by start and thereby by end."""
+    """Sort ranges in place, and return those that do not lie inside another one, in the order of starts and ends."""
     places.sort(key=_END, reverse=True)
     places.sort(key=_START)
     kept: list[_Place] = []
@@ -394,7 +401,11 @@ def _without_inner(places: list[_Place]) -> list[_Place]:
 
 
 def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, per_item: float) -> list[_Place]:
-    """Return the cheapest reads that cover sorted ranges; no read crosses a border, or is wider than ``limit``."""
+    """Return the ranges of the cheapest reads that cover sorted ranges.
+
+    No read is wider than ``limit``, or fetches two ranges that `_Borders.cut_between` separates. The other arguments
+    are those of `_shortest_path`.
+    """
     chosen: list[_Place] = []
     begin = 0
     for at in range(1, len(places) + 1):
@@ -405,13 +416,13 @@ def _cheapest(places: list[_Place], border: _Borders, limit: int, base: float, p
 
 
 def _shortest_path(places: list[_Place], limit: int, base: float, per_item: float) -> list[_Place]:
-    """Return the cheapest reads that cover ranges in one table, none wider than ``limit`` (rule 5).
+    """Return the ranges of the cheapest reads that cover ranges in one table, none wider than ``limit`` (rule 5).
 
     Args:
         places: pairs of start and end, sorted by both; none is wider than ``limit``.
         limit: most registers or bits of a read.
-        base: cost of a read without its registers or bits.
-        per_item: cost of each register or bit that is read, those in holes included.
+        base: seconds of a read without its registers or bits.
+        per_item: seconds of each register or bit that is read, those in holes included.
     """
     if len(places) == 1:
         return places

@@ -2,14 +2,16 @@
 
 Pure: knows items, rules and what is learnt; knows no clock and no socket.
 
-1. A plan is made for a set of classes, not for each class; it includes points of other classes that cost no time.
-2. Plans are kept by that set, `MOST_PLANS` of them.
-3. A plan is made anew if what was learnt makes the predicted time fall by more than `WORTH`, when the cost first counts
-   as known, and whenever a hole or limit was learnt.
-4. Which plan is fastest depends on one number: how many registers cost as much as a request does whatever its width (a
-   bit costs a sixteenth of a register everywhere). A plan that was found good enough at two such numbers is so at all
-   between them, since the time of the fastest plan is a concave function of the costs. Each plan keeps that range, and
-   is compared again only outside it: replies over a network vary, and to make a plan takes milliseconds.
+1. A plan is made for a set of poll classes that are due together, not for each class. Its reads also list points of
+   other classes that they fetch without taking longer.
+2. One plan is kept for each such set, `MOST_PLANS` plans at most.
+3. A plan is made anew if, by the costs learnt since, a new plan is faster by more than `WORTH`; when the cost first
+   counts as known; and whenever a hole or limit was learnt.
+4. Which plan is fastest depends on one number: how many registers take as much time as the fixed part of a request (a
+   bit always takes a sixteenth of a register). A plan that was found good enough at two such numbers is good enough at
+   all numbers between them, since the time of the fastest plan is a concave function of the costs. Each plan keeps that
+   range, and is compared with a new plan only outside it: replies over a network vary, and making a plan takes
+   milliseconds.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -22,18 +24,18 @@ from .learning import BITS_OF_A_REGISTER, CostLearner, MapLearner, ReadOutcome, 
 from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, Unreadable, plan_reads, predicted
 
 WORTH: Final = 0.05
-"""How much slower the old plan must be to be replaced, as a part of the new plan's time."""
+"""How much slower an old plan must be to be replaced, as a fraction of the new plan's time."""
 NEAR: Final = 1.02
-"""How far costs may leave the range in which a plan was found good enough, before it is compared again: a factor."""
+"""Factor by which costs may leave the range in which a plan was found good enough, before it is compared again."""
 CHECKED_EVERY: Final = 16
-"""Successful reads between two checks whether new plans would be faster."""
+"""Number of successful reads between two checks whether new plans would be faster."""
 MOST_PLANS: Final = 32
-"""Plans of a device that are kept at most. There are few sets of poll classes that are due together."""
+"""Most plans of a device that are kept. There are few sets of poll classes that are due together."""
 PROBES: Final = 4
-"""How often each width is read to measure what reads cost: at the beginning, and again later (`PROBED_AGAIN`)."""
+"""Number of test reads of each width that measure the cost of reads, at the beginning and again (`PROBED_AGAIN`)."""
 PROBED_AGAIN: Final = 1024
-"""Reads after which widths are read again to measure, behind a network: a plan whose reads have one width tells too
-little."""
+"""Number of reads after which the cost is measured again by test reads, on a network: if all reads of a plan have one
+width, they do not show what a register costs."""
 
 Classes = frozenset[str]
 
@@ -71,12 +73,13 @@ class PlanBook:
     Args:
         items: the polled points by poll class.
         rules: limits and ranges of reads that the device allows.
-        assumed: the assumed cost of its reads until the real one is learnt.
-        fixed: whether the seconds per register of ``assumed`` are certain, as on a line; if not, they are learnt too.
+        assumed: the assumed cost of its reads, used until the real one is learnt.
+        fixed: whether the seconds per register of ``assumed`` are certain, as on a serial line; if not, they are learnt
+            too.
         knowledge: facts already known about the device; None for none.
 
     Attributes:
-        made: how many plans were computed since the creation or the last `set_class`.
+        made: number of plans computed since the creation of the object or the last `set_class`.
     """
 
     def __init__(
@@ -112,7 +115,7 @@ class PlanBook:
 
     @property
     def cost(self) -> ReadCost:
-        """The seconds that reads of the device take (per request, register and bit), as learnt so far or assumed."""
+        """The seconds that reads of the device take (per request, register and bit): as learnt so far, or assumed."""
         return self._learner.cost
 
     @property
@@ -146,7 +149,10 @@ class PlanBook:
         return self.plan_for(self.classes).unreadable
 
     def plan_for(self, classes: Classes) -> DevicePlan:
-        """Return the read plan that fetches the points of some poll classes; from the cache, or else computed now."""
+        """Return the read plan that fetches the points of some poll classes, from the cache or computed now.
+
+        Points that `set_absent` excluded are left out; names of unknown classes are ignored.
+        """
         kept = self._plans.get(classes)
         if kept is None:
             if len(self._plans) >= MOST_PLANS:
@@ -164,7 +170,7 @@ class PlanBook:
     def set_absent(self, items: Iterable[ReadItem]) -> None:
         """Exclude points that the device does not have now from all plans.
 
-        Points excluded by an earlier call are read again.
+        Points that an earlier call excluded are included again, unless they are in ``items`` too.
         """
         absent = frozenset(id(one) for one in items)
         if absent != self._absent:
@@ -184,7 +190,11 @@ class PlanBook:
 
     @property
     def cheapest(self) -> PlannedRead | None:
-        """The cheapest read that has succeeded; before the first success a read of one point; None without points."""
+        """The cheapest read that has succeeded since the last change of absent points, for probing the device.
+
+        Before the first success it is a read of the narrowest point alone, or of a plan if that is not allowed; None if
+        the device has no readable points.
+        """
         if self._cheapest is None:
             plan = plan_reads(self._present(self._all), self.rules, self._cost)
             narrowest = min(
@@ -198,7 +208,12 @@ class PlanBook:
         return self._cheapest
 
     def succeeded(self, read: PlannedRead, seconds: float) -> None:
-        """Learn what reads cost from a read that succeeded at its first attempt, ``seconds`` after it was sent."""
+        """Learn what reads cost from a read that succeeded at its first attempt.
+
+        Args:
+            read: the read.
+            seconds: from the begin of the request to the reply.
+        """
         self._succeeded(read, seconds, probes=False)
         if not (self._is_fixed or self._probes) and self._learner.reads >= self._probed_at + PROBED_AGAIN:
             self._probes = None
@@ -214,14 +229,17 @@ class PlanBook:
             self._look_at_cost()
 
     def failed(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Learn from a failed read which ranges the device refuses; ``code`` is the exception code, 0 for none."""
+        """Learn from a failed read which ranges the device refuses.
+
+        Args:
+            read: the read.
+            outcome: its result.
+            code: the exception code of the reply; 0 for none.
+        """
         self._map.observe(read, outcome, code)
 
     def _look_at_cost(self) -> None:
-        """Compare the cached plans with new ones for the cost learnt since.
-
-        Replace those that are much slower (rule 3).
-        """
+        """Compare cached plans with new plans for the cost learnt so far; replace those that are slower (rule 3)."""
         settled = self._learner.is_settled
         cost = self._learner.cost
         first, self._is_settled = settled and not self._is_settled, settled
@@ -240,14 +258,14 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether `question` may have a test read to send: about refused ranges, or about what reads cost."""
+        """Whether `question` possibly returns a test read: about refused ranges, or about what reads cost."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
     def question(self) -> PlannedRead | None:
         """Return the next test read, to be sent at low priority; None if there is none.
 
-        Test reads find out which ranges the device refuses, and at the beginning what reads of several widths cost. The
-        result is to be given to `answered`.
+        Test reads find out which ranges the device refuses, and what reads of several widths cost. The caller passes
+        the result to `answered`.
         """
         asked = self._map.question()
         if asked is not None:
@@ -263,9 +281,9 @@ class PlanBook:
     def _reads_to_probe(self) -> Sequence[PlannedRead]:
         """Return the reads from which `probes_for` makes test reads of different widths.
 
-        If the seconds per register are certain, as on a line, they are the reads of the plans. Else they are as wide as
-        the rules allow, planned as if registers cost almost nothing: where registers have turned out to be slow, as on
-        a line behind a gateway, the reads of the plans may all have one width, which tells too little.
+        If the seconds per register are certain, as on a serial line, these are the reads of the plans. Else the reads
+        are planned as if registers cost almost nothing, so that they are as wide as the rules allow: if registers are
+        slow, as on a line behind a gateway, the reads of the plans can all have one width, and do not show the cost.
         """
         if self._is_fixed:
             return [read for kept in self._plans.values() for read in kept.plan.reads]
@@ -286,7 +304,7 @@ class PlanBook:
             code: the exception code; 0 for none.
 
         Returns:
-            Whether a refused range or a largest read was learnt, so that the plans have changed.
+            Whether a refused range or a largest read was learnt, so that all cached plans were dropped.
         """
         if read is self._probe:
             self._probe = None
@@ -308,9 +326,9 @@ class PlanBook:
         return learnt
 
     def forget(self, known: DeviceKnowledge) -> None:
-        """Replace the refused ranges and largest reads of the device by ``known``, and drop all plans.
+        """Replace the refused ranges and largest reads of the device by those in ``known``, and drop all plans.
 
-        Called after a user had some facts forgotten or pinned.
+        The learnt cost of reads stays.
         """
         self._map = MapLearner(known, self._cost)
         self._plans.clear()

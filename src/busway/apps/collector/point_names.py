@@ -1,11 +1,11 @@
-"""The names of points over time: which points a configuration renames, and to what.
+"""Keeps the names of points over time: finds which points a new configuration renames, and to what.
 
 Pure. The manifest of a store, the alarms and the totals of counters all use the renames found here, so that they agree.
 
-1. A point with the key ``was`` takes over the history of the point that has that name, once. What it has taken over is
-   remembered: a key that stays in the file renames nothing again, even if another point has got the old name meanwhile.
-2. All names of a configuration change at once, so points may exchange theirs. A name that another point has and keeps
-   is not given a second time.
+1. A point with the key ``was = OLD`` takes over the history of the point that has the name OLD, once. This is
+   remembered: if the key stays in the file, it renames nothing again, even if another point has the name OLD meanwhile.
+2. All names of a configuration change at once, so two points can exchange their names. A name that another point has
+   and keeps is not given to a second point.
 """
 
 from collections.abc import Iterable, Mapping
@@ -22,9 +22,9 @@ class PointNames:
     """The present names of all points of a store, and the former names that points have taken over (``was``).
 
     Attributes:
-        ids: number of each point, by its device and its present name. Points that no store has numbered have
-            negative numbers.
-        taken_over: pairs of a point's number and a former name that this point has taken over.
+        ids: number of each point, by its device and its present name. The number stays when the point is renamed; it is
+            negative if no store has numbered the point.
+        taken_over: pairs of a point's number and a former name whose history this point has taken over.
     """
 
     ids: dict[PointKey, int] = field(default_factory=dict)
@@ -34,7 +34,10 @@ class PointNames:
     def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
         """Return the new descriptions of the points that a new configuration renames, by number of the point.
 
-        Changes nothing. A point whose new name another point has and keeps is left out.
+        Changes nothing. A point is left out if another point has its new name and keeps it.
+
+        Args:
+            described: the descriptions of all points of the new configuration.
         """
         moves: dict[int, PointDescription] = {}
         for one in described:
@@ -48,6 +51,9 @@ class PointNames:
 
     def describe(self, described: Iterable[PointDescription]) -> Mapping[PointKey, str]:
         """Use the point names of a new configuration: rename points (``was``), and add new points.
+
+        Args:
+            described: the descriptions of all points of the new configuration.
 
         Returns:
             The new name of each renamed point, by its device and its old name.

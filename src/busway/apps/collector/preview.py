@@ -24,7 +24,8 @@ class PreviewedRead:
         count: registers or bits that the request reads.
         points: number of points that the request reads, including points of other poll classes.
         seconds: how long the request and its reply are expected to take.
-        undeclared: the addresses in the read that belong to no point and no readable range, such as ``4x5…4x9``.
+        undeclared: the addresses in the read that belong to no point, readable range or exact block, such as
+            ``4x5…4x9``.
     """
 
     device: str
@@ -42,9 +43,9 @@ class CollectorPreview:
 
     Attributes:
         reads: the reads of all devices and poll classes.
-        unreadable: points that no allowed read can fetch; each is device, point and reason.
+        unreadable: points that no allowed read can fetch; each is device name, point name and reason.
         loads: the result of the admission test for each link.
-        learnt: pairs of a device and a sentence: a fact that earlier runs learnt, or what a run would find out.
+        learnt: pairs of a device name and a sentence: a fact that earlier runs learnt, or what a run would find out.
     """
 
     reads: tuple[PreviewedRead, ...]

@@ -1,14 +1,15 @@
 """Replaces the configuration of a running collector, from its file or from a text that becomes its file.
 
-Knows two configurations, a file and the audit log; how another configuration is put into use is the collector's.
+Knows two configurations, a file and the audit log; the collector itself puts a new configuration into use.
 
-1. The store is that of the start: another one is refused, and nothing is changed. What can fail in a new configuration
-   is prepared before anything is changed (`prepare`).
-2. Other settings that are read at the start alone are named, also in the log: they hold after the next start.
-3. A file is replaced whole, with the rights that it had: after a crash it is as before or as after.
+1. The store cannot change while the collector runs: a configuration with another store is refused, and nothing is
+   changed. What can fail in a new configuration is prepared before anything is changed (`prepare`).
+2. Other settings that are read only at the start are named in the result and in the log: they take effect at the next
+   start.
+3. A file is replaced as a whole, and keeps its permissions: after a crash it has either the old or the new contents.
 4. One change at a time. A change that has begun is completed, even if its caller is cancelled.
-5. Each change, and each refused text, is a line of the audit log. A refusal before the text is looked at
-   is none: the file cannot be read, another revision is in use, or the collector ends.
+5. Each change, and each refused text, is a line of the audit log. A refusal before the text is parsed is not: the file
+   cannot be read, another revision is in use, or the collector ends.
 6. When the file was read again and refused, log and page name its wrong keys until a configuration is accepted. They
    show no values: a wrong line may hold a secret, and many people read log and page.
 """
@@ -45,8 +46,9 @@ class Reloading:
         current: returns the configuration in use.
         audit: returns the audit log; None while there is none.
         apply: puts another configuration into use, and returns the changes, each as a sentence.
-        prepare: does what can fail of that, and changes nothing that is in use; raises `ConfigError`.
-        check: raises `ConfigError` if ``prepare`` would, and changes nothing that is in use.
+        prepare: called before ``apply``: does the steps that can fail, such as binding ports, and raises `ConfigError`
+            if one fails. Changes nothing that is in use.
+        check: raises `ConfigError` if ``prepare`` would raise it, and changes nothing that is in use.
 
     Attributes:
         running: the tasks that change the configuration, or wait for their turn to do so.
@@ -84,7 +86,7 @@ class Reloading:
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         """Put another configuration into use, and return what changed, each as a sentence.
 
-        Keys that need a restart have a sentence each. If there is nothing else to tell: ``nothing changed``.
+        Each key whose change needs a restart has a sentence too. If there is none at all: ``nothing changed``.
 
         Args:
             configuration: the new configuration.
@@ -99,7 +101,7 @@ class Reloading:
     async def read_again(self, by: str, origin: str) -> list[str]:
         """Read the collector's file again, put it into use, and return what changed, each as a sentence.
 
-        The audit log is opened again before, because its file may have been renamed. Arguments as of `reload`.
+        First the audit log is opened again, because its file may have been renamed. The arguments are as in `reload`.
 
         Raises:
             ConfigError: the file cannot be read or used, or the collector ends; the old configuration stays in use.
@@ -113,17 +115,18 @@ class Reloading:
             text: the new contents of the file.
             by: who makes the change, for the audit log.
             origin: where the change comes from, for the audit log.
-            revision: the revision that the caller has edited; another one in use is an error. None skips this check.
+            revision: revision of the configuration that the caller has edited (`revision_of`), which must still be in
+                use. None skips this check.
 
         Raises:
-            ConfigError: the text cannot be used, the revision is another, the file cannot be written, or the collector
-                ends; the old configuration stays in use. The file is as before, unless something became unusable
-                between its check and its use.
+            ConfigError: the text cannot be used, another revision is in use, the file cannot be written, or the
+                collector ends; the old configuration stays in use. The file is as before, unless something, such as a
+                port, became unusable between check and use: then it has the new text.
         """
         return await self._to_its_end(self._replace(text, by, origin, revision))
 
     async def end(self) -> None:
-        """Refuse further changes of the configuration, also those that wait, and wait for the one in progress."""
+        """Refuse all further changes of the configuration, waiting ones too, and wait for the change in progress."""
         self.is_ending = True
         if self.running:
             await asyncio.wait(self.running)
@@ -193,7 +196,7 @@ class Reloading:
     def _record(
         self, text: str, done: Sequence[str], is_applied: bool, by: str, origin: str, old: str | None = None
     ) -> None:
-        """Append to the audit log, if there is one, that the configuration was changed, or a text refused (rule 5)."""
+        """Append a line to the audit log, if there is one, for a change or for a refused text (rule 5)."""
         audit = self._audit()
         if audit is not None:
             before = self._current().text if old is None else old
@@ -220,7 +223,7 @@ def _places(error: ConfigError) -> list[str]:
 
 
 def _refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfiguration) -> None:
-    """Raise `NeedsRestart` if a new configuration has another store than the old one."""
+    """Raise `NeedsRestart` if a new configuration has another store than the one in use."""
     if new.store != old.store:
         raise NeedsRestart(
             "the store cannot be another while the collector runs: restart it", file=new.name, key="store"
@@ -228,7 +231,12 @@ def _refuse_what_cannot_change(old: CollectorConfiguration, new: CollectorConfig
 
 
 def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfiguration) -> list[str]:
-    """Return the keys that differ from the configuration of the start, and take effect only at the next start."""
+    """Return the keys that differ between two configurations and take effect only at the next start; empty if none.
+
+    Args:
+        started: the configuration with which the collector was started.
+        new: the configuration in use now.
+    """
     before, after = started.file.collector, new.file.collector
     keys = [f"[collector] {key}" for key in _READ_AT_THE_START if getattr(before, key) != getattr(after, key)]
     if started.file.audit != new.file.audit:
@@ -239,7 +247,7 @@ def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfi
 
 
 def replace_file(path: str, text: str) -> None:
-    """Replace the whole contents of an existing file, found also by a symbolic link; its rights stay (rule 3).
+    """Replace the whole contents of an existing file, which keeps its permissions (rule 3); follow a symbolic link.
 
     Raises:
         ConfigError: the file cannot be written; its contents are as before.

@@ -2,30 +2,31 @@
 
 Pure: knows seconds.
 
-1. Where replies carry a transaction identifier, a late reply does no harm. So the timeout is that of TCP (RFC 6298):
-   smoothed reply time plus four times its deviation, doubled by each silence, from `SHORTEST` to the configured one.
-2. On a line a late reply can be taken for the next one, so the configured timeout is never shortened. It is not
+1. If replies carry a transaction identifier, a late reply does no harm. So the timeout is computed as in TCP (RFC
+   6298): smoothed reply time plus four times its deviation, doubled after each silence; at least `SHORTEST`, at most
+   the configured timeout.
+2. On a serial line a late reply can be taken for the next one, so the configured timeout is never shortened. It is not
    shortened behind a gateway to a line either: a request waits there while another device of the line is silent.
 """
 
 from typing import Final
 
 SHORTEST: Final = 0.2
-"""The shortest adaptive timeout in seconds, as Linux has it for TCP: a device that answers in a millisecond may now and
-then take longer."""
+"""The shortest adaptive timeout in seconds, as Linux has it for TCP: a device that usually answers in a millisecond
+sometimes takes longer."""
 _GAIN: Final = 0.125
 _DEVIATION_GAIN: Final = 0.25
 
 
 class ReplyTimeout:
-    """The timeout for replies of one polled device; adapts to its reply times where replies carry an identifier.
+    """The timeout for replies of one polled device; adapts to its reply times if replies carry an identifier.
 
     Args:
         configured: the configured timeout in seconds: the first and the longest one.
         numbered: whether replies carry a transaction identifier, as on TCP. If not, the timeout never changes.
 
     Attributes:
-        seconds: how long to wait for the next reply.
+        seconds: how long to wait for the next reply, at most the configured timeout.
     """
 
     __slots__ = ("_configured", "_deviation", "_numbered", "_smoothed", "seconds")

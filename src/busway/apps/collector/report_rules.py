@@ -1,9 +1,10 @@
-"""Which report rule holds for a point, in the store and towards sinks.
+"""Finds the report rule of each point: which of its samples the store keeps, and which of those sinks get.
 
 Knows a configuration; applies no rule.
 
-1. The store: ``store_report`` of the point, or else of its device, or else of its poll class, or else of the collector.
-2. A sink: its own ``report``, or else that of the point. It gets samples that the store keeps, and no others.
+1. For the store: ``store_report`` of the point, or else of its device, or else of its poll class, or else of the
+   collector, or else every sample is kept.
+2. For a sink: its own ``report``, or else that of the point. A sink gets only samples that the store keeps.
 """
 
 from collections.abc import Iterator
@@ -25,7 +26,8 @@ def store_rules(configuration: CollectorConfiguration, device: str | None = None
 
     Args:
         configuration: the collector's configuration.
-        device: return the rules of this device only; None for all devices.
+        device: name of the only device whose rules are returned; None for all devices. The result is empty if there is
+            no such device.
     """
     wanted = configuration.devices.keys() if device is None else {device} & configuration.devices.keys()
     sections = [section for section in configuration.file.device if section.name in wanted]
@@ -46,7 +48,7 @@ def _of_device(
 
 
 def _first(point: Point, *sections: ReportSection | None) -> ReportRule:
-    """Return the report rule of a point: its own, or that of the first section with one, or "every sample"."""
+    """Return the store's report rule of a point: its own, or that of the first section with one, or "every sample"."""
     if point.storing is not None:
         return point.storing
     return next((each.described() for each in sections if each is not None), ReportRule())

@@ -1,10 +1,10 @@
-"""Notes that let `busway status` find the running collectors of this user, which have no control socket.
+"""Notes (small files) by which `busway status` finds the running collectors of this user: they have no control socket.
 
 Knows paths, JSON and the lock of a store; asks no collector.
 
 1. A collector writes a note in the directory of control sockets while it runs: ``<process id>.collector``, of mode
    0600, with its file, its store and the URL of its page (without tokens).
-2. A note that a dead process left behind is not believed: the process must hold the lock of the store.
+2. A note that a dead process left behind is ignored: it counts only if its process holds the lock of the store.
 """
 
 import contextlib
@@ -24,11 +24,11 @@ NOTE_SUFFIX: Final = ".collector"
 
 @dataclass(frozen=True, slots=True)
 class RunningCollector:
-    """A running collector, as its note tells.
+    """What the note of a running collector says about it.
 
     Attributes:
-        pid: its process.
-        file: its configuration: the absolute path of a file, or the name of a fleet's.
+        pid: its process id.
+        file: absolute path of its configuration file; in a fleet, the name of the fleet's configuration.
         store: absolute path of the folder of its store.
         page: URL of its page; empty if it has none.
         is_in_fleet: whether it belongs to a fleet.
@@ -43,12 +43,15 @@ class RunningCollector:
 
 @contextlib.contextmanager
 def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[None]:
-    """Context manager that keeps the note of this process's collector; does nothing if it cannot be written.
+    """Context manager that keeps the note of this process's collector while its block lasts, then deletes it.
+
+    If the note cannot be written, the block runs without it, and no error is raised.
 
     Args:
-        file, store: paths, absolute in the note. A ``file`` that does not exist is the name of a fleet's
-            configuration, and kept as it is.
-        page, is_in_fleet: as of `RunningCollector`.
+        file: path of the configuration file; made absolute in the note if the file exists. Else it is taken for the
+            name of a fleet's configuration.
+        store: path of the store's folder; made absolute in the note.
+        page, is_in_fleet: as in `RunningCollector`.
     """
     pid = os.getpid()
     name = os.path.abspath(file) if os.path.exists(file) else file
@@ -69,7 +72,10 @@ def noted(file: str, store: str, page: str, *, is_in_fleet: bool) -> Iterator[No
 
 
 def find_collectors(*directories: Path) -> list[RunningCollector]:
-    """Return the running collectors whose notes are in these directories, in the order of their process ids."""
+    """Return the running collectors whose notes are in these directories, in the order of their process ids.
+
+    Notes that cannot be read, or whose process does not run any more, are left out.
+    """
     found = []
     for directory in directories:
         for path in directory.glob(f"*{NOTE_SUFFIX}"):

@@ -1,15 +1,16 @@
-"""The clock that gives samples their time: follows the system's wall clock, but never runs backwards.
+"""The clock that gives samples their time: follows the wall clock of the machine, but never runs backwards.
 
 Pure: knows readings of two clocks; reads none itself.
 
 1. The time of a sample is a monotonic time plus an offset, so that the order of samples is that of their transactions.
-2. The offset follows the wall clock. A wall clock that was set forward is followed at once. One that was set back is
-   followed by going at half speed, because a jump would put new samples before old ones; until that is done, the time
-   is not known to be right.
+2. The offset follows the wall clock. A wall clock that was set forward is followed at once. If it was set back, sample
+   times go at half speed until the wall clock has caught up, because a jump would put new samples before old ones;
+   while they are more than `TOLERANCE` ahead, the time counts as not right.
 3. A wall clock that shows a time before this program was written is not right: many computers have no battery, and
-   begin in 1970. Nor is one that is not known to be right (`time_service`): many begin with the time of their last end.
-   A clock that is not right at the start is not followed until it is. The difference is then added to all times given
-   before. Times given at half speed (rule 2) are never changed: that would change their order.
+   begin in 1970. A wall clock that is not known to be right (`time_service`) counts as not right too: many computers
+   begin with the time of their last end. A clock that is not right at the start is not followed until it is. The
+   difference is then added to all times given before. Times given at half speed (rule 2) are never changed: that would
+   change their order.
 """
 
 from dataclasses import dataclass
@@ -25,10 +26,10 @@ TOLERANCE: Final = NANOSECONDS // 2
 
 @dataclass(frozen=True, slots=True)
 class ClockCorrection:
-    """What is to be added to the times that were given before the wall clock was known to be right.
+    """The correction of sample times that were given before the wall clock was known to be right.
 
     Attributes:
-        shift: nanoseconds to be added; negative if the clock was ahead.
+        shift: nanoseconds to be added to these times; negative if the clock was ahead.
         begin, end: the times from ``begin`` to before ``end`` are corrected, nanoseconds since 1970 UTC.
     """
 
@@ -37,7 +38,7 @@ class ClockCorrection:
     end: int = EARLIEST
 
     def corrected(self, time: int) -> int:
-        """Return a time that was given before, corrected; one that this clock has not given is returned as it is."""
+        """Return a time (nanoseconds since 1970 UTC) with ``shift`` added; unchanged if not in ``begin`` to ``end``."""
         return time + self.shift if self.begin <= time < self.end else time
 
 
@@ -47,7 +48,7 @@ class SampleClock:
     Args:
         monotonic: what the monotonic clock shows now, seconds.
         wall: what the wall clock shows at the same moment, nanoseconds since 1970 UTC.
-        is_known: whether the wall clock is known to be right, as far as that can be known.
+        is_known: whether the wall clock is known to be right (`ClockJudge.is_known`).
     """
 
     def __init__(self, monotonic: float, wall: int, *, is_known: bool = True) -> None:
@@ -60,9 +61,9 @@ class SampleClock:
 
     @property
     def is_right(self) -> bool:
-        """Whether sample times can be trusted: the wall clock is right, and at most `TOLERANCE` behind them.
+        """Whether sample times can be trusted, as of the last `adjust`.
 
-        Both as of the last `adjust`.
+        True if the wall clock is right, and sample times were at most `TOLERANCE` ahead of it.
         """
         return self._wall_is_right and self._behind <= TOLERANCE
 
@@ -72,11 +73,11 @@ class SampleClock:
         Args:
             monotonic: what the monotonic clock shows now, seconds.
             wall: what the wall clock shows at the same moment, nanoseconds since 1970 UTC.
-            is_known: whether the wall clock is known to be right.
+            is_known: whether the wall clock is known to be right (`ClockJudge.is_known`).
 
         Returns:
-            The correction of all times that were given so far, in the call that finds the wall clock right for the
-            first time after a start with a wrong one; in every other call None.
+            After a start with a wrong wall clock, the first call that finds it right returns the correction of all
+            times given so far. Every other call returns None.
         """
         self._offset += self._made_up(monotonic)
         self._since = monotonic
@@ -102,5 +103,5 @@ class SampleClock:
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """Return how much sample times have slowed down since `adjust` (rule 2): nanoseconds, 0 or less."""
+        """Return the nanoseconds by which sample times have fallen back since the last `adjust` (rule 2): 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

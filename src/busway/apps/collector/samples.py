@@ -4,10 +4,11 @@ Pure: knows no clock, file or socket. The poller makes samples, the store keeps 
 
 1. Times are nanoseconds since 1970 UTC (``int``). The time of a sample is the middle of its transaction; half of the
    transaction's length is kept beside it. Lengths of other things are seconds, as everywhere.
-2. What a sample is worth is one number, its reason. The quality follows from it by a table; 0 is good.
-3. A bad sample may have no value. A sample that is not bad has one.
-4. One read makes one `SampleBatch`, with columns; a `Sample` is made only where one is looked at. 400 000 values per
-   second leave 2.5 µs for each.
+2. How far a sample can be trusted is one number, its reason. The quality follows from the reason by a table; reason 0
+   is good.
+3. A bad sample can be without a value. A good or uncertain sample always has one.
+4. One read makes one `SampleBatch`, with columns; a `Sample` object is made only where a single sample is needed.
+   400 000 values per second leave 2.5 µs for each.
 5. Every read gives each of its points a sample. Time without reads is a `StateInterval` of the device, and time in
    which nothing was collected at all is a `Gap`.
 """
@@ -54,11 +55,11 @@ class Sample:
         point: name of the point.
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
-        value: the value; None only where the sample is bad.
+        value: the value; None only in a bad sample, which may have one too.
         reason: why the sample is not good: a `Reason`, or a number from `exception_reason`; 0 for good.
 
     Raises:
-        InvalidRequest: there is neither a value nor a bad reason.
+        InvalidRequest: the value is None, and the reason is not bad.
     """
 
     device: str
@@ -127,7 +128,7 @@ class SampleBatch:
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
         values: one for each point of the group, in order; None only where the reason is bad.
-        reasons: one for each point, or one number for all; 0 for good.
+        reasons: one reason for each point, or one number for all; 0 for good. See `Sample`.
         counters: the states of the group's accumulators after these samples; part of the same commit.
 
     Raises:
@@ -182,9 +183,10 @@ def failed_batch(group: PointGroup, time: int, half_width: int, reason: int) -> 
 
 
 def mended_batch(batch: SampleBatch, correction: ClockCorrection) -> SampleBatch:
-    """Return the samples of a read with their corrected time; good where they were uncertain for the clock alone.
+    """Return the samples of a read with their corrected time.
 
-    A batch whose time the correction does not cover is returned as it is.
+    Samples that were uncertain only because of the clock (`Reason.CLOCK`) become good. A batch whose time the
+    correction does not cover is returned unchanged.
     """
     if not correction.begin <= batch.time < correction.end:
         return batch
@@ -198,8 +200,8 @@ class StateInterval:
 
     Attributes:
         device: name of the device.
-        begin: first nanosecond, since 1970 UTC.
-        end: the nanosecond after the last; None while the period lasts.
+        begin: begin of the period, nanoseconds since 1970 UTC; the period includes it.
+        end: end of the period, nanoseconds since 1970 UTC, not included; None while the period lasts.
         reason: why the device was not read, a bad `Reason`.
 
     Raises:
@@ -216,7 +218,10 @@ class StateInterval:
 
 
 def mended_interval(interval: StateInterval, correction: ClockCorrection) -> StateInterval:
-    """Return an interval with its begin and end corrected, each only if the correction covers it."""
+    """Return an interval with its begin and end corrected, each only if the correction covers it.
+
+    The end is never before the begin.
+    """
     begin, end = correction.corrected(interval.begin), interval.end
     return replace(interval, begin=begin, end=None if end is None else max(begin, correction.corrected(end)))
 
@@ -226,10 +231,10 @@ class Gap:
     """A period in which samples of all devices are missing, and why.
 
     Attributes:
-        begin: first nanosecond, since 1970 UTC.
-        end: the nanosecond after the last.
+        begin: begin of the period, nanoseconds since 1970 UTC; the period includes it.
+        end: end of the period, nanoseconds since 1970 UTC, not included.
         reason: why samples are missing, a bad `Reason`.
-        lost: number of samples that were made and could not be stored; 0 where none were made.
+        lost: number of samples that were made but could not be stored; 0 if none were made.
 
     Raises:
         InvalidRequest: the end is before the begin, or the reason is not bad.

@@ -1,22 +1,23 @@
 """The schedule of one link: decides which read request is sent next, and when.
 
-Pure: every call is handed the time; knows no clock and no socket. A driver asks `LinkSchedule.next`, sends the reads of
-the turn that it gets, and tells `LinkSchedule.done`.
+Pure: every call gets the time as an argument; knows no clock and no socket. A driver asks `LinkSchedule.next`, sends
+the requests of the turn that is returned, and reports the result to `LinkSchedule.done`.
 
-1. Writes go first, then leased points, which are those on a screen, then rounds of classes, each by the earliest
+1. Writes go first, then leased points (those that a viewer watches), then rounds of poll classes, by the earliest
    deadline. A read that has begun is never interrupted. The reads of a round follow each other, unless a round with an
    earlier deadline comes up. After `MOST_WRITES_IN_A_ROW` writes one read that is due goes between: a flood of commands
    does not stop polling.
-2. A round is one due time of the classes of one device that are due within a small slack; its deadline is its due time
-   and the shortest of their periods. Due times stand on a grid, so that nothing drifts; devices follow each other in it
-   with the time between them that their reads need.
-3. A device has at most one round that runs and one that waits. A due time that finds its class waiting is skipped and
-   counted, never queued: memory does not grow under overload.
-4. A device that was not asked yet is asked by one cheap read. One that is silent is suspended: its rounds stop, and it
-   is probed by its cheapest read, at once first, then ever more rarely. All probes of a link together use at most
-   `DEAD_SHARE` of its time, and up to two timeouts beside that: one that was saved up while no probe was due, and one
-   of a probe that began with the last of it. So a single minute with timeouts of 1 s may have 8 % of probes.
-5. Questions of learning wait until nothing else is due.
+2. A round is one pass of reads for all poll classes of a device that are due at about the same time (`SLACK`). Its
+   deadline is its due time plus the shortest period of these classes. Due times stand on a grid, so that nothing
+   drifts. The first due times of devices are spread by the time that their reads need.
+3. A device has at most one round that runs and one that waits. If a class is due again while its round still waits,
+   this due time is skipped and counted, never queued: memory does not grow under overload.
+4. A device that was not asked yet is asked by one cheap read. A silent device is suspended: its rounds stop, and it is
+   probed by its cheapest read, first at once, then ever more rarely. In the long run all probes of a link together use
+   at most `DEAD_SHARE` of its time. For a short time they can use up to two timeouts more: one that was saved up while
+   no probe was due, and one of a probe that began just before the share was used up. So with timeouts of 1 s, probes
+   can take 8 % of a single minute.
+5. Test reads for learning wait until nothing else is due.
 """
 
 import heapq
@@ -31,26 +32,26 @@ from .plan import PlannedRead
 from .plan_cache import Classes, PlanBook
 
 DEAD_SHARE: Final = 0.05
-"""Part of a link's time that probes of silent devices may use together in the long run (rule 4)."""
+"""Share of a link's time, 0…1, that all probes of silent devices may use together in the long run (rule 4)."""
 SLACK: Final = 0.05
-"""How early a class may be read, together with other classes: a part of its period."""
+"""How early a poll class may be read together with classes that are due, as a fraction of its period."""
 LONGEST_BACKOFF: Final = 60.0
-"""Seconds between two probes of a silent device, at most, where `DEAD_SHARE` allows."""
+"""Longest time in seconds between two probes of a silent device, unless `DEAD_SHARE` makes it longer."""
 MOST_WRITES: Final = 256
-"""Writes that may wait for a link, at most."""
+"""Most writes that wait for a link; further ones are refused."""
 MOST_WRITES_IN_A_ROW: Final = 8
-"""Writes in a row that go before a read that is due, at most."""
+"""Most writes in a row before a read that is due gets its turn."""
 _SPREAD: Final = 0.618_033_988_75
 """The golden section: its multiples, modulo 1, are spread evenly however many there are."""
 _PLACED_LOAD: Final = 0.85
-"""Part of the time between two devices that the reads of the first fill on average."""
+"""Share of the time between the first due times of two devices that reads of the first device fill on average."""
 
 LEASED: Final = "(leased)"
 """The poll class of leased points: those that a viewer watches, read more often for some seconds (`lease`)."""
 
 
 class TurnKind(Enum):
-    """Why a device is sent a request: a write, a polling round, a probe (does it answer?), or a read for learning."""
+    """Why a device is sent a request: a write, a polling round, a probe (does it answer?), or a test read to learn."""
 
     WRITE = "write"
     ROUND = "round"
@@ -59,9 +60,10 @@ class TurnKind(Enum):
 
 
 class TurnOutcome(Enum):
-    """What the requests of a turn have shown about a device: that it answers, that it is silent, or nothing (DOWN).
+    """What the requests of a turn have shown about a device: that it answers, that it is silent, or nothing.
 
-    DOWN: the link was down or lost its connection, it was overloaded, or the request was invalid.
+    ``ANSWERED``: the device answered, also by an exception. ``SILENT``: it did not answer in time. ``DOWN``: nothing is
+    known, because the link was down or lost its connection, was overloaded, or the request was invalid.
     """
 
     ANSWERED = "answered"  # also by an exception: the device lives
@@ -80,8 +82,9 @@ class PollRound:
         deadline: when the round should have ended.
         reads: the reads still to be sent; empty until the round begins.
         own: seconds that the reads of the round took so far.
-        began: when the first read was to be sent; None before.
-        skipped_since: the first due time of the device that was skipped before this round; None if none was.
+        began: when `LinkSchedule.next` returned the first read; None before.
+        skipped_since: the first due time of the device that was skipped since its last round began; None if none
+            was, and until this round begins.
     """
 
     device: str
@@ -106,7 +109,7 @@ class Turn:
     Attributes:
         kind: why the device is asked.
         device: name of the device.
-        reads: the reads to send, one after the other or as one batch; empty for a write.
+        reads: the reads to send together, at most ``batch`` of the schedule; empty for a write.
         write: the object given to `LinkSchedule.write`; None for reads.
         round: the polling round that the reads belong to; None for other kinds.
     """
@@ -125,23 +128,23 @@ class ScheduledDevice:
     Attributes:
         name: name of the device.
         book: its read plans.
-        periods: seconds by poll class.
+        periods: poll periods in seconds, by poll class; with `LEASED` while points are leased.
         due: when each poll class is due next. All times are seconds of the schedule's clock.
-        lives: whether it answered its last request; None before the first result.
-        silences: requests without an answer, in a row.
-        probe_at: when it may be probed next, while it is silent.
+        lives: whether the device answered its last request; None before the first result.
+        silences: requests without an answer, in a row; those that failed because the link was down count too.
+        probe_at: when the device may be probed next, while it is silent.
         suspended_at: since when its rounds have stopped because it is silent; None while it answers.
-        was_down: whether the link was down at its last request.
+        was_down: whether its last request failed because the link was down.
         waiting: its round that has not begun; None without one.
         release_at: when its next poll class is due, so that a round begins to wait.
         skipped_since: the first due time that was skipped since its last round began; None if none was.
-        question_at: when a read for learning may be sent next.
+        question_at: when a test read for learning may be sent next.
         leased_until: when the lease of its points ends.
-        rounds: rounds completed so far.
-        skipped: due times skipped so far.
-        worst_wait: the longest delay of a round by requests other than its own, in seconds.
-        worst_fast: the same among rounds of the poll class with the shortest period.
-        is_paused: whether it is not polled, because of maintenance.
+        rounds: number of rounds completed so far.
+        skipped: number of due times skipped so far.
+        worst_wait: the longest time in seconds by which a round ended later than its own reads alone need.
+        worst_fast: like ``worst_wait``, but only of rounds of the poll class with the shortest period.
+        is_paused: whether the device is in maintenance, and therefore not polled.
     """
 
     name: str
@@ -175,14 +178,15 @@ class LinkSchedule:
 
     Args:
         timeout: seconds that a read without a reply takes.
-        batch: reads of a round that may be sent at once; 1 on lines.
-        share: part of the link's time, 0…1, that probes of silent devices may use.
+        batch: most reads of a round that are sent at once; 1 on serial lines.
+        share: share of the link's time that probes of silent devices may use, above 0 and at most 1.
 
     Attributes:
+        timeout: seconds that a read without a reply takes.
         devices: the devices of the link, by name.
-        refused_writes: writes refused because too many waited.
-        busy: seconds that all turns took so far.
-        probing: seconds of these that probes took.
+        refused_writes: number of writes refused because too many waited.
+        busy: seconds that all turns together took so far.
+        probing: the part of ``busy`` that probes took, in seconds.
     """
 
     def __init__(self, timeout: float, *, batch: int = 1, share: float = DEAD_SHARE) -> None:
@@ -209,13 +213,13 @@ class LinkSchedule:
     # Devices and what is asked of them.
 
     def add(self, name: str, book: PlanBook, periods: Mapping[str, float], now: float) -> None:
-        """Start to poll a device.
+        """Start to poll a device; first `next` has it asked once, to see whether it answers.
 
         Args:
             name: name of the device.
             book: its read plans.
-            periods: seconds by poll class. Classes without points of the device are ignored; if no class is left, the
-                device is not added.
+            periods: poll periods in seconds, by poll class. Classes without points of the device are ignored; if no
+                class is left, the device is not added.
             now: the time.
         """
         known = {name: period for name, period in periods.items() if name in book.classes}
@@ -248,7 +252,13 @@ class LinkSchedule:
         heapq.heapify(self._ready)
 
     def pause(self, name: str, *, paused: bool, now: float) -> None:
-        """Stop polling a device (``paused``), or poll it again; does nothing if that is already so."""
+        """Stop polling a device because of maintenance, or poll it again; does nothing if that is already so.
+
+        Args:
+            name: name of the device.
+            paused: True to stop, False to poll again.
+            now: the time.
+        """
         device = self.devices[name]
         if device.is_paused is paused:
             return
@@ -280,13 +290,13 @@ class LinkSchedule:
     def lease(self, name: str, items: Sequence[Any], period: float, until: float, now: float) -> None:
         """Read some points of a device more often for a while, with priority over the poll classes.
 
-        Replaces an earlier lease of the device.
+        Replaces an earlier lease of the device. While the device is silent or in maintenance, nothing is read.
 
         Args:
             name: name of the device.
             items: its points to read.
             period: seconds between two reads.
-            until: when the lease ends.
+            until: when the lease ends, a time like ``now``.
             now: the time.
         """
         device = self.devices[name]
@@ -300,10 +310,10 @@ class LinkSchedule:
     # What is next.
 
     def next(self, now: float) -> Turn | float:
-        """Return what to send now, or, if nothing is due, the time at which to call `next` again.
+        """Return the turn to send now; if nothing is due, return the time at which to call `next` again.
 
-        The caller sends the turn's requests and then calls `done`. It calls `next` earlier if the schedule is changed
-        meanwhile, such as by `write`, `add` or `lease`.
+        The caller sends the requests of the turn, and then calls `done`. If the schedule is changed while nothing is
+        due, such as by `write`, `add` or `lease`, the caller calls `next` at once.
         """
         self._credit_until(now)
         self._release_due(now)
@@ -321,7 +331,7 @@ class LinkSchedule:
         return Turn(TurnKind.WRITE, device, write=what)
 
     def _due_read(self, now: float) -> Turn | None:
-        """Return the next read of a round, first request to a new device, or probe that is due; None if nothing is."""
+        """Return the turn of a round, a first request to a new device or a probe that is due now; None if none is."""
         if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
             if asked is not None:
@@ -415,8 +425,8 @@ class LinkSchedule:
         Args:
             turn: what `next` returned.
             began: when the requests were sent.
-            now: when they ended.
-            outcome: whether the device answered.
+            now: when the last request was answered or given up.
+            outcome: what the requests have shown; for a write it is ``ANSWERED``.
         """
         self.busy += now - began
         device = self.devices.get(turn.device)
@@ -456,9 +466,13 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a device at its due times again if it answers; if it is silent, probe it now.
+        """Poll a device at its due times again if it answers; if it is silent, have it probed now.
 
-        ``at_once``: whether one round is made now for due times that have passed meanwhile.
+        Args:
+            device: the device.
+            now: the time.
+            at_once: whether one round is made now for due times that have passed meanwhile; False to wait for the next
+                due time.
         """
         if not device.lives:
             device.probe_at = now
@@ -470,7 +484,13 @@ class LinkSchedule:
         self._release_at(min(device.due.values()), device)
 
     def _unanswered(self, device: ScheduledDevice, now: float, *, down: bool) -> None:
-        """Suspend a device that did not answer, and set the time of its next probe (rule 4)."""
+        """Suspend a device that did not answer, and set the time of its next probe (rule 4).
+
+        Args:
+            device: the device.
+            now: the time.
+            down: whether the link was down, so that the device may answer all the same.
+        """
         device.silences += 1
         device.was_down = down
         if device.lives or device.suspended_at is None:
@@ -501,7 +521,7 @@ class LinkSchedule:
         self._credited_at = now
 
     def _first_silent(self) -> ScheduledDevice | None:
-        """Return the silent device that must be probed next; None if there is none.
+        """Return the silent device whose next probe is first, also if it is not due yet; None if no device is silent.
 
         Devices in maintenance are left out.
         """
@@ -514,7 +534,7 @@ class LinkSchedule:
         return None
 
     def _first_contact(self) -> Turn | None:
-        """Return the first request to a device that was never asked; None if there is none to be asked now.
+        """Return the first request to a device that was never asked; None if there is no such device.
 
         Devices in maintenance and devices without a read are not asked.
         """
@@ -574,7 +594,7 @@ class LinkSchedule:
 
     @property
     def blocking(self) -> float:
-        """Seconds for which other requests may hold up a polling round, at most: the longest read and one timeout."""
+        """Longest time in seconds for which other requests hold up a polling round: the longest read and a timeout."""
         longest = (
             read.seconds
             for device in self.devices.values()
@@ -584,13 +604,16 @@ class LinkSchedule:
 
     @property
     def revival_bound(self) -> float:
-        """Seconds until a silent device that answers again is polled again, at most; longer on an overloaded link."""
+        """Longest time in seconds until a silent device that could answer again is polled again.
+
+        On an overloaded link it can take longer.
+        """
         silent = sum(not device.lives for device in self.devices.values())
         return LONGEST_BACKOFF + (silent + 1) * self.timeout / self._share + self.blocking
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Return how many seconds a polling round may be late, at most, if the admission test has passed.
+    """Return the longest time in seconds by which a polling round is late, if the admission test has passed.
 
     Args:
         period: poll period of the class, in seconds.

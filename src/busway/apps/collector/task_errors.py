@@ -1,6 +1,6 @@
-"""Errors with which tasks end: the error inside a group of errors, and the line in the log.
+"""Handles errors with which tasks end: takes the error out of a group of errors, and writes it to the log.
 
-A task group of asyncio raises a group whose text is only "unhandled errors in a TaskGroup".
+A task group of asyncio raises a group of errors whose text is only "unhandled errors in a TaskGroup".
 """
 
 import asyncio
@@ -10,9 +10,9 @@ _log = logging.getLogger("busway.collector")
 
 
 def first_error(group: ExceptionGroup[Exception]) -> Exception:
-    """Return the first error in a group of errors, looking into groups inside it.
+    """Return the first error in a group of errors, also if it is in a group inside the group.
 
-    The others become notes of this error.
+    Each of the other errors is added to it as a note.
     """
     first, *others = _errors_of(group)
     for other in others:

@@ -2,11 +2,12 @@
 
 Knows paths and the environment; creates the directory, and opens no file or socket.
 
-1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that exists, else ``busway-<user id>`` among the temporary
-   files. It must belong to the user and be closed to others; any other is refused, since another user may have made it.
+1. The directory is ``busway`` in ``$XDG_RUNTIME_DIR`` if that exists, else ``busway-<user id>`` in the directory of
+   temporary files. It must belong to the user and be closed to others; otherwise it is refused, since another user may
+   have created it.
 2. The directory holds ``<name>.sock`` for a Unix domain socket, ``<name>.json`` with URL and token for loopback HTTP.
-   The name of a socket is the process id, with a number behind it if a process has several; that of a token file the
-   process id and the port.
+   The name of a socket is the process id, with a number appended for further sockets of one process; the name of a
+   token file is the process id and the port.
 """
 
 import os
@@ -25,7 +26,7 @@ from ...options.text import host_and_port
 HAS_UNIX_SOCKETS = hasattr(socket, "AF_UNIX")
 KEY = "control"
 OFF: Final = "off"
-"""Said instead of an address: there is no control socket."""
+"""The word that stands in place of an address for "no control socket"."""
 SOCKET_SUFFIX = ".sock"
 TOKEN_SUFFIX = ".json"
 
@@ -42,7 +43,7 @@ class UnixAddress:
 
 @dataclass(frozen=True, slots=True)
 class LoopbackAddress:
-    """The address of a control service over HTTP on this host: a loopback address, and a port (0 takes a free one)."""
+    """The address of a control service over HTTP: a numeric loopback address, and a port (0 binds a free one)."""
 
     host: str
     port: int
@@ -56,6 +57,8 @@ ControlAddress = UnixAddress | LoopbackAddress
 
 def parse_control_address(text: str) -> ControlAddress:
     """Parse the address of a control service: a socket path, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
+
+    A text that is no URL, and has a slash or no ``:PORT`` at its end, is the path of a Unix socket.
 
     Raises:
         ConfigError: the text is empty, has another scheme or no valid port, or its host is not a loopback address.
@@ -81,7 +84,7 @@ def parse_control_address(text: str) -> ControlAddress:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether a host is a numeric loopback address, such as ``127.0.0.1`` or ``::1``; False for names of hosts."""
+    """Whether a host is a numeric loopback address, such as ``127.0.0.1`` or ``::1``; False for host names."""
     try:
         return ip_address(host).is_loopback
     except ValueError:
@@ -89,7 +92,7 @@ def is_loopback(host: str) -> bool:
 
 
 def control_directory(environment: Mapping[str, str] | None = None) -> Path:
-    """Return the directory for control sockets of this user; created, with mode 0700, if missing.
+    """Return the directory for control sockets of this user; it is created with mode 0700 if it is missing.
 
     Args:
         environment: environment variables to use instead of those of the process.
@@ -109,9 +112,10 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
 
 
 def control_directories(environment: Mapping[str, str] | None = None) -> list[Path]:
-    """Return all directories that may hold control sockets of this user: services and shells use different ones.
+    """Return all existing directories that may hold control sockets of this user, the preferred one first.
 
-    Directories that do not exist, or do not belong to the user alone, are left out.
+    There may be two, since a service may lack the ``XDG_RUNTIME_DIR`` that a shell has. Directories that do not belong
+    to the user alone are left out.
 
     Args:
         environment: environment variables to use instead of those of the process.
@@ -120,7 +124,7 @@ def control_directories(environment: Mapping[str, str] | None = None) -> list[Pa
 
 
 def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
-    """Return the directories in which control sockets of this user may be, existing or not, the preferred one first."""
+    """Return the directories that control sockets of this user may be in, existing or not, the preferred one first."""
     runtime = (os.environ if environment is None else environment).get("XDG_RUNTIME_DIR", "")
     own = f"busway-{os.getuid()}" if hasattr(os, "getuid") else "busway"
     temporary = Path(tempfile.gettempdir()) / own
@@ -130,7 +134,7 @@ def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
 
 
 def _problem(path: Path) -> str:
-    """Return why a directory is not private to this user, as a sentence; empty if it is."""
+    """Return as a sentence why an existing directory is not private to this user; empty if it is private."""
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{path} is no directory"

@@ -1,8 +1,9 @@
-"""Client of the control service: finds running servers and gateways and asks them for their status.
+"""Client of the control service: finds running servers and gateways, and asks them for their status.
 
 Knows the client's side of HTTP over a Unix domain socket and over loopback; knows nothing of what a status contains.
 
-1. Blocking, with one time limit for each step. At most `ANSWER_LIMIT` bytes of a response are read.
+1. All calls block; each of connecting, sending and receiving has its own time limit. At most `ANSWER_LIMIT` bytes of a
+   response are read.
 """
 
 import http.client
@@ -33,10 +34,10 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A running server or gateway, by the address of its control service.
+    """A server or gateway with a control service, by the address of this service.
 
     Attributes:
-        address: where the control service answers.
+        address: address of the control service.
         token: token that each request must carry; empty for a Unix domain socket.
     """
 
@@ -48,10 +49,10 @@ class Running:
 
 
 def find_running(*directories: Path) -> list[Running]:
-    """Return the running programs whose control sockets or tokens are in these directories.
+    """Return the running programs whose control sockets or token files are in these directories.
 
-    They are in the order of the directories, in each first those with a Unix socket, by name, then those on loopback.
-    A connection to each is tried, for at most a second; programs that cannot be connected to are left out.
+    The order is that of the directories; within one, programs with a Unix socket come first, sorted by name, then those
+    on loopback. A connection to each is tried for at most a second; programs that do not accept it are left out.
     """
     found: list[Running] = []
     for directory in directories:
@@ -63,14 +64,14 @@ def find_running(*directories: Path) -> list[Running]:
 
 
 def find_one(text: str, *directories: Path) -> Running:
-    """Return the program with this control address; whether it runs is not checked.
+    """Return the program that a text names; whether it runs is not checked.
 
     Args:
-        text: path of the control socket, URL, or name of the socket in one of the directories (a process id).
-        directories: where sockets and tokens are searched.
+        text: path of the control socket, URL, or name of a socket in one of the directories (a process id).
+        directories: where sockets and token files are searched.
 
     Raises:
-        ConfigError: the text is no address of this host, or no token is found for the URL.
+        ConfigError: the text is no address of this host, or the directories have no token for the URL.
     """
     address = parse_control_address(text)
     if isinstance(address, LoopbackAddress):
@@ -88,21 +89,23 @@ def find_one(text: str, *directories: Path) -> Running:
 
 
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
-    """Ask a running program for a resource of its control service; return the decoded JSON, or text that is no JSON.
+    """Ask a running program for a resource of its control service, and return the decoded JSON.
+
+    A response that is no JSON, such as the metrics, is returned as str.
 
     Blocks until the response has come.
 
     Args:
         running: the program.
-        resource: ``/status``, ``/connections``, ``/metrics``, ``/reset-counters`` or ``/reload``.
-        method: ``GET``; ``POST`` for the last two.
+        resource: ``/status``, ``/connections``, ``/metrics`` (GET), ``/reset-counters`` or ``/reload`` (POST).
+        method: ``GET`` or ``POST``.
         timeout: seconds for each step: to connect, to send, to receive.
 
     Raises:
         LinkDown: no program answers at the address.
-        NoReply: the response did not come in time, or the program's event loop is stuck, or it is about to end.
+        NoReply: the response did not come in time, the program's event loop is stuck, or the program is about to end.
         ConfigError: the token is wrong, the resource does not exist, or the request failed; the message says why.
-        BadReply: the response is not valid.
+        BadReply: the response is not valid HTTP or JSON.
     """
     connection = _Connection(running.address, timeout)
     try:
@@ -164,7 +167,7 @@ class _Connection(http.client.HTTPConnection):
 
 
 def _with_tokens(directory: Path) -> list[Running]:
-    """Return the programs whose token files for loopback HTTP are in a directory; whether they run is not checked."""
+    """Return the programs whose token files for loopback HTTP are in a directory, whether they run or not."""
     found = []
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:

@@ -1,11 +1,11 @@
-"""Creates and removes the socket at which a program answers requests for its status.
+"""Creates and removes the control socket, at which a program answers requests for its status.
 
 Knows sockets, files and their modes; knows no request.
 
 1. At no moment can another user connect: a Unix socket gets its mode before it listens, a token file gets its mode
    before the token is written.
-2. A socket or token file that a dead program left behind is replaced. A socket that answers, or any other file, is left
-   alone.
+2. A socket or token file that a dead program has left behind is replaced. If a program answers at a socket, or the file
+   is something else, it is left alone.
 3. At the end a file is removed only if it is still the one that was created.
 """
 
@@ -26,18 +26,18 @@ from ...transport.tcp import network_kind
 from .addresses import HAS_UNIX_SOCKETS, KEY, SOCKET_SUFFIX, TOKEN_SUFFIX, ControlAddress, LoopbackAddress, UnixAddress
 
 _LONGEST_PATH = 103
-"""Bytes of a Unix socket's path that every system accepts; Linux accepts 107."""
+"""The longest path of a Unix socket, in bytes, that every system accepts; Linux accepts 107."""
 _CONNECT_SECONDS = 1.0
 
 
 @dataclass
 class Bound:
-    """The bound socket of a control service, with the file of its socket or token.
+    """The bound socket of a control service, and the file that belongs to it.
 
     Attributes:
-        socket: the bound socket.
-        address: its address.
-        token: token that each request must carry; empty for a Unix socket, which the mode of its file guards.
+        socket: the bound socket; it does not listen yet.
+        address: the address that it is bound to, with the real port.
+        token: token that each request must carry; empty for a Unix socket, which the mode of its file protects.
     """
 
     socket: socket.socket
@@ -47,14 +47,14 @@ class Bound:
     _identity: tuple[int, int] = field(default=(0, 0))
 
     def remember(self, made: Path) -> None:
-        """Store the path of the file that was created for the control socket or its token, for `remove`."""
+        """Store which file was created for this socket (the Unix socket or the token file), for `remove`."""
         found = made.lstat()
         self._made, self._identity = made, (found.st_dev, found.st_ino)
 
     def remove(self) -> None:
-        """Remove the file of the control socket or its token, unless another program has replaced it.
+        """Delete the file stored by `remember`, unless another program has replaced it.
 
-        The socket stays open.
+        The socket itself stays open.
         """
         made, self._made = self._made, None
         if made is None:
@@ -66,9 +66,9 @@ class Bound:
 
 
 def bind_default(directory: Path) -> Bound:
-    """Create a control socket in a directory, named after the process; on loopback where there are no Unix sockets.
+    """Create a control socket in a directory, named after this process; on systems without Unix sockets, on loopback.
 
-    Sockets that dead programs left in the directory are removed.
+    Sockets that dead programs have left in the directory are removed first.
 
     Raises:
         ConfigError: the path of the socket is too long.
@@ -87,6 +87,8 @@ def bind_default(directory: Path) -> Bound:
 
 def bind_unix(address: UnixAddress) -> Bound:
     """Create and bind a Unix domain socket of mode 0600 for a control service; it does not listen yet.
+
+    A socket at the path at which no program answers is replaced.
 
     Raises:
         ConfigError: another file is at the path, the path is too long, or this system has no Unix domain sockets.
@@ -111,9 +113,9 @@ def bind_unix(address: UnixAddress) -> Bound:
 
 
 def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
-    """Create and bind a loopback socket for a control service, and write a new token into a file of the directory.
+    """Create and bind a loopback socket for a control service; it does not listen yet.
 
-    The file has mode 0600.
+    A new token is written with the URL into a file of mode 0600 in ``directory``.
 
     Raises:
         LinkDown: the address cannot be bound, or the token cannot be written.
@@ -137,7 +139,10 @@ def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
 
 
 def is_alive(path: Path) -> bool:
-    """Whether a program answers at a Unix control socket; True also if it is too busy to answer within a second."""
+    """Whether a program listens at a Unix control socket.
+
+    False only if the connection is refused or the file is missing; True also if it does not accept within a second.
+    """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(_CONNECT_SECONDS)
         try:
@@ -150,7 +155,7 @@ def is_alive(path: Path) -> bool:
 
 
 def sweep(directory: Path) -> None:
-    """Remove the Unix sockets of dead programs from a directory: those at which no program answers."""
+    """Remove from a directory the Unix sockets at which no program listens: dead programs have left them."""
     for path in directory.glob(f"*{SOCKET_SUFFIX}"):
         with contextlib.suppress(OSError):
             if stat.S_ISSOCK(path.lstat().st_mode) and not is_alive(path):
@@ -158,7 +163,7 @@ def sweep(directory: Path) -> None:
 
 
 def same_user(accepted: socket.socket) -> bool:
-    """Whether the peer of an accepted Unix socket runs as the same user or root; True if the system cannot tell."""
+    """Whether the peer of an accepted Unix socket is of this process's user or root; True if the system cannot tell."""
     option = getattr(socket, "SO_PEERCRED", None)
     if option is None:
         return True

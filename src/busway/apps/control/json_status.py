@@ -1,6 +1,6 @@
-"""Converts a status to JSON: dataclasses become objects, enum members their values.
+"""Converts a status to data that JSON can represent: dataclasses become objects.
 
-Knows types; knows no status. So a new field of a status appears in the JSON without a change here.
+Knows types; knows no status, so a new field of a status appears in the JSON without a change here.
 """
 
 import math
@@ -13,8 +13,8 @@ from typing import Any
 def plain(value: Any) -> Any:
     """Return a status as data for `json.dumps`: numbers, texts, lists, dictionaries and None.
 
-    Dataclasses become dictionaries, enum members their values or else names, bytes hexadecimal text, times texts in
-    ISO 8601; infinity and NaN become None. Other objects become their ``str``.
+    Dataclasses become dictionaries; enum members their value if it is a text, else their name in lower case; bytes
+    hexadecimal text; times texts in ISO 8601; infinity and NaN None. Other objects become their ``str``.
     """
     if isinstance(value, Enum):
         return value.value if isinstance(value.value, str) else value.name.lower()

@@ -3,10 +3,11 @@
 Knows resources and requests; knows no server: a `Subject` is any object with a status.
 
 1. ``GET /status`` is the whole status, ``GET /connections`` a part of it, ``GET /metrics`` the metrics for a scraper.
-   ``POST /reset-counters`` and ``POST /reload`` exist where the subject offers them.
-2. The subject is asked in its own event loop, for at most `GATHER_SECONDS`: if the loop is stuck, the response says so.
-3. Over loopback each request must carry the token and a ``Host`` of loopback: a foreign web page has neither. Requests
-   with an ``Origin`` are refused.
+   ``POST /reset-counters`` and ``POST /reload`` work only for subjects that have these methods.
+2. The subject is asked in its own event loop. If the loop does not answer within `GATHER_SECONDS` (`RELOAD_SECONDS` for
+   a reload), the response is an error that says so.
+3. Over loopback each request must carry the token and a ``Host`` of loopback, which a foreign web page cannot do.
+   Requests with an ``Origin`` are refused.
 """
 
 import asyncio
@@ -35,7 +36,7 @@ _log = logging.getLogger("busway.apps.control")
 
 GATHER_SECONDS: Final = 2.0
 RELOAD_SECONDS: Final = 30.0
-"""Time limit of a reload, which reads files and certificates."""
+"""Time limit of a reload, in seconds; a reload reads files and certificates."""
 _JSON: Final = "application/json"
 
 
@@ -56,10 +57,10 @@ class Resettable(Protocol):
 
 @runtime_checkable
 class Reloadable(Protocol):
-    """Interface of a server or gateway that can read its files again on demand."""
+    """Interface of a server or gateway that can read its files again while it runs."""
 
     async def reload(self) -> Any:
-        """Read the files again, apply them, and return what changed, as data for JSON.
+        """Read the files again, apply them, and return what changed, as data that `plain` converts to JSON.
 
         Raises:
             ModbusError: the files cannot be used; nothing has changed.
@@ -67,12 +68,12 @@ class Reloadable(Protocol):
 
 
 Reload = Callable[[], Any]
-"""A function or coroutine function that reads the files again; its result is sent to the client as JSON."""
+"""A function or coroutine function that reads the files again; the client gets its result as JSON."""
 AnswerMetrics = Callable[[HttpRequest], HttpResponse]
 
 
 class Control:
-    """Control service of a server or gateway: answers requests for its status while the ``async with`` block lasts::
+    """Control service of a server or gateway: answers requests for its status while the ``async with`` block runs::
 
         async with busway.serve(units={1: device}) as server, Control(server):
             ...
@@ -82,12 +83,13 @@ class Control:
         at: path of a Unix domain socket, or an address of loopback such as ``127.0.0.1:0``. None: a new socket in the
             directory where `busway status` looks for sockets.
         name: name of the program in its status, to tell several programs apart.
-        directory: directory of sockets and tokens, instead of `control_directory`.
-        reload: reads the files again; None: the subject does that, if it is `Reloadable`.
-        metrics: answers requests for the metrics, for example `MetricsEndpoint.answer`; None: there are no metrics.
+        directory: directory for sockets and token files; None for that of `control_directory`.
+        reload: function that reads the files again; None: the ``reload`` of a `Reloadable` subject, or no reload.
+        metrics: function that answers requests for metrics, such as `MetricsEndpoint.answer`; None: there are no
+            metrics.
 
     Attributes:
-        address: where the service answers; None while it does not run.
+        address: address of the service while it runs; None otherwise.
 
     Raises:
         ConfigError: ``at`` is not an address of this host.
@@ -127,7 +129,9 @@ class Control:
             self._resources["POST", "/reload"] = self._reload_files
 
     async def start(self) -> None:
-        """Open the control socket and start to answer requests. To be called in the subject's event loop.
+        """Open the control socket and start to answer requests; does nothing if it runs already.
+
+        To be called in the subject's event loop.
 
         Raises:
             ConfigError: another file is at the path, or the directory does not belong to the user alone.
@@ -216,14 +220,16 @@ class Control:
         return _json({"reloaded": plain(self._in_loop(self._reload, RELOAD_SECONDS))})
 
     def _in_loop(self, work: Callable[[], Any], seconds: float = GATHER_SECONDS) -> Any:
-        """Run a function or coroutine function in the subject's event loop, wait for it, and return its result.
+        """Run a function or coroutine function in the subject's event loop, and return its result.
+
+        Blocks until then; called in threads of the service.
 
         Args:
-            work: the function.
-            seconds: how long to wait for it.
+            work: the function; what it raises is raised here.
+            seconds: how long to wait for the result; then it is cancelled.
 
         Raises:
-            HttpError: the event loop has ended (503), or the result did not come in time (504).
+            HttpError: the event loop has ended (status 503), or the result did not come in time (504).
         """
         assert self._loop is not None
 
@@ -269,13 +275,13 @@ async def open_control(
     reload: Reload | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
-    """Context manager that runs a `Control` in its block and gives it; gives None if there is no control service.
+    """Context manager that runs a `Control` during its block and yields it; yields None if there is no control service.
 
-    There is none for ``off``, and none if the default socket cannot be opened, which is logged.
+    There is none if ``at`` is ``off``, or if ``at`` is None and the default socket cannot be opened, which is logged.
 
     Args:
-        subject, name, reload, metrics: as of `Control`.
-        at: as of `Control`, or ``off``.
+        subject, name, reload, metrics: arguments of `Control`.
+        at: argument of `Control`, or ``off``.
 
     Raises:
         ConfigError: the address ``at`` is invalid, or another file is there.

@@ -1,17 +1,19 @@
 """The balance of a zone's load: which collector takes a shard without owner, and which shards move to another one.
 
-Pure; knows loads and names. Every collector computes the same from what it sees, and does its own part only.
+Pure; knows loads and names. Every collector computes the plan for the whole zone from what it sees in the shared table,
+and carries out only its own part of the plan.
 
-1. Load is what the links of a shard need of their own time: seconds per second, from the read plans. The fair load of a
-   collector is its part of the sum, by capacity.
+1. The load of a shard is the line time that polling its links needs: seconds per second, from the read plans. The fair
+   load of a collector is its part of the sum of all loads, in proportion to its capacity.
 2. Free shards go to the least loaded, the dearest shard first.
-3. Shards move where a collector is further than `BEGIN` from the fair load, and until all are within `END`: between the
-   two nothing moves, so loads that change a little move nothing.
+3. Shards begin to move when the load of a collector is further than `BEGIN` from its fair load, and go on moving until
+   all collectors are within `END`. So small changes of loads move nothing.
 4. A move takes the shard that levels giver and taker best: the fewest moves, since each costs its links a moment.
 5. If no move improves the balance any more, two collectors exchange a dearer and a cheaper shard, if that removes at
    least half of the difference between them: if shards are few and unlike, nothing else levels the loads. Each
    collector takes part in one exchange at a time.
-6. A collector that drains gives all it has; one that another host cannot reach is never asked to take a pinned shard.
+6. A collector that drains gives away all its shards. A pinned shard (`pinned_shard`) goes only to a collector on one of
+   its hosts, the first host with a live collector; it never moves to level loads.
 """
 
 from bisect import bisect_left, insort
@@ -23,13 +25,13 @@ from typing import Final
 from .shards import hosts_of
 
 BEGIN: Final = 0.08
-"""Part of the fair load that a collector must be off before shards move."""
+"""Fraction of the fair load: shards begin to move when a collector's load differs from its fair load by more."""
 END: Final = 0.04
-"""Part of the fair load within which collectors are left alone, once shards move."""
+"""Fraction of the fair load: once shards move, they go on until no collector's load differs by more."""
 MOST_MOVES: Final = 64
-"""Most moves that are planned at once, in the whole zone."""
+"""Most moves that one plan has, for the whole zone."""
 MOST_TRIED: Final = 8
-"""Most collectors with which an exchange is tried, the least loaded first."""
+"""Most collectors with which an exchange is tried for one giver, the least loaded first."""
 
 
 @dataclass(slots=True)
@@ -72,7 +74,8 @@ class Move:
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
     """Return which collector should take each shard (group of links) that has no owner, by name of the shard.
 
-    The dearest shard goes first; each goes to the least loaded collector. Shards that no collector may take are left
+    The dearest shard is placed first; each goes to the collector whose load relative to its capacity is then lowest. A
+    pinned shard goes to a collector on the first of its hosts that has one. Shards that no collector may take are left
     out.
 
     Args:
@@ -89,10 +92,10 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 
 
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
-    """Return the moves of shards (groups of links) that make the loads of a zone's collectors fair.
+    """Return the moves of shards (groups of links) that empty draining collectors and level the loads of the others.
 
-    Empty if the loads are fair enough (rule 3), or if all collectors are draining. At most `MOST_MOVES` moves are
-    returned, or one more if the last two are an exchange.
+    Empty if all collectors are draining, or if none is and the loads are fair enough (rule 3). At most `MOST_MOVES`
+    moves are returned.
 
     Args:
         owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.
@@ -114,12 +117,14 @@ def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, mo
 
 
 def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share], able: list[Share]) -> list[Move]:
-    """Return the moves of shards (groups of links) away from the collectors that drain; changes the loads in ``state``.
+    """Return the moves of shards (groups of links) away from the collectors that drain, the dearest shard first.
+
+    Changes the loads of the collectors in ``state``.
 
     Args:
-        owned: owner and cost of each shard, by name.
+        owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.
         state: all collectors, by name.
-        able: the collectors that do not drain.
+        able: the collectors of ``state`` that do not drain.
     """
     found: list[Move] = []
     draining = {name for name, each in state.items() if each.draining}
@@ -168,13 +173,15 @@ def _level(
 def _exchange_all(
     costs: Mapping[str, list[tuple[float, str]]], order: list[Share], fair: float, found: list[Move]
 ) -> None:
-    """Append to ``found`` exchanges of two shards that level the loads of two collectors, one per collector (rule 5).
+    """Append to ``found`` exchanges of two shards between two collectors each, so that their loads get closer (rule 5).
+
+    Each collector takes part in one exchange at most.
 
     Args:
-        costs: by collector, cost and name of each of its shards that may move.
-        order: the collectors in the order of their relative loads.
+        costs: by name of each collector, cost and name of each of its shards that may move, sorted.
+        order: the collectors in the order of their relative loads, the least loaded first.
         fair: the relative load that all collectors should have.
-        found: the moves so far.
+        found: the moves so far; an exchange adds two.
     """
     takers = order[:]
     for giver in reversed(order):
@@ -200,7 +207,7 @@ def _replace(order: list[tuple[float, str]], was: tuple[float, str], now: tuple[
 
 
 def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[float, str] | None:
-    """Return cost and name of the shard whose move levels the loads of two collectors best; None if no move helps.
+    """Return cost and name of the giver's shard whose move to the taker levels both loads best; None if no move helps.
 
     Args:
         costs: cost and name of each shard that the giver may give, sorted.
@@ -217,7 +224,9 @@ def _best(costs: list[tuple[float, str]], giver: Share, taker: Share) -> tuple[f
 def _exchange(
     dearer: list[tuple[float, str]], cheaper: list[tuple[float, str]], giver: Share, taker: Share
 ) -> tuple[str, str] | None:
-    """Return the names of the two shards whose exchange levels two collectors best; None if no exchange helps enough.
+    """Return the names of the two shards whose exchange levels the loads of two collectors best.
+
+    None if no exchange removes more than half of the difference between their loads.
 
     Args:
         dearer: cost and name of each shard of the giver, sorted.
@@ -241,7 +250,10 @@ def _exchange(
 
 
 def _difference(giver: Share, taker: Share) -> float:
-    """Return the load that would have to move from giver to taker for both to have the same relative load."""
+    """Return the load, in seconds of line time per second, that has to move from giver to taker to level both.
+
+    Level means the same relative load.
+    """
     return (giver.relative() - taker.relative()) / (1 / giver.capacity + 1 / taker.capacity)
 
 

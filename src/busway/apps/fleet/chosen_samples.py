@@ -1,7 +1,7 @@
 """Passes on to one sink only the samples of a zone's stream that the sink wants: its points, by report rules.
 
-The choice is that of a sink beside the store of one collector. Knows patterns and report rules; a sink that needs a
-store is refused by name.
+It chooses by the same options and rules as a sink beside the store of one collector. Knows patterns and report rules;
+a sink that needs a store is refused, with its name in the error.
 
 1. A rule compares a sample with the last one of its point that the sink has taken since this process began: after a
    start the first sample of each point is passed on.
@@ -43,12 +43,12 @@ class ChosenSamples:
 
     Args:
         sink: the sink that gets the chosen samples.
-        options: options of that sink: patterns of its points, and a report rule for all of them. The sizes of batches
-            have no effect, as batches come from the stream.
-        rules: by device and point, the report rules of points, used if the sink has none of its own; points that are
-            missing are passed on with every sample.
-        points: by device and point, the points that a sink describes to its receiver, and that have gaps; None for
-            none.
+        options: options of that sink: patterns of its points, and its report rule if it has one. Options about the size
+            of batches have no effect, as batches come from the stream.
+        rules: by device and point, the report rules of points, used if the sink has none of its own. Every sample of a
+            point that is missing is passed on.
+        points: by device and point, all points of the configuration: some sinks describe them to their receiver, and
+            `send_gap` needs them to mark gaps. None for none: gaps then have no effect.
     """
 
     def __init__(
@@ -74,11 +74,11 @@ class ChosenSamples:
         await self._sink.open()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send the chosen ones of these samples; when this returns, the receiver has accepted them.
+        """Send those samples that the sink wants; when this returns, the receiver has accepted them.
 
         Raises:
-            SinkDown: some may have arrived. The samples may be given again: they are chosen anew.
-            SinkRefused: the receiver would refuse the samples again.
+            SinkDown: some samples may have arrived. Give the same samples again later: the same ones are chosen.
+            SinkRefused: the receiver refuses the samples, and would refuse them again.
         """
         fresh: dict[_Point, CommittedSample] = {}
         chosen = [each for each in samples if self._is_chosen(each, fresh)]
@@ -90,11 +90,14 @@ class ChosenSamples:
                 self._newest[sample.device] = sample.time
 
     async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
-        """Send a gap of ownership to a sink that keeps gaps. For others, return the samples to send instead (rule 3).
+        """Send a gap of ownership to a sink that keeps gaps (`GapSink`), and return an empty list.
+
+        For any other sink nothing is sent: the result is the samples without a value that mark the gap, one for each
+        wanted point; the caller passes them to `send` (rule 3).
 
         Raises:
-            SinkDown: it may have arrived; it may be given again.
-            SinkRefused: the receiver would refuse it again.
+            SinkDown: the gap may have arrived; give it again later.
+            SinkRefused: the receiver refuses the gap, and would refuse it again.
         """
         gaps = [
             DeviceGap(device, points, str(gap.epoch), self._place_of(gap, device)[0], gap.end)
@@ -118,9 +121,10 @@ class ChosenSamples:
             yield CommittedSample(gap.commit, each.device, point, time, 0, None, Reason.OWNERSHIP, unit)
 
     def _place_of(self, gap: OwnershipGap, device: str) -> tuple[int, int]:
-        """Return when a gap of a device begins, as far as the samples tell that have passed here, and when its mark is.
+        """Return the begin of a gap of a device and the time of the sample that marks it, nanoseconds since 1970 UTC.
 
-        The first result is remembered and returned again; with `_MOST_PLACED` results all are forgotten.
+        The begin is that of `true_begin`, by the newest sample of the device that has passed here so far. The result
+        for a gap is remembered and returned again; when `_MOST_PLACED` results are remembered, all are forgotten.
         """
         key = device, str(gap.epoch)
         found = self._placed.get(key)
@@ -172,7 +176,7 @@ class ChosenSamples:
 
 
 def refuse_what_needs_a_store(configuration: CollectorConfiguration, sink: str | None = None) -> None:
-    """Raise `ConfigError` for a sink that cannot take samples from a stream, but needs the store of one collector.
+    """Raise `ConfigError` if a sink cannot take samples from a stream, because it needs the store of one collector.
 
     These are Sparkplug sinks, and sinks whose files are named by commits.
 

@@ -4,12 +4,12 @@ Knows entries and the checks of a collector file; knows no collector.
 
 1. A configuration is written only after it was checked, by compare-and-set on the revision that was seen. A refused
    one changes nothing.
-2. The text alone is shared, with the path of its file: device profiles that the text names must be under the same path
-   on every machine of the fleet.
-3. Keys begin with ``control.``, so that a server can deny them to collectors.
-4. How long leases hold is in the entry of the zone. The first collector makes it, unless an operator has. It changes
-   only while no collector runs. One that was cut off meanwhile learns the new time from this entry; its leases say how
-   long they hold.
+2. Only the text of the configuration and the path of its file are shared: device profiles that the text names must be
+   under the same path on every machine of the fleet.
+3. The keys of these entries begin with ``control.``, so that a server can deny them to collectors.
+4. The entry ``zone`` says how long leases hold. The first collector makes the entry, unless an operator has. It changes
+   only while no collector runs. A collector that was cut off meanwhile learns the new times from the entry; the leases
+   that it holds until then say themselves how long they hold.
 """
 
 import asyncio
@@ -58,13 +58,14 @@ class SharedConfiguration:
     revision: int
 
     def parsed(self, times: LeaseTimes) -> CollectorConfiguration:
-        """Check the text, and return it as the configuration of a collector.
+        """Check the text, and return it as a configuration of collectors (`with_short_user_timeout`).
 
         Args:
-            times: the lengths of the leases; a link must be fast enough for them.
+            times: the lengths of the leases; a transaction on a link must be short enough for them.
 
         Raises:
-            ConfigError: the text is wrong, with all its problems, or a link is too slow.
+            ConfigError: the text is wrong, with all its problems; a transaction may last too long; or two links to one
+                endpoint have different hosts.
         """
         configuration = with_short_user_timeout(parse_collector(self.text, self.name))
         refuse_slow_links(configuration, times)
@@ -73,10 +74,9 @@ class SharedConfiguration:
 
 
 async def read_entries(coordinator: Coordinator, prefix: str) -> dict[str, Entry]:
-    """Return by key the entries of the shared table whose keys begin with a prefix, as they are now.
+    """Return the entries of the shared table whose keys begin with a prefix, as they are now, by key.
 
-    Deleted entries are among them: their value is empty.
-    Waits without limit for a coordinator that does not answer.
+    Deleted entries are among them, with an empty value. Waits without limit for a coordinator that does not answer.
 
     Raises:
         ConfigError: the table can never be read, for example because rights are missing.
@@ -110,9 +110,9 @@ async def read_configuration(coordinator: Coordinator) -> SharedConfiguration | 
 
 
 async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
-    """Return the lease times of the collectors of a zone; the defaults if none are recorded or readable.
+    """Return the lease times that are recorded for a zone; the defaults of `LeaseTimes` if none are, or none readable.
 
-    The table has only ``ttl`` and ``guard``: ``renew`` and ``answer`` are the defaults, in proportion to ``ttl``.
+    The table has only ``ttl`` and ``guard``; ``renew`` and ``answer`` are in the proportion of the defaults to ``ttl``.
 
     Raises:
         ConfigError: the table can never be read, or its times are out of their range.
@@ -123,9 +123,9 @@ async def recorded_times(coordinator: Coordinator) -> LeaseTimes:
 
 
 async def record_times(coordinator: Coordinator, times: LeaseTimes, shards: int) -> None:
-    """Make these the lease times of a zone: all collectors that start from now on have them.
+    """Record the lease times of a zone; all collectors that start later use them.
 
-    No collector of the zone may run: the caller has made sure of that.
+    The caller must have made sure that no collector of the zone runs: this is not checked here.
 
     Args:
         coordinator: the coordinator of the zone.
@@ -134,7 +134,7 @@ async def record_times(coordinator: Coordinator, times: LeaseTimes, shards: int)
 
     Raises:
         ConfigError: the table can never be read.
-        RevisionConflict: a collector recorded its figures meanwhile, and these hold.
+        RevisionConflict: a collector, or another operator, recorded other times meanwhile, and those hold.
         CoordinatorDown: nothing was changed.
         OutcomeUnknown: the times may have been recorded.
     """
@@ -153,10 +153,11 @@ async def apply_configuration(coordinator: Coordinator, path: str, times: LeaseT
     Args:
         coordinator: the coordinator of the zone.
         path: path of the file.
-        times: the lengths of the leases; None for those that the collectors of the zone have.
+        times: the lengths of the leases; None for those that are recorded for the zone.
 
     Raises:
-        ConfigError: the file is wrong, with all problems; the zone's configuration is as before.
+        ConfigError: the file is wrong, with all problems, is too long, or would move an endpoint to another shard while
+            a collector may live. The zone's configuration is as before.
         RevisionConflict: another configuration was applied meanwhile, and is the zone's now.
         CoordinatorDown: nothing was changed.
         OutcomeUnknown: the file may have become the configuration.
@@ -199,7 +200,7 @@ def _checked(
 
 
 def _parsed(entry: Entry) -> CollectorConfiguration | None:
-    """Return the configuration of an entry; None where it cannot be read here any more: no collector can either."""
+    """Return the configuration of an entry; None if this program refuses the text: then no collector works by it."""
     try:
         shared = decode_configuration(entry)
         return parse_collector(shared.text, shared.name)
@@ -208,7 +209,10 @@ def _parsed(entry: Entry) -> CollectorConfiguration | None:
 
 
 async def _may_run(coordinator: Coordinator) -> bool:
-    """Whether a collector of the zone may live: it has joined, and has not ended in order, as far as can be read."""
+    """Whether a collector of the zone may be running: one has joined and has not ended in order.
+
+    True too if the entry of a collector cannot be read.
+    """
     members = await read_entries(coordinator, MEMBERS)
     records = [decode_member(entry.value) for entry in members.values() if entry.value]
     return any(record is None or not record.gone for record in records)
@@ -217,8 +221,8 @@ async def _may_run(coordinator: Coordinator) -> bool:
 async def refuse_other_figures(coordinator: Coordinator, shards: int, times: LeaseTimes) -> None:
     """Raise `ConfigError` if the zone has another number of shards, or other lease times, than a collector that joins.
 
-    Nothing is raised if the coordinator does not answer in time, or no collector has joined yet. The collector then
-    finds a difference later, and owns nothing.
+    Nothing is raised if the coordinator does not answer within ``times.answer`` seconds, or if the zone has recorded
+    nothing yet. If the figures differ, the collector then finds that later, and owns nothing.
 
     Args:
         coordinator: the coordinator of the zone.
@@ -241,8 +245,8 @@ async def refuse_other_figures(coordinator: Coordinator, shards: int, times: Lea
 async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool = True) -> None:
     """Tell a collector to give away all its shards (groups of links) and to take none, or to take part again.
 
-    The order stays in the table, also for later starts of the collector. Shards that no other collector takes stay with
-    it.
+    Returns once the order is in the table; the collector follows it later. The order also holds for later starts of the
+    collector. Shards that no other collector can take stay with it.
 
     Args:
         coordinator: the coordinator of the zone.
@@ -250,7 +254,7 @@ async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool
         draining: False to let the collector take part again.
 
     Raises:
-        ConfigError: no collector has ever had this name.
+        ConfigError: no collector of the zone has ever had this name, or the name is invalid.
         RevisionConflict: the order was changed by another operator meanwhile; it is as that one has set it.
         CoordinatorDown: nothing was changed.
         OutcomeUnknown: the order may have been given.
@@ -268,10 +272,11 @@ async def drain_collector(coordinator: Coordinator, name: str, *, draining: bool
 
 
 async def raise_generation(coordinator: Coordinator, now: float) -> int:
-    """Raise the generation of a zone, so that all later epochs are above those before, and return the new generation.
+    """Raise the generation of a zone, so that all later epochs are above the earlier ones; return the new generation.
 
-    To be called for a coordinator that has lost its entries, or has older ones from a backup. The generation is the
-    time, so that the one before need not be known; or one more than a recorded one that is not below the time.
+    To be called for a coordinator that has lost its entries, or got older ones back from a backup. The new generation
+    is ``now`` in whole seconds, so that it is above a generation that was lost; if the recorded one is not below
+    ``now``, it is one more than that.
 
     Args:
         coordinator: the coordinator of the zone.

@@ -30,7 +30,7 @@ class OutcomeUnknown(ModbusError):
 
 
 class RevisionConflict(ModbusError):
-    """Error: the entry of the shared table has another revision than expected. Nothing was changed."""
+    """Error: the entry of the shared table has another revision than the caller expected. Nothing was changed."""
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""What the NATS servers of a zone keep when they lose power: whether they sync, and on how many servers an entry is.
+"""Finds out what the NATS servers of a zone keep when they lose power: whether they sync, and how many have an entry.
 
 Knows what nats-server says of itself; the protocol is nats-py's. It decides nothing: an operator has to know.
 
@@ -21,9 +21,9 @@ from .coordinators.opening import CoordinatorOptions
 from .server_files import SYNCS
 
 FEW: Final = 3
-"""Replicas with which one server may be lost."""
+"""Fewest replicas with which a cluster can lose one server and go on."""
 ANSWERS_WITHIN: Final = 1.0
-"""Seconds for which answers of servers are waited for: they do not say how many there are."""
+"""Seconds for which answers of servers are collected: it is not known how many servers there are."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,7 +33,7 @@ class ServerDurability:
     Attributes:
         name: name of the server.
         version: version of nats-server, such as ``2.9.10``.
-        syncs: whether everything that the server has acknowledged is on its disk; None if that is not known.
+        syncs: True if the server writes to its disk before it acknowledges, False if after; None if that is not known.
     """
 
     name: str
@@ -54,18 +54,19 @@ class ServerDurability:
 async def server_durability(
     table: NatsCoordinator, url: str, options: CoordinatorOptions, system: str | None
 ) -> list[ServerDurability]:
-    """Return what each server of a coordinator says about writing to its disk, in the order of their names.
+    """Return for each server of a coordinator whether it writes to its disk first, in the order of their names.
 
-    Without credentials for the system account only the connected server is asked.
+    Without credentials for the system account the result has only the connected server, and it is not known whether one
+    of version 2.10 or newer syncs.
 
     Args:
         table: the open coordinator.
-        url, options: how it was opened.
+        url, options: URL and options with which the coordinator was opened.
         system: path of the credentials of a user of the system account, such as ``status.nk``; None for none.
 
     Raises:
-        ConfigError: these credentials cannot be used.
-        CoordinatorDown: no server could be reached by them.
+        ConfigError: the file ``system`` cannot be used, or no server answers its user.
+        CoordinatorDown: no server could be reached with these credentials.
     """
     if system is None:
         version = table.client.connected_server_version
@@ -85,6 +86,8 @@ async def server_durability(
 
 def durability_warnings(servers: Sequence[ServerDurability], replicas: int, *, is_clustered: bool) -> list[str]:
     """Return warnings, one sentence each, about entries that would be lost with a server or in a power failure.
+
+    Empty if there is nothing to warn of. A server that is not known to sync has a warning too.
 
     Args:
         servers: the NATS servers.
@@ -128,7 +131,7 @@ async def _asked(client: Any) -> list[ServerDurability]:
 
 
 def decode_server(data: bytes) -> ServerDurability | None:
-    """Decode a server's answer to the request ``JSZ`` of its system account; None if it cannot be decoded."""
+    """Decode a server's answer to the request ``JSZ`` of the system account; None if the answer cannot be decoded."""
     try:
         answer = json.loads(data)
         server, config = answer["server"], answer["data"].get("config") or {}

@@ -1,23 +1,23 @@
 """A collector of a fleet: polls only the links of the shards that it owns, as the coordinator says.
 
-Knows the collector, the member and the log of ownership; what is owned is decided by `lease_holder`.
+Knows the collector, the holder of leases and the log of ownership; which shards are owned is decided by `lease_holder`.
 
 1. Polling of a link begins after its epoch is on disk. It stops before the link's shard is handed on: running requests
    end, samples taken so far are committed, and only then is the lease released. Where a gateway may still hold a
    request that was not answered (``gateway_wait``), the release waits for that long, and so does the confirmation of a
    newer configuration without the link.
-2. Right before each transaction the lease is asked (`FleetMember.may_begin`), with the longest that it may take, and
-   again when each of its frames leaves: on a line that may be seconds later. A lease that lapses therefore ends
-   polling at once, whatever else waits.
+2. Right before each transaction it is checked that even the longest one ends before the lease
+   (`FleetMember.may_begin`); and again when each of its frames is sent, on a line perhaps seconds later. So a lease
+   that lapses ends polling at once, even if no task of this program gets to run.
 3. Changes of ownership are applied one after the other; several that have come together are applied as one.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
    renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
    (`ownership_gaps`). One that was killed records at its next start that its ownership ended with its last commit.
    These times are by the clock of the samples. Those from before the wall clock was right are corrected with theirs.
-5. The key of each command that writes a point is taken for the whole zone before the wire (`key_table`), whatever way
-   the command came: page, HTTP, MQTT, NATS. A message with a command is executed and answered by the owner of its link;
-   with `zone` a server gives it to one collector, which passes it on.
+5. The key of each command that writes a point is taken for the whole zone before anything is sent to the device
+   (`key_table`), no matter how the command came: page, HTTP, MQTT, NATS. A message with a command is executed and
+   answered by the owner of its link; with ``zone`` a server gives the message to one collector, which passes it on.
 6. A collector that was started with a revision takes each newer configuration of the zone, as a whole. One that is
    refused, by its check or because a sink differs, changes nothing, and `refused` says why. Links that a new
    configuration changes stop before the last commit of the old one, so every sample has the revision with which it was
@@ -69,11 +69,11 @@ from .plant import (
 from .shards import checked_name
 
 LOOK_AGAIN: Final = 1.0
-"""Seconds after which a link that seems to have no owner is looked at again: its new owner may not be shown yet."""
+"""Seconds after which a link without a known owner is checked again: the entry of its new owner may not be read yet."""
 RECORD_AGAIN: Final = 1.0
-"""Seconds after which a record of owned links that failed is tried again."""
+"""Seconds after which it is tried again to record owned links on disk, if that failed."""
 END_LIMIT: Final = 10.0
-"""Seconds in which shards are handed back when the collector ends in order."""
+"""Longest wait in seconds for the release of all shards when the collector ends."""
 
 _log = logging.getLogger("busway.fleet")
 
@@ -92,11 +92,11 @@ class FleetCollector:
         times: the lengths of the leases, the same for all collectors; None for the defaults of `LeaseTimes`.
         capacity: this collector's part of the work, relative to the others.
         stream: gets the collector's samples; None if they stay in its own store.
-        revision: revision of the configuration if the coordinator has it: newer revisions are then applied too (rule
-            6). 0 if the configuration is not from the coordinator.
-        keys: the table of the keys of commands, the same for all collectors; not closed here. None for the table of
-            ``coordinator``.
-        zone: name of the zone, if `FleetCommands` passes on commands for links that others own; empty if commands
+        revision: revision of the configuration if it is from the coordinator: newer revisions are then applied too
+            (rule 6), and orders to drain are followed. 0 if the configuration is not from the coordinator.
+        keys: the table of the keys of commands, the same for all collectors; not closed here. None if the keys are in
+            the table of ``coordinator``.
+        zone: name of the zone if a `FleetCommands` passes on commands for links of other collectors; empty if commands
             cannot be passed on.
         now: returns the time of the clock of leases, in seconds.
 
@@ -108,11 +108,13 @@ class FleetCollector:
         revision: revision of the configuration in force; 0 if it is not from the coordinator.
         unowned_seconds: seconds for which links had no owner before this collector took them, as far as is known; the
             sum of all links.
-        pass_on: asks the owner of a link to execute a command; None while that is not possible.
-        refused: why the newest configuration of the zone was not applied; None if it was.
+        pass_on: asks the owner of a link to execute a command, and returns its answer; set by `FleetCommands`. None
+            while commands cannot be passed on.
+        refused: why the newest configuration of the zone was not applied, or why it waits; None if it was applied.
 
     Raises:
-        ConfigError: a transaction on a link may last longer than a lease allows, a name is invalid, or collectors would
+        ConfigError: a transaction on a link may last longer than a lease allows, two links to one endpoint have
+            different hosts, a serial port has no host though machines differ, a name is invalid, or collectors would
             share an edge node of Sparkplug.
     """
 
@@ -185,10 +187,10 @@ class FleetCollector:
         self._tasks: list[asyncio.Task[None]] = []
 
     async def __aenter__(self) -> Self:
-        """Open the store, and join the collectors of the zone; links are polled once their shards are owned.
+        """Open the store, and join the collectors of the zone; links are polled later, once their shards are owned.
 
-        Raises as `Collector.__aenter__`, and `ConfigError` if the zone has another number of shards, or other lease
-        times.
+        Raises the errors of `Collector.__aenter__`, and `ConfigError` if the zone has another number of shards or other
+        lease times, or the record of ownership cannot be used.
         """
         await refuse_other_figures(self._coordinator, self._shards, self.member.times)
         async with AsyncExitStack() as unless_started:
@@ -229,8 +231,8 @@ class FleetCollector:
     ) -> None:
         """Stop polling, release all owned shards (groups of links) in at most `END_LIMIT` seconds, and close the store.
 
-        The limit is longer while a gateway may hold a request, but by no more than a lease lasts. Leases that could not
-        be released in time lapse: others take the shards later.
+        While a gateway may hold a request, the limit is longer, by at most the length of a lease. Leases that could not
+        be released in time lapse, and other collectors take the shards later.
         """
         async with AsyncExitStack() as steps:
             steps.callback(self.ownership.close)
@@ -251,9 +253,12 @@ class FleetCollector:
         return self._active_since.get(link) if link in self._active else None
 
     def follow_links(self, told: Callable[[], None]) -> None:
-        """Register a function to be called in the event loop each time that `links` may have changed.
+        """Register a function that is called in the event loop each time that `links` may have changed.
 
         The function must be quick.
+
+        Args:
+            told: the function.
         """
         self._link_followers.append(told)
 
@@ -264,10 +269,10 @@ class FleetCollector:
 
     @property
     def is_confirmed(self) -> bool:
-        """Whether the coordinator is known to take this collector's changes of the shared table.
+        """Whether the coordinator has confirmed this collector's last change of the shared table; True at the start.
 
-        False from a change that was not confirmed until one that is; True at the start. A change that still waits, or
-        that met another revision, alters nothing.
+        False after a change without a confirmation, until a later one is confirmed. A change that still waits for its
+        answer, or was refused because the entry had another revision, does not count.
         """
         return self._driver.error is None
 
@@ -298,9 +303,10 @@ class FleetCollector:
         return self._link_of.get(device, "")
 
     def is_responsible(self, link: str) -> bool:
-        """Whether this collector answers commands for a link: it is the owner, or the link has no live owner.
+        """Whether this collector is the one that answers commands for a link: True if it owns the link.
 
-        Without a live owner only the live collector whose name sorts first answers.
+        If no live collector owns the link, True for the live collector whose name sorts first, so that one of all
+        answers.
         """
         lease = self.member.leases().get(self.shard_of(link))
         living = {each.name for each in self.member.members(self._now())} | {self.member.name}
@@ -335,7 +341,7 @@ class FleetCollector:
                     self._driver.wake()
 
     async def _check(self, entry: Entry) -> None:
-        """Check a newer configuration of the zone: have it applied by `_apply_changes`, or set `refused` (rule 6)."""
+        """Check a newer configuration of the zone: if it is right, `_apply_changes` applies it; else set `refused`."""
         try:
             shared = decode_configuration(entry)
             newer = await asyncio.to_thread(shared.parsed, self.member.times)
@@ -356,10 +362,13 @@ class FleetCollector:
         self._wake.set()
 
     async def _take_newer(self) -> None:
-        """Apply the newer configuration that was checked: links that it lacks stop, new ones of owned shards begin.
+        """Apply the newer configuration that was checked; do nothing if there is none.
 
-        A shard that was gained meanwhile begins with its event, which has the gap before it. Does nothing if there is
-        no newer configuration. Raises `sqlite3.Error` if ownership cannot be recorded; to be called again then.
+        Links that it lacks stop, and its new links of owned shards begin. Links of a shard that was gained meanwhile
+        begin later, when the event of the shard is applied: only that tells the gap before.
+
+        Raises:
+            sqlite3.Error: ownership cannot be recorded; this is to be called again later, and goes on then.
         """
         if self._newer is None:
             return
@@ -395,9 +404,10 @@ class FleetCollector:
         _log.info("the configuration of revision %d holds", revision)
 
     def _part_ended(self, task: asyncio.Task[None]) -> None:
-        """If a task has ended, for any reason, end all others: leases lapse, and other collectors take the links.
+        """End all tasks of this collector because one has ended: leases lapse, and other collectors take the links.
 
-        Called for each task that ends; only the first has an effect, and none while the collector ends in order.
+        A done callback of each task. Sets `problem`. Does nothing if another task has ended before, or while the
+        collector ends in order.
         """
         if self._is_ending or self._defect:
             return
@@ -412,9 +422,9 @@ class FleetCollector:
         await end_tasks(self._tasks)
 
     def _permit(self, link: str) -> None:
-        """Raise `LinkDown` unless this collector owns the link, by a lease that outlasts one transaction from now.
+        """Raise `LinkDown` unless this collector owns the link by a lease that outlasts a transaction begun now.
 
-        If this collector may begin, the time is kept as that of the link's last transaction (`_end_of`).
+        If no error is raised, the present time is kept as the begin of the link's last transaction, for `_end_of`.
         """
         if link not in self._active or not self.member.may_begin(
             self._shard_of[link], self._now(), self._times_of[link].transaction
@@ -423,7 +433,7 @@ class FleetCollector:
         self._permitted[link] = self._now()
 
     def _may_send(self, link: str) -> bool:
-        """Whether a frame sent on a link now can reach the device only before the lease ends (rule 2)."""
+        """Whether a frame may be sent on a link now: True if it reaches the device before the lease ends (rule 2)."""
         times = self._times_of.get(link)
         worst = math.inf if times is None else times.after_sending
         return self.member.may_begin(self.shard_of(link), self._now(), worst)
@@ -442,10 +452,11 @@ class FleetCollector:
         return max((self._held_until.get(link, now) - now for link in links), default=0.0)
 
     def _release(self, shard: str, epoch: Epoch) -> None:
-        """Have the lease of a shard released whose links have stopped, once no gateway holds a request (rule 1).
+        """Release the lease of a shard whose links have stopped, as soon as no gateway can hold a request (rule 1).
 
-        That includes requests of links that the configuration lacks now: another collector may still have the one
-        before.
+        Requests of links that the present configuration lacks count too: the next owner may still work by the former
+        configuration. Returns at once; if a gateway may hold a request, the release follows later. Does nothing if the
+        shard is not owned in this epoch any more, or is not to be given away.
         """
         owned = self.member.owned.get(shard)
         if owned is None or owned.epoch != epoch or owned.leaving is None:
@@ -458,9 +469,10 @@ class FleetCollector:
         self._driver.wake()
 
     def _confirm_revision(self, revision: int) -> None:
-        """Tell the others that this collector works by a revision, once no gateway holds a request of stopped links.
+        """Tell the other collectors that this one works by a revision, as soon as no gateway can hold a request.
 
-        Does nothing if another revision is in force by then.
+        Only gateways of links that were stopped for the revision matter. Returns at once; if a request may be held, the
+        others are told later. Does nothing if another revision is in force by then.
         """
         if revision != self.revision:
             return
@@ -498,10 +510,9 @@ class FleetCollector:
                     self.refused = None
 
     async def _apply(self, events: Sequence[ShardEvent]) -> None:
-        """Apply events of shards: stop polling the links of lost shards, and begin with those of gained shards.
+        """Apply events of shards (groups of links): stop the links of shards that end, and poll those of gained shards.
 
-        Shards (groups of links) that are given away may be released once their links have stopped and their samples are
-        committed.
+        A shard that is given away is released once its links have stopped and their samples are committed.
         """
         ended = [event for event in events if event.step is not Step.GAINED]
         over = {(event.shard, event.epoch) for event in ended}
@@ -537,7 +548,7 @@ class FleetCollector:
         return event.step is Step.GAINED and is_kept
 
     def _is_next(self, event: ShardEvent) -> bool:
-        """Whether no later epoch of a shard is recorded than that of an event: epochs are recorded in their order."""
+        """Whether the epoch of an event may be recorded now: True if no later epoch of the shard is recorded yet."""
         begun = self._begun.get(event.shard)
         return begun is None or event.epoch >= begun
 
@@ -545,7 +556,7 @@ class FleetCollector:
         return [(link, event.epoch) for event in events for link in self._links_of.get(event.shard, ())]
 
     async def _record_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Record that links are owned no longer; an error is logged, and the record then has no end."""
+        """Record on disk that links of shards are no longer owned; an error is logged, and the end stays missing."""
         rows, commit = self._owned_by(events), self.collector.newest_commit
         try:
             await asyncio.to_thread(self.ownership.end, rows, commit, self.collector.sample_time())
@@ -554,9 +565,10 @@ class FleetCollector:
             _log.error("the end of shards %s cannot be recorded: %s", shards, error)
 
     async def _begin(self, events: Sequence[ShardEvent]) -> None:
-        """Record epochs of gained shards with the gaps before them, then begin to poll the links of those still owned.
+        """Record the epochs of gained shards and the gaps before them, then activate the links of shards still owned.
 
-        The others are recorded as ended. An error of the record is logged, and it is tried again.
+        Shards that were lost meanwhile are recorded as ended. If recording fails, that is logged, no link is activated,
+        and the events are applied again after `RECORD_AGAIN` seconds.
         """
         rows, commit, now = self._owned_by(events), self.collector.newest_commit, self.collector.sample_time()
         gaps = self._gaps_before(events, commit, now)
@@ -582,7 +594,12 @@ class FleetCollector:
     def _gaps_before(self, events: Sequence[ShardEvent], commit: int, now: int) -> list[OwnershipGap]:
         """Return the times without an owner before shards were gained from owners that fell silent.
 
-        There is one for each of their links that has devices, if it is known when that time began.
+        One for each link of these shards that has devices, if the begin of the time is known and before ``now``.
+
+        Args:
+            events: events of gained shards.
+            commit: number of the last commit before.
+            now: end of the gaps, nanoseconds since 1970 UTC.
         """
         found = []
         for event in events:
@@ -594,21 +611,23 @@ class FleetCollector:
         return found
 
     def _silent_from(self, link: str, silent_since: float | None) -> int | None:
-        """Return since when a link had no owner, in nanoseconds since 1970 UTC; None if that is not known.
+        """Return since when a link had no owner, in nanoseconds since 1970 UTC; None if no owner fell silent.
+
+        If the silent owner was this collector, that is when it stopped polling, which may be after its last renewal.
 
         Args:
             link: name of the link.
-            silent_since: last renewal by an owner that fell silent, seconds since 1970 UTC; None if none did. If that
-                was this collector, it may have polled for a while after it.
+            silent_since: last renewal by the owner that fell silent, seconds since 1970 UTC; None if none did.
         """
         if silent_since is None:
             return None
         return max(int(silent_since * NANOSECONDS), self._unowned_since.get(link, 0))
 
     def _end_what_was_owned(self) -> None:
-        """Record that links which this collector owned when it was killed have no owner since its last commit.
+        """Record that links which this collector owned when it was killed have had no owner since its last commit.
 
-        The record of ownership comes first: the interval in the store must not begin at a later start.
+        The log of ownership is written before the store, so that a further crash cannot make the interval in the store
+        begin at a later start.
         """
         owned, alive = self.ownership.unended(), self.collector.manifest.fact("alive")
         if not owned or alive is None:
@@ -626,10 +645,10 @@ class FleetCollector:
         self._active_since.update((link, now) for link in links)
 
     def _note_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Record in the store that links are no longer owned: those of the shards that these events end (rule 4).
+        """Record in the store the begin of an interval without ownership for the links of shards that ended (rule 4).
 
-        The interval without ownership begins now. If the lease has lapsed, it begins at the last transaction: a
-        process that was frozen learns only when it wakes that it has lost the lease.
+        It begins now; if the lease has lapsed, it begins at the end of the link's last transaction: a process that was
+        frozen learns only when it wakes that it has lost the lease.
         """
         now = self.collector.sample_time()
         for event in events:
@@ -641,7 +660,7 @@ class FleetCollector:
     def _end_of(self, link: str, renewed: float | None, now: int) -> int:
         """Return when the last transaction of a link ended at the latest, in nanoseconds since 1970 UTC.
 
-        The result is not before the last renewal of the lease, and not after ``now``.
+        The result is not before ``renewed`` and not after ``now``; it is ``now`` if ``renewed`` is None.
 
         Args:
             link: name of the link.
@@ -657,9 +676,10 @@ class FleetCollector:
         return min(max(int(renewed * NANOSECONDS), over), now)
 
     def _note_silence(self, links: Sequence[str], silent_since: float | None) -> None:
-        """Record in the store, for links that are owned from now on, the time before without an owner (rule 4).
+        """Record in the store the time without an owner before links that are owned from now on (rule 4).
 
-        If an owner fell silent, that time is added to `unowned_seconds`.
+        Nothing is recorded for a link whose time without an owner has no known begin. If an owner fell silent, the time
+        since then is added to `unowned_seconds`.
 
         Args:
             links: names of the links.
@@ -679,7 +699,7 @@ class FleetCollector:
             self.collector.note_interval(StateInterval(device.name, begin, end, Reason.OWNERSHIP))
 
     def _mend(self, correction: ClockCorrection) -> None:
-        """Correct the times without an owner that were noted before the wall clock was right (rule 4)."""
+        """Correct times without an owner that were noted before the wall clock was right (rule 4); log errors."""
         self._unowned_since = {link: correction.corrected(begin) for link, begin in self._unowned_since.items()}
         is_one_clock = abs(correction.shift) > CLOCK_LIMIT * NANOSECONDS  # else the one before may have had a right one
         try:
@@ -694,12 +714,13 @@ class FleetCollector:
 
 
 class _OtherOwners:
-    """Tells for commands which collector owns a device's link, and passes commands on to that collector.
+    """What commands need to know of the fleet: whether this collector owns a device's link, and a way to its owner.
 
     Args:
         fleet: this collector.
         member: name of this collector.
-        group: the name under which the collectors share messages with commands; empty if messages go to all.
+        group: name of the group in which a server gives each message with a command to one collector; empty if every
+            collector gets all messages.
     """
 
     def __init__(self, fleet: FleetCollector, member: str, group: str) -> None:

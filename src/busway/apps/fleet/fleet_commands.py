@@ -1,18 +1,19 @@
 """Commands to a fleet by NATS request and reply, on a subject of the link: the collector that owns it executes them.
 
-Knows subjects and the collector, and how another program asks (`send_command`); which request a command is, its rules,
-its key and the wire are the collector's own. Works with nats-server 2.9.
+Knows subjects and the collector, and how another program sends a command (`send_command`). The collector itself checks
+a command and its key, and makes it a Modbus request. Works with nats-server 2.9.
 
 1. A command is a request on ``busway.<zone>.command.<link>``: JSON with key, device, point, value, by, expires and
    role. Only the link's owner listens there, so a link without an owner answers nothing and nothing is sent.
-2. Its key is taken as that of any write of a collector of a fleet (`key_table`).
+2. The key of the command is taken for the whole zone, as for any write by a collector of a fleet (`key_table`).
 3. When a command of this collector ends, no matter how it came, a message about it is also sent to the stream of audit
    lines, ``busway.<zone>.audit``.
-4. A command that reached a collector as a message, for a link that another one owns, goes the same way to its owner.
-5. Rights are those of subjects: who may send on a link's subject is the server's decision, and ``by`` is what the
-   sender says of itself. Such a sender has the role `configure`, as a program has, if it does not say that it has less:
-   a collector that passes on a message says the role of that. A point whose commands must be armed is not written this
-   way, because there is one step only.
+4. A command that reached a collector by MQTT or NATS, for a link that another collector owns, is passed on to the owner
+   by such a request.
+5. The server decides who may send on the subject of a link; ``by`` is what the sender says of itself. A sender has the
+   role ``configure``, like any program, unless the request names a lower role: a collector that passes on a command
+   names the role of the original sender. A point whose commands must be armed cannot be written this way, because
+   there is one step only.
 """
 
 import asyncio
@@ -40,12 +41,13 @@ from .streams import make_audit_stream
 
 LONGEST_REQUEST: Final = 64 * 1024
 START_SECONDS: Final = 30.0
-"""Seconds for which a server that does not answer is asked for the stream of audit lines."""
+"""Seconds for which it is tried at the start to find or create the stream of audit lines, if no server answers."""
 LISTEN_AGAIN: Final = 5.0
 """Seconds after which subscribing is tried again after a defect."""
 LONGEST_WAIT: Final = 60.0
 ANSWER_SECONDS: Final = 15.0
-"""Seconds to wait for the answer beyond the time of a command that was passed on: the value is read back before."""
+"""Seconds to wait for an answer beyond the expiry of a command that was passed on: the owner may write just before the
+expiry, and then reads the value back before it answers."""
 _KEYS: Final = {"key", "device", "point", "value", "by", "expires", "role"}
 _MAY_BE_LEFT_OUT: Final = {"by", "expires", "role"}
 _ROLES: Final = ("operate", "configure")
@@ -58,12 +60,13 @@ def command_subject(zone: str, link: str) -> str:
 
 
 async def send_command(client: Any, zone: str, link: str, content: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Ask the collector that owns a link to write a value to a point, once, and return its answer.
+    """Ask the collector that owns a link to write a value to a point, and return its answer; the value is written once.
 
     Args:
         client: connected client of `connect_nats`.
         zone, link: names of the zone and the link.
-        content: the command: key, device, point and value, and if wanted by, expires and role (rule 1).
+        content: the command: ``key``, ``device``, ``point`` and ``value``, and if wanted ``by``, ``expires`` (seconds
+            since 1970 UTC) and ``role`` (rule 1).
         seconds: seconds to wait for the answer.
 
     Returns:
@@ -146,9 +149,9 @@ class FleetCommands:
     async def __aexit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Take no more commands, and wait for the audit lines of those that have ended.
+        """Take no more commands, and wait until the audit lines of the commands that have ended are sent.
 
-        The collector completes commands in progress; their answers, and audit lines of later ends, are not sent.
+        Commands in progress are completed by the collector, but their answers and audit lines are not sent.
         """
         assert self._task is not None
         self._fleet.pass_on = None
@@ -181,7 +184,10 @@ class FleetCommands:
                 self._subscribed[subject] = await self._client.subscribe(subject, cb=self._came)
 
     async def _pass_on(self, link: str, command: PointCommand, role: str) -> dict[str, Any]:
-        """Ask the owner of a link to execute a command, and return its answer; an error is returned as an answer."""
+        """Ask the owner of a link to execute a command, and return its answer; a failure is returned as an answer too.
+
+        A missing answer is returned with the state ``unknown``, any other failure with the state ``refused``.
+        """
         left = max(0.0, command.expires - self._now())
         content = {"key": command.key, "device": command.device, "point": command.point, "value": command.value}
         content |= {"by": command.by, "expires": command.expires, "role": role}
@@ -254,9 +260,9 @@ class FleetCommands:
         return command, WriterRights(role)
 
     def _told(self, result: CommandResult) -> None:
-        """Publish the audit line of a command that has ended, in a task. The collector calls it for each command.
+        """Start a task that publishes the audit line of a command; the collector calls this for each command that ends.
 
-        Does nothing after the block has ended.
+        Does nothing after the ``async with`` block has ended.
         """
         if not self._has_ended:
             task = asyncio.create_task(self._publish_audit(result), name="busway fleet audit")

@@ -13,9 +13,9 @@ if TYPE_CHECKING:
 
 
 def fleet_families(fleet: "FleetCollector") -> Iterator[Any]:
-    """Yield the metric families of prometheus-client with the state of one collector in its fleet.
+    """Yield the metric families of prometheus-client that show the state of one collector in its fleet.
 
-    May be called from any thread.
+    The families of the stream are left out for a collector without a stream. May be called from any thread.
     """
     core = import_module("prometheus_client.core")
     member = fleet.member

@@ -2,7 +2,7 @@
 
 Knows entries of the coordinator; asks no collector.
 
-1. A collector lives if its entry changes while it is looked at: no wall clock is compared.
+1. A collector lives if its entry in the table changes while the table is followed: no wall clock is compared.
 """
 
 import asyncio
@@ -30,7 +30,7 @@ class ZoneMember:
 
     Attributes:
         record: what the collector tells of itself.
-        lives: whether the collector renewed its entry in the shared table while the table was followed.
+        lives: whether the collector renews its entry in the shared table, as far as the follower of the table has seen.
         is_drained: whether an operator has told the collector to give away its shards (groups of links).
         load: seconds of line time per second that polling its shards needs.
         shards: names of the shards that the collector owns.
@@ -46,8 +46,9 @@ class ZoneMember:
     def state(self) -> str:
         """The state of the collector in one word: ``polls``, ``drains``, ``refuses``, ``silent`` or ``ended``.
 
-        A collector that refuses owns nothing, for the reason in ``record.problem``. A silent one no longer renews its
-        entry; an ended one has released its shards and left the zone.
+        A collector that polls may take and keep shards; one that drains gives them away. One that refuses owns nothing,
+        for the reason in ``record.problem``. A silent one no longer renews its entry; an ended one has released its
+        shards and left the zone.
         """
         if self.record.gone:
             return "ended"
@@ -78,12 +79,12 @@ class ZoneStatus:
 
 
 async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
-    """Return the status of a zone, after following its table until every running collector has renewed its entry.
+    """Return the status of a zone; first follow its table until every collector that has not ended renewed its entry.
 
     Args:
         coordinator: the coordinator of the zone; not closed here.
-        seconds: longest wait for renewals once all entries are known. A collector that has not renewed its entry by
-            then does not live. The wait for the entries themselves has no limit.
+        seconds: longest wait for renewals, from when all entries are known. A collector that has not renewed its entry
+            by then counts as not alive. The wait for the entries themselves has no limit.
 
     Raises:
         ConfigError: the table cannot be followed, or the zone's configuration cannot be read.
@@ -120,7 +121,7 @@ def _running(found: dict[str, Entry]) -> set[str]:
 
 
 def generation_of(found: Mapping[str, Entry]) -> int:
-    """Return the generation number of a zone, from the entries of its table by key."""
+    """Return the generation number of a zone, from the entries of its table by key; 1 if there is none."""
     return decode_generation(found[GENERATION].value) if GENERATION in found else 1
 
 
@@ -129,7 +130,7 @@ def status_of(found: Mapping[str, Entry], living: Container[str]) -> ZoneStatus:
 
     Args:
         found: all entries of the table, by key.
-        living: keys of the entries of those collectors that live.
+        living: keys of the entries of the collectors that live (``member.NAME``).
 
     Raises:
         ConfigError: the zone's configuration in the table cannot be read.

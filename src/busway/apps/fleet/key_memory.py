@@ -2,11 +2,12 @@
 
 Each command that writes a point has a key, and is sent at most once. Pure: knows no coordinator and no clock.
 
-1. A key is remembered as 16 bytes and the time of its use. `MOST_KEYS` are kept; then the oldest go, but none that is
-   younger than `REMEMBERED` seconds: as long as all are younger, new ones are refused.
-2. `REMEMBERED` is longer than a command may wait (`LONGEST_SECONDS`): one that says until when it may be sent has
-   expired before its key is forgotten.
-3. Results are kept up to `MOST_BYTES`, the newest. A key without its result is refused.
+1. A key is remembered as 16 bytes and the time of its use. `MOST_KEYS` are kept; then the oldest are forgotten, but
+   none that is younger than `REMEMBERED` seconds: as long as all are younger, new keys are refused.
+2. `REMEMBERED` is longer than a command may wait (`LONGEST_SECONDS`): a command that has an expiry time has expired
+   before its key is forgotten.
+3. Only the newest results are kept, up to `MOST_BYTES`. A second command with a key whose result is no longer kept is
+   refused.
 4. Of a key that a collector made itself only the result is kept: no caller can give such a key again.
 5. An entry that cannot be read is an error, never an empty memory.
 """
@@ -34,23 +35,24 @@ class KeyMemory:
     """The keys of commands that were used, when each was used, and the results of the newest commands.
 
     Attributes:
-        used: when each key of a caller was used, in seconds since 1970 UTC, by digest of the key; in the order of use.
-        results: by key, for the newest ones, the owner that took it, and the result of its command so far. An owner is
-            ``collector/run``: the name of a collector and a random word for this start of it.
+        used: when each key given by a caller was used, in seconds since 1970 UTC, by digest of the key; in the order of
+            use.
+        results: for the newest keys, by key, the owner that took the key and the result of its command so far. An owner
+            is ``collector/run``: the name of a collector and a random word for this start of the collector.
     """
 
     used: dict[bytes, int] = field(default_factory=dict)
     results: dict[str, tuple[str, CommandResult]] = field(default_factory=dict)
 
     def found(self, result: CommandResult) -> CommandResult | None:
-        """Return the result of the first command that had the same key as this one; None if the key is new.
+        """Return the result of the first command with the key of this command; None if the key is new.
 
         Args:
             result: the command whose key is looked up, with its result so far.
 
         Returns:
-            The first command's final result. If that command is not finished, its result in the state unknown; if its
-            result is no longer kept, ``result`` in the state refused.
+            The first command's final result. If the first command is not finished, its result with the state
+            ``UNKNOWN``; if its result is no longer kept, a copy of ``result`` with the state ``REFUSED``.
         """
         key = result.command.key
         if key in self.results:
@@ -87,11 +89,9 @@ class KeyMemory:
         return found is not None and found[0] == owner and found[1].state is CommandState.OPEN
 
     def end(self, result: CommandResult) -> bool:
-        """Record the final result of a command.
+        """Record the final result of a command, and return True.
 
-        Returns False and changes nothing if no result is kept for its key any more.
-
-        The key of the command stays used either way.
+        Returns False and changes nothing if no result is kept for its key any more. The key stays used either way.
         """
         key = result.command.key
         if key not in self.results:
@@ -108,9 +108,9 @@ class KeyMemory:
             del self.used[digest]
 
     def encode(self) -> bytes:
-        """Return the memory as bytes for the shared table: all keys, and the newest results up to `MOST_BYTES`.
+        """Return the memory as bytes for the shared table: all keys, and the newest results up to `MOST_BYTES` in all.
 
-        One result is there even if it is longer.
+        The newest result is always there, even if it alone is longer.
         """
         newest: list[str] = []
         left = MOST_BYTES

@@ -5,12 +5,12 @@ Knows the coordinator; what an entry remembers is decided by `key_memory`. Works
 1. A key belongs to one of `SLOTS` entries by its hash. It is taken by compare-and-set of the whole entry: of two
    collectors that take one key, one changes the entry and the other finds the key there. The table never has more
    entries than that.
-2. Entries are not read: a watch shows them. One that it has not shown yet is stale at worst, so that the change is
-   refused, and made again once the watch shows the newer one.
+2. Entries are not read: a watch shows them. If the watch lags, an entry known here is out of date; then the change is
+   refused as a conflict, and made again once the watch shows the newer entry.
 3. If the outcome of taking a key is not known, the command is refused and nothing is sent. The entry may still name
-   this collector as the one that took the key. If this collector is asked again, it takes the key again; for others the
-   result of the command is unknown.
-4. The end of a command is written with some tries. If all fail, the key stays taken, and for other collectors the
+   this collector as the one that took the key. If a command with that key comes to this collector again, it takes the
+   key again; for other collectors the result of the command is unknown.
+4. The end of a command is written in up to three tries. If all fail, the key stays taken, and for other collectors the
    result of the command is unknown.
 """
 
@@ -33,13 +33,13 @@ from .lease_driver import end_tasks, keep_following
 
 KEYS: Final = "keys."
 SLOTS: Final = 256
-"""Entries of the table: the same for all collectors of a zone, for ever."""
+"""Number of entries for keys in the table. It must never change: all collectors of a zone need the same."""
 MOST_DOUBTFUL: Final = 1000
-"""Most keys that are remembered as perhaps taken by a change without an answer."""
+"""Most keys that are remembered as perhaps taken by this collector, by a change without an answer (rule 3)."""
 CLAIM_SECONDS: Final = 8.0
-"""Seconds in which a key is taken, or its command refused."""
+"""Longest wait in seconds for a key to be taken; after it the command is refused."""
 RECORD_AGAIN: Final = (0.0, 0.5, 2.0)
-"""Seconds before each try to write the end of a command."""
+"""Pause in seconds before each of the three tries to write the end of a command."""
 _log = logging.getLogger("busway.fleet")
 
 
@@ -85,7 +85,7 @@ class KeyTable:
         """Take the key of a command for all collectors of the zone, in at most `CLAIM_SECONDS`.
 
         Args:
-            result: open for a command that will be sent, or finished for one that will not.
+            result: the command with its result so far: open if it will be sent, final if it will not be sent.
 
         Returns:
             None if the key was new and is taken now; otherwise the result of the first command with this key, as
@@ -110,7 +110,8 @@ class KeyTable:
     def known(self, result: CommandResult) -> CommandResult | None:
         """Return the result of the first command with this command's key, without waiting; None if none is known.
 
-        Takes nothing, and knows only the entries that the table has shown so far: `claim` decides.
+        Takes no key. Only entries that the watch has shown so far are known here, so only `claim` tells that a key is
+        new.
         """
         seen = self._seen.get(slot_of(result.command.key))
         if seen is None:
@@ -121,9 +122,9 @@ class KeyTable:
             return None  # nothing is sent on this: `claim` decides
 
     async def finish(self, result: CommandResult) -> None:
-        """Record the final result of a command for all collectors of the zone; tried three times.
+        """Record the final result of a command for all collectors of the zone, in up to three tries.
 
-        Raises nothing: if all tries fail, other collectors take the result for unknown (rule 4).
+        Raises nothing. If all tries fail, the result of the command is unknown to other collectors (rule 4).
         """
         for pause in RECORD_AGAIN:
             await asyncio.sleep(pause)
@@ -156,11 +157,15 @@ class KeyTable:
 
         Args:
             key: the key of a command.
-            change: changes the keys of the entry in place. It returns what this method returns, and whether the entry
-                has to be written.
+            change: changes the `KeyMemory` of the entry in place. It returns the result for the caller of this method,
+                and whether the entry has to be written.
+
+        Returns:
+            The first thing that ``change`` returned.
 
         Raises:
             KeysUnavailable: the entry cannot be read.
+            Overloaded: raised by ``change``; nothing was changed.
             CoordinatorDown: nothing was changed.
             OutcomeUnknown: the entry may have been changed.
         """

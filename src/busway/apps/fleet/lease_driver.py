@@ -4,9 +4,9 @@ Knows tasks and the clock; which changes are proposed, and what follows from an 
 
 1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
-2. After an error of the coordinator the outcome of a change is not known, and the driver goes on.
-3. If following the table ends by an error that a client library should not raise, the error is logged, and the table is
-   followed again (`keep_following`, for all who follow it).
+2. After an error of the coordinator the outcome of a change counts as unknown, and the driver goes on.
+3. If following a shared table ends by an unexpected error, such as a defect of a client library, the error is logged,
+   and the table is followed again. All parts of a fleet that follow a table do so by `keep_following`.
 """
 
 import asyncio
@@ -35,14 +35,17 @@ _log = logging.getLogger("busway.fleet")
 
 
 def boot_time() -> float:
-    """Return the time of the clock of leases, in seconds: never set, and running while a machine with Linux sleeps."""
+    """Return the time of the clock of leases, in seconds since an arbitrary moment.
+
+    The clock is never set, and on Linux it also counts while the machine sleeps.
+    """
     return seconds_since_boot()
 
 
 async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
-    """Cancel tasks and wait until all have ended; a task that goes on is cancelled again every second.
+    """Cancel tasks and wait without limit until all have ended; a task that goes on is cancelled again every second.
 
-    On Python 3.11 `asyncio.wait_for` can swallow a cancellation. Errors of the tasks are not raised.
+    On Python 3.11 `asyncio.wait_for` can swallow a cancellation. Errors with which the tasks end are not raised.
     """
     left = {task for task in tasks if not task.done()}
     while left:
@@ -52,7 +55,7 @@ async def end_tasks(tasks: Iterable[asyncio.Task[None]]) -> None:
 
 
 def end_if_cancelled() -> None:
-    """Raise `CancelledError` if the current task was cancelled, but an awaited function swallowed that."""
+    """Raise `CancelledError` if the current task was cancelled, but an awaited function swallowed the cancellation."""
     task = asyncio.current_task()
     if task is not None and task.cancelling():
         raise asyncio.CancelledError
@@ -92,6 +95,9 @@ class MemberDriver:
         told: called with each event of a shard (group of links), in order, in the event loop; it must be quick.
         now: returns the time of the clock of leases, in seconds.
         behind: returns the number of commits that not all sinks have.
+
+    Attributes:
+        member: the same collector as a holder of leases.
     """
 
     def __init__(
@@ -115,15 +121,18 @@ class MemberDriver:
 
     @property
     def error(self) -> str | None:
-        """Why the coordinator has not confirmed the last change of the shared table; None if it has, and at first.
+        """Why the coordinator has not confirmed the last change of the shared table, in words; None if it has.
 
-        A change that met another revision alters nothing.
+        None at first too. A change that was refused because the entry had another revision leaves this as it was.
         """
         return self._error
 
     @property
     def problem(self) -> str:
-        """Why this collector may own no shard, or will soon lose its shards, in words; empty while all is well."""
+        """Why this collector may own no shard, or why its changes are not confirmed, in words; empty while all is well.
+
+        Shards whose leases cannot be renewed are lost soon.
+        """
         return self.member.problem or self._error or ""
 
     async def run(self) -> None:
@@ -150,7 +159,9 @@ class MemberDriver:
         self._wake.set()
 
     async def end(self, seconds: float) -> bool:
-        """Release all shards (groups of links) while `run` still runs; returns False if that takes too long.
+        """Release all shards (groups of links) and leave the zone, while `run` still runs.
+
+        Returns True once that is done, and False if it is not done in time; it then goes on while `run` runs.
 
         Args:
             seconds: longest wait.
@@ -203,7 +214,7 @@ class MemberDriver:
         self.member.wall_ahead = time.time() - self._now()
 
     def _tell_problem(self) -> None:
-        """Log why this collector may own no links, once; and once when it may own links again."""
+        """Log once that this collector may own no links, with the first reason, and once when it may again."""
         problem = self.member.problem
         if problem != self._problem:
             if not problem:
@@ -213,9 +224,9 @@ class MemberDriver:
             self._problem = problem
 
     def _failed(self, error: str) -> None:
-        """Keep the reason why a change of the shared table was not confirmed.
+        """Set `error` to the reason why a change of the shared table was not confirmed.
 
-        Log it unless it was logged since the last success.
+        Log the reason unless it was logged since the last confirmed change.
         """
         self._error = error
         if error not in self._logged:

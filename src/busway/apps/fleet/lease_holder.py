@@ -1,25 +1,28 @@
 """One collector as a holder of leases (`FleetMember`): decides which shards it takes, renews, gives away and may poll.
 
 Pure, without IO: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock.
-The driver (`lease_driver`) makes each proposal once, and tells `FleetMember.outcome`; links stop before
-`FleetMember.left` is called. `FleetMember.may_begin` is the fence: it is asked before each transaction on a link.
+The driver (`lease_driver`) makes each proposed change once, and passes the answer to `FleetMember.outcome`. The
+collector stops the links of a shard, then calls `FleetMember.left`. `FleetMember.may_begin` is the fence: it is asked
+before each transaction on a link.
 
 1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
    renewal was sent, plus the time to live, less the guard. A renewal without an answer does not count.
 2. A shard of another owner is free when its entry says released, or has had one revision for the time to live and the
-   guard, by this collector's own clock. The longer times count, of this collector or of the owner, whose lease has its
-   own. It is taken by a compare-and-set on that revision: an old view harms nothing.
+   guard, by this collector's own clock. The lease says how long its owner's times are; if they are longer than those of
+   this collector, they count. The shard is taken by a compare-and-set on that revision: an old view harms nothing.
 3. A shard whose lease this start of the collector has let lapse is free for it at once; it gets a new epoch. A lease of
    an earlier start of the same name counts as another owner's. An epoch is above all that the taker has seen of the
    shard, whatever revision the coordinator gives: a server may count lower than the one before it.
-4. One proposal of a key is open at a time.
-5. Two processes with one name: the second owns nothing until the first has been silent as in rule 2, and says so.
-6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and says
-   so. Its clock is compared with the coordinator's; if most collectors agree that the coordinator's clock is wrong, it
-   is the wrong one.
-7. The first collector of a zone records how many shards there are and how long leases hold, if no operator has; a
-   collector with other figures owns nothing and says so. With two numbers of shards a link could be in two, with two
-   owners. Two collectors with other times are kept apart by rule 2, also before they have read of each other.
+4. At most one proposal for each key is open at a time.
+5. Of two processes with one name, the second owns nothing until the first has been silent as in rule 2; `problem` says
+   so.
+6. A collector whose wall clock is wrong would date samples wrongly: it gives back what it owns, takes nothing, and
+   `problem` says so. Its clock is compared with the coordinator's. If more collectors agree with this clock than with
+   the coordinator's, the coordinator's counts as the wrong one.
+7. The first collector of a zone records how many shards there are and how long leases hold, if no operator has. A
+   collector with other figures owns nothing, and `problem` says so: with two numbers of shards a link could be in two
+   shards, with two owners. Two collectors with different lease times are kept apart by rule 2, also before they have
+   read of each other.
 """
 
 import random
@@ -51,25 +54,25 @@ from .shards import hosts_of
 LOOK_EVERY: Final = 0.5
 """Seconds between two checks for free shards."""
 SETTLE: Final = 2.0
-"""Seconds that a new member waits for others before it takes shards, and that an imbalance lasts before shards move."""
+"""Seconds that a new collector waits before it takes shards, and that an imbalance must last before shards move."""
 PATIENCE: Final = 0.4
-"""Seconds after which a free shard is taken by any collector that sees it, whatever its load."""
+"""Seconds after which any collector that may own a free shard takes it, not only the one that `balance` chooses."""
 PATIENCE_OF_BACKUPS: Final = 3.0
-"""Seconds that a pinned shard waits for its first host, where that lives."""
+"""Seconds for which a free pinned shard is left to the collector that `balance` chooses; then any of its hosts may."""
 CLOCK_LIMIT: Final = 5.0
-"""Most seconds between a wall clock and the coordinator's. How long an answer takes does not count as a difference."""
+"""Most seconds that a wall clock may differ from the coordinator's, not counting the time that an answer takes."""
 MOST_OPEN: Final = 64
-"""Proposals that are open at once."""
+"""Most proposals of leases that are open (without an outcome) at once; others wait."""
 MOST_LEAVING: Final = 8
-"""Shards that one member hands on at once."""
+"""Most shards that one collector hands on at once to level loads or to drain; at its end it releases all at once."""
 
 
 class Step(Enum):
-    """What has happened to a shard (group of links) of this collector.
+    """What has happened to a shard (group of links) of this collector, and what the collector has to do.
 
-    ``GAINED``: the shard is owned, and polling its links may begin. ``LEAVE``: the shard will be given away; its links
-    are to stop after the transactions that run, then `FleetMember.left` is called. ``LOST``: the shard is not owned any
-    more; the connections of its links are to be reset at once.
+    ``GAINED``: the shard is owned now, and the collector may poll its links. ``LEAVE``: the shard will be given away;
+    the collector lets running transactions end, stops its links, and then calls `FleetMember.left`. ``LOST``: the shard
+    is not owned any more; the collector resets the connections of its links at once.
     """
 
     GAINED = "gained"  # its links may begin
@@ -86,8 +89,9 @@ class ShardEvent:
         step: the kind of event.
         epoch: epoch of the ownership that begins or ends.
         reason: why the shard is given away or lost, in words; empty for a shard that was gained.
-        silent_since: if the shard was taken from an owner that fell silent, or its lease has lapsed here: when the
-            lease was renewed last, seconds since 1970 UTC by the owner's wall clock. None otherwise.
+        silent_since: when the lease was renewed last, seconds since 1970 UTC by the owner's wall clock. Set for a shard
+            that was gained from an owner that fell silent, and for one that this collector lost because its lease was
+            not renewed in time; None otherwise.
     """
 
     shard: str
@@ -99,9 +103,9 @@ class ShardEvent:
 
 @dataclass(frozen=True, slots=True)
 class Proposal:
-    """One change that this collector wants to make in the table that collectors share.
+    """One change of the shared table that this collector wants made: a compare-and-set of one entry.
 
-    The driver makes the change, and tells the answer to `FleetMember.outcome`.
+    The driver makes the change once, and passes the answer to `FleetMember.outcome`.
 
     Attributes:
         key, value: key and new value of the table entry.
@@ -139,8 +143,8 @@ class _SeenMember:
     revision: int
     at: float
     ahead: float | None
-    """How far the member's wall clock was ahead of the coordinator's, in seconds, less the time its change took to
-    arrive. None if the coordinator tells no time.
+    """How far the collector's wall clock is ahead of the coordinator's, in seconds, less the time that its change took
+    to arrive there. None if the entry or the record has no time.
     """
 
 
@@ -154,7 +158,8 @@ class OwnedShard:
         asked: when the last confirmed renewal was proposed, in the clock of `FleetMember.turn`.
         renew_at: when the next renewal is to be proposed, in the same clock.
         count: renewals so far.
-        leaving: name of the collector that gets the shard next, empty for any; None while the shard stays.
+        leaving: once the shard is being given away, name of the collector that is to take it, or empty for any
+            collector. None while the shard stays.
         has_left: whether the links have stopped, so that the lease may be released.
         hole: the time without an owner before this collector took the shard; None if it is not known.
     """
@@ -176,7 +181,7 @@ class MemberCounts:
     Attributes:
         taken: shards (groups of links) taken.
         lapsed: shards lost because their lease was not renewed in time.
-        handed_on: shards released in order.
+        handed_on: shards whose lease this collector released itself.
         renewals: confirmed renewals of leases.
         conflicts: changes of the shared table that were refused, as the entry had another revision.
         unknown: changes of the shared table without an answer.
@@ -194,13 +199,13 @@ class FleetMember:
     """One collector as a holder of leases: decides which shards (groups of links) it takes, renews and gives away.
 
     Does no IO. The driver gives it the entries of the shared table (`entry`), makes the changes that `turn` returns,
-    and tells their answers to `outcome`; `events` says which links may begin or must stop. ``now`` is always the time
-    in seconds by the clock of leases (`busway.apps.fleet.lease_driver.boot_time`).
+    and passes their answers to `outcome`; `events` says which shards may be polled and which must stop. ``now`` is
+    always the time in seconds by the clock of leases (`busway.apps.fleet.lease_driver.boot_time`).
 
     Args:
         name, run, host: as in `MemberRecord`.
         times: the lengths of the leases; the same for all collectors of the zone.
-        chance: spreads renewals in time, and the checks for free shards.
+        chance: source of random numbers, by which renewals and checks for free shards are spread in time.
         capacity: the collector's part of the work, relative to the others.
         shards: how many shards the zone has, 1…1024; the same for all collectors.
 
@@ -210,8 +215,9 @@ class FleetMember:
         counts: counters of what happened to its leases.
         generation: the generation number of the zone.
         rival: the word ``run`` of another live process with the same name; None without one.
-        clock_error: how far the wall clock is ahead of the coordinator's, in seconds; 0 within `CLOCK_LIMIT`.
-        behind: commits that not all sinks have; set by the driver and told to the other collectors.
+        clock_error: how far the wall clock is ahead of the coordinator's, in seconds, negative if it is behind; 0 if
+            the difference is within `CLOCK_LIMIT` or not known.
+        behind: number of commits that not all sinks have; set by the driver and told to the other collectors.
         wall_ahead: how far the wall clock is ahead of the clock of leases, in seconds; set by the driver, and used only
             to date entries and to find wrong clocks.
     """
@@ -276,7 +282,7 @@ class FleetMember:
         return self._costs.get(shard, 0.0)
 
     def set_shards(self, costs: Mapping[str, float]) -> None:
-        """Set which shards (groups of links) have links, and what each costs; owned shards without links are released.
+        """Set which shards (groups of links) have links, and what each costs; the next turns release all other shards.
 
         Args:
             costs: seconds of line time per second that polling the links of each shard needs, by name of the shard.
@@ -285,11 +291,11 @@ class FleetMember:
         self._look_at = 0.0
 
     def set_revision(self, revision: int) -> None:
-        """Set the revision of the configuration that this collector works with; its next renewal tells the others."""
+        """Set the configuration revision that this collector works with; the others learn it by the next renewal."""
         self._me = replace(self._me, revision=revision)
 
     def drain(self, *, draining: bool = True) -> None:
-        """Begin to give all shards (groups of links) to other collectors and to take none, or end this.
+        """Begin to give away all shards (groups of links) and to take none, or take part again; the next turns do it.
 
         Args:
             draining: False to take shards again.
@@ -301,7 +307,7 @@ class FleetMember:
     def end(self) -> None:
         """Begin to release all shards (groups of links), and then tell the others that this collector has ended.
 
-        The next turns make the changes; `has_ended` says when they are done.
+        The next turns propose the changes; `has_ended` says when they are confirmed.
         """
         self._ends = self._drains = True
         self._me = replace(self._me, draining=True)
@@ -318,9 +324,9 @@ class FleetMember:
         return "another process has its name" if self.rival is not None else self._me.problem
 
     def deadline(self, shard: str) -> float:
-        """Return until when all transactions of a shard (group of links) must have ended, in the clock of leases.
+        """Return until when all transactions of a shard (group of links) must have ended, by the clock of leases.
 
-        Minus infinity if the shard is not owned, or its links have stopped to give it away.
+        Minus infinity if this collector does not own the shard, or has called `left` for it.
         """
         owned = self.owned.get(shard)
         if owned is None or owned.has_left:
@@ -328,7 +334,7 @@ class FleetMember:
         return self.times.deadline(owned.asked)
 
     def may_begin(self, shard: str, now: float, worst: float) -> bool:
-        """Whether a transaction on a link of a shard may begin now: it would end before the shard's lease does.
+        """Whether a transaction on a link of a shard may begin now: True if it would end before the shard's `deadline`.
 
         To be asked right before each transaction.
 
@@ -340,14 +346,14 @@ class FleetMember:
         return now + worst < self.deadline(shard)
 
     def members(self, now: float) -> list[MemberRecord]:
-        """Return the records of the live collectors of the zone, this one included, in the order of their names."""
+        """Return the records of the live collectors of the zone in the order of their names; always with this one."""
         found = [each.record for each in self._members.values() if self._lives(each, now)]
         return sorted((*found, self._me), key=lambda each: each.name)
 
     def leases(self) -> dict[str, LeaseRecord]:
-        """Return the last known lease of each shard (group of links), by its name.
+        """Return the last known lease of each shard (group of links), by name of the shard, also if it was released.
 
-        Shards without a lease are missing.
+        Shards that never had a lease are missing.
         """
         return {shard: each.record for shard, each in self._leases.items() if each.record is not None}
 
@@ -356,18 +362,18 @@ class FleetMember:
     def begin_snapshot(self) -> None:
         """Prepare to receive all entries of the shared table from the start, because its watch begins or begins again.
 
-        Known entries stay known; but an entry that is then shown with a lower revision replaces the known one.
+        Known entries stay known. An entry that the new snapshot shows with a lower revision replaces the known one.
         """
         self._complete_at = None
         self._shown_again = {f"{LEASES}{shard}" for shard in self._leases}
         self._shown_again |= {f"{MEMBERS}{name}" for name in (*self._members, self.name)}
 
     def end_snapshot(self, now: float) -> None:
-        """Record that `entry` was given all entries that the shared table has; later entries are changes."""
+        """Record that all existing entries of the shared table were passed to `entry`; later entries are changes."""
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Store a new or changed entry of the shared table; it is ignored if a newer revision of it is known."""
+        """Take over a new or changed entry of the shared table; it is ignored if this or a newer revision is known."""
         self._forget_wrong_revision(entry)
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
@@ -393,7 +399,7 @@ class FleetMember:
             del self._members[name]
 
     def _compare_zone(self, entry: Entry) -> None:
-        """Compare shards and lease times of this collector with those of the zone; keep how they differ (rule 7)."""
+        """Compare shards and lease times of this collector with those in an entry; keep how they differ (rule 7)."""
         self._zone_revision = entry.revision
         zone = decode_zone(entry.value)
         if zone is None:
@@ -422,7 +428,7 @@ class FleetMember:
             self._last_epochs[shard] = epoch
 
     def _compare(self, shard: str) -> None:
-        """Compare an owned shard (group of links) with its lease in the shared table; give it up if another owns it."""
+        """Compare an owned shard with the newest entry of its lease; lose the shard if another collector took it."""
         owned, seen = self.owned.get(shard), self._leases.get(shard)
         if owned is None or seen is None or seen.revision <= owned.revision:
             return
@@ -459,9 +465,10 @@ class FleetMember:
             self._members[name] = _SeenMember(record, entry.revision, now, ahead)
 
     def _compare_clocks(self, entry: Entry, record: MemberRecord, now: float) -> None:
-        """Note that the table has shown an entry of this collector; set `clock_error` if it is the newest, and dated.
+        """Note that the table has shown this collector's own entry, and set `clock_error` from the entry's time.
 
-        The coordinator made the change after it was proposed (``record.at``) and before ``now``.
+        `clock_error` stays as it is if the entry has no time or is not the newest. The coordinator made the change
+        after it was proposed (``record.at``) and before ``now``.
         """
         self._is_known = True
         if entry.time is not None and record.count == self._me.count:
@@ -469,9 +476,9 @@ class FleetMember:
             self.clock_error = ahead if ahead > CLOCK_LIMIT else -behind if behind > CLOCK_LIMIT else 0.0
 
     def _clock_problem(self, now: float) -> str:
-        """Return in words that the wall clock of this machine is too wrong to own a shard; empty if it is not (rule 6).
+        """Return in words that this machine's wall clock is too wrong to own shards; empty if it may own some (rule 6).
 
-        Empty also if more live collectors agree with this clock than with the coordinator's.
+        Empty also if more of the other live collectors agree with this clock than with the coordinator's.
         """
         if not self.clock_error:
             return ""
@@ -490,11 +497,11 @@ class FleetMember:
             self._my_renewal = min(self._my_renewal, now)
 
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
-        """Process the answer to a proposed change of the shared table.
+        """Process the answer to a proposed change of the shared table; ignored if no proposal for its key is open.
 
         Args:
             proposal: the change, as `turn` returned it.
-            result: the new revision of the entry, or why the change was not confirmed.
+            result: the new revision of the entry if the change was confirmed; otherwise why it was not.
             now: the time by the clock of leases.
         """
         if self._open.pop(proposal.key, None) is None:
@@ -561,9 +568,9 @@ class FleetMember:
         self._compare(shard)
 
     def left(self, shard: str) -> None:
-        """Record that a shard's links have stopped and their samples are stored; the next turn releases the shard.
+        """Record that a shard's links have stopped and their samples are stored; the next turn proposes its release.
 
-        To be called after an event `Step.LEAVE`.
+        To be called after an event `Step.LEAVE`. Does nothing if the shard is not owned any more.
         """
         owned = self.owned.get(shard)
         if owned is not None:
@@ -573,15 +580,15 @@ class FleetMember:
     # What goes out.
 
     def events(self) -> list[ShardEvent]:
-        """Return the events of shards (groups of links) since the last call, in order; each is returned once."""
+        """Return the events of shards (groups of links) since the last call, in order; empty if there were none."""
         found, self._events = self._events, []
         return found
 
     def turn(self, now: float) -> list[Proposal]:
-        """Return the changes to make in the shared table now, each to be made once; ends leases that have run out.
+        """Return the changes of the shared table to be made now, each to be made once; empty if there is nothing to do.
 
         The changes renew leases and this collector's own entry, release shards (groups of links) and take free ones.
-        Shards that are lost, or are to be given away, are told by `events`.
+        Shards whose lease has run out are lost now; `events` then has these, and the shards that are to be given away.
         """
         for shard in [shard for shard, each in self.owned.items() if now >= self.times.deadline(each.asked)]:
             self.counts.lapsed += 1
@@ -600,9 +607,9 @@ class FleetMember:
         return found
 
     def next_turn(self) -> float:
-        """Return when `turn` must be called next, in the clock of leases.
+        """Return when `turn` must be called next, as a time of the clock of leases; infinity if nothing is due.
 
-        Call it earlier after any other method was called.
+        After a call of another method that changes the state, `turn` must be called at once.
         """
         due = [self._look_at if self._complete_at is not None else float("inf")]
         if f"{MEMBERS}{self.name}" not in self._open:
@@ -695,11 +702,17 @@ class FleetMember:
         return LeaseHole(record.owner, record.held, record.at, end)
 
     def _note_silence(self, shard: str, seen: _SeenLease | None, end: float) -> None:
-        """Note since when the owner of a shard is silent that is about to be taken; nothing if it was released.
+        """Note when the last owner of a shard that is about to be taken fell silent; nothing if it released the shard.
 
-        A lease that this collector has taken without an answer was never owned: what was noted before holds. One that
-        another has taken and never renewed may have had no answer either: the time before it counts too. The clock of
-        an owner that was not set tells nothing once it is set: the silence then begins when its lease was seen last.
+        If the present lease is one that this collector took without an answer, it never owned the shard by it: the time
+        noted before stays. If another collector took the lease and never renewed it, it may have had no answer either,
+        so the time without an owner before that lease counts too. If the lease is dated by a clock that was not set
+        yet, the silence begins when this collector last saw the lease change.
+
+        Args:
+            shard: name of the shard.
+            seen: its lease as last seen; None if it never had one.
+            end: the present time, seconds since 1970 UTC.
         """
         record = None if seen is None else seen.record
         if seen is not None and record is not None and self._had_no_answer(shard, record, seen.revision):
@@ -716,14 +729,14 @@ class FleetMember:
         self._silent_since[shard] = seen.at + self.wall_ahead if is_before_the_clock else since
 
     def _had_no_answer(self, shard: str, record: LeaseRecord, revision: int) -> bool:
-        """Whether this start of the collector took a lease, and had no answer: it has not owned the shard by it."""
+        """Whether this start of the collector took a lease but got no answer, and so never owned the shard by it."""
         is_taken = record.run == self._me.run and record.held and record.epoch is None
         return is_taken and record.epoch_at(revision, self.generation) != self._gained.get(shard)
 
     def _free(self, now: float) -> dict[str, float]:
-        """Return the shards (groups of links) that have no owner now, with the cost of each.
+        """Return the shards (groups of links) that have no owner now, and the cost of each, by name of the shard.
 
-        If the lease of another shard may be taken before the next check, the time of that check is set to then.
+        If another shard becomes free before the next check for free shards, that check is moved to the earlier time.
         """
         found: dict[str, float] = {}
         for shard, cost in self._costs.items():
@@ -747,7 +760,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else max(self.times.free_at(seen.at), seen.at + record.silence)
 
     def _hand_on(self, now: float) -> None:
-        """Begin to give away the shards (groups of links) that this collector must not keep or that `balance` moves."""
+        """Begin to give away the shards that this collector must not keep or that `balance` moves (`Step.LEAVE`)."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         takes = takers({shard: self.cost(shard) for shard in self.owned}, self._shares(now)) if self._ends else {}
         for shard, owned in self.owned.items():

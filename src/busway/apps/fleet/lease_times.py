@@ -17,11 +17,12 @@ class LeaseTimes:
     """How long a collector's right to poll (lease) holds and how often it is renewed; the same for all collectors.
 
     Attributes:
-        ttl: seconds for which a lease holds, counted from when its last successful renewal was sent, 3…300.
+        ttl: seconds for which a lease holds, counted from when its last confirmed renewal was sent, 3…300.
         renew: seconds between two renewals, above 0 and at most a third of ``ttl``.
-        guard: seconds that the owner stops earlier, and another collector begins later, so that clocks may drift; from
-            a hundredth to a quarter of ``ttl``.
-        answer: seconds after which the outcome of a change without an answer is unknown; at most a third of ``ttl``.
+        guard: margin for clocks that drift, in seconds: the owner stops that much before the end of its lease, and
+            another collector begins that much after it. From a hundredth to a quarter of ``ttl``.
+        answer: seconds after which a change of the shared table without an answer counts as unknown; above 0 and at
+            most a third of ``ttl``.
 
     Raises:
         ConfigError: a value is out of its range.
@@ -34,12 +35,11 @@ class LeaseTimes:
 
     @classmethod
     def lasting(cls, ttl: float, guard: float | None = None) -> "LeaseTimes":
-        """Return the times of leases that hold for ``ttl`` seconds, all others in the proportion of the defaults.
+        """Return the times of leases that hold for ``ttl`` seconds; other times have the defaults' ratio to ``ttl``.
 
         Args:
             ttl: seconds for which a lease holds, 3…300.
-            guard: seconds of the guard, from a hundredth to a quarter of ``ttl``; None for the proportion of the
-                defaults.
+            guard: seconds of the guard, from a hundredth to a quarter of ``ttl``; None for the ratio of the defaults.
 
         Raises:
             ConfigError: a value is out of its range.
@@ -51,12 +51,12 @@ class LeaseTimes:
 
     @property
     def longest_transaction(self) -> float:
-        """The most seconds that a transaction may take, so that two renewals may fail before a link pauses."""
+        """The longest permitted transaction, in seconds: two renewals can then fail before polling has to pause."""
         return self.ttl - self.guard - 2 * self.renew
 
     @property
     def silence(self) -> float:
-        """Seconds for which a lease must not change before another collector may take its shard."""
+        """Seconds for which a lease must have been unchanged before another collector may take its shard."""
         return self.ttl + self.guard
 
     def __post_init__(self) -> None:
@@ -78,15 +78,18 @@ class LeaseTimes:
             raise ConfigError(f"an answer is waited for up to {self.ttl / 3:g} s, not {self.answer:g}", key="answer")
 
     def deadline(self, asked: float) -> float:
-        """Return when an owner must have ended all transactions if its last confirmed renewal was sent at ``asked``."""
+        """Return until when an owner must have ended all transactions: the end of its lease, less the guard.
+
+        Args:
+            asked: when the last confirmed renewal of the lease was sent.
+        """
         return asked + self.ttl - self.guard
 
     def free_at(self, seen: float) -> float:
-        """Return from when a shard (group of links) may be taken from an owner that is silent since ``seen``.
+        """Return from when another collector may take a shard (group of links) whose owner does not renew the lease.
 
         Args:
-            seen: when the lease of the shard was last seen to change, by the clock of the collector that wants the
-                shard.
+            seen: when the lease was last seen to change, by the clock of the collector that wants the shard.
         """
         return seen + self.silence
 
@@ -96,8 +99,9 @@ class Epoch:
     """The number of one ownership of a shard (group of links); each later ownership has a greater number.
 
     Attributes:
-        generation: raised by an operator who restores the coordinator from a backup, so that epochs never go back.
-        revision: revision of the table entry that took the lease; more if an earlier epoch is not below that.
+        generation: generation number of the zone. An operator raises it after restoring the coordinator from a backup,
+            so that later epochs are above all earlier ones.
+        revision: revision of the table entry that took the lease; a higher number if an earlier epoch is not below it.
     """
 
     generation: int
@@ -107,8 +111,11 @@ class Epoch:
         return f"{self.generation}.{self.revision}"
 
     def above(self, other: "Epoch | None") -> "Epoch":
-        """Return an epoch above another one: this epoch if it is above, else the one that follows the other.
+        """Return this epoch if it is above another one, else the other one with its revision raised by 1.
 
         A coordinator that was restored may count revisions from a lower number.
+
+        Args:
+            other: the last known epoch of the shard; None if there is none, so that this epoch is returned.
         """
         return self if other is None or self > other else Epoch(other.generation, other.revision + 1)

@@ -5,8 +5,8 @@ stream.
 
 1. A device's last batch is on ``busway.<zone>.live.<device>``: JSON with device, time (milliseconds since 1970 UTC),
    and for each point the value, and the reason if its quality is not good.
-2. Of several batches of the same points within `SEND_EVERY` seconds the last one is sent. While there is no connection
-   to the server, none is sent.
+2. Of several batches of the same points within `SEND_EVERY` seconds only the last is sent. While there is no connection
+   to the server, batches are dropped.
 """
 
 import asyncio
@@ -24,7 +24,7 @@ from .lease_driver import end_tasks
 
 SEND_EVERY: Final = 0.2
 PAUSE: Final = 15.0
-"""Seconds without live values after a defect."""
+"""Seconds for which no live values are sent after an unexpected error."""
 _MILLION: Final = 1_000_000
 _log = logging.getLogger("busway.fleet")
 
@@ -45,7 +45,7 @@ class LiveSubjects:
         collector.subscribe(self._told)
 
     async def __aenter__(self) -> Self:
-        """Begin to publish, in a task, what the collector commits."""
+        """Start a task that publishes the values that the collector commits."""
         self._task = asyncio.create_task(self._send(), name="busway fleet live values")
         return self
 
@@ -84,7 +84,7 @@ def _time_of(batch: SampleBatch) -> int:
 
 
 def encoded_batch(batch: SampleBatch) -> bytes:
-    """Return a batch of samples as the JSON of a message with live values."""
+    """Return a batch of samples as a message with live values: JSON, as in rule 1."""
     points = {
         point: {"value": value, **({"reason": reason_text(reason)} if reason else {})}
         for point, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)

@@ -5,11 +5,11 @@
 2. ``complete`` is a commit of the same collector: the stream has acknowledged every sample up to that commit before
    this message was sent. A reader that takes the stream in order therefore has them all, if the stream has lost none.
 3. A stream can lose messages that it has acknowledged: the last ones, when its server ends, and the oldest, when it is
-   full. By its `Chain` a reader sees that it lacks a message of the sender.
-4. A message of a newer format is refused as a whole; nothing in it is guessed.
+   full. By the `Chain` of a message a reader sees that it lacks an earlier message of the same sender.
+4. A message of another format is refused as a whole; nothing in it is guessed.
 5. A message holds each name once, however many of its samples have it; samples refer to names by their place.
-6. A message has at most `MOST_BYTES` bytes. How long it becomes is not measured but computed before (`longest_head`,
-   `longest_row`), and never too low.
+6. A message has at most `MOST_BYTES` bytes. An upper bound of its length is computed before it is encoded
+   (`longest_head`, `longest_row`).
 """
 
 from collections import defaultdict
@@ -36,13 +36,14 @@ class UnreadableMessage(ModbusError):
 
 @dataclass(frozen=True, slots=True)
 class Chain:
-    """The place of a message in all that its sender has sent.
+    """The place of a message in the sequence of messages that its sender has sent since its start.
 
     Attributes:
-        start: a random number for one start of the sender; the numbers of different starts are not related.
-        number: number of the message since that start, from 1; each attempt to send a message has its own.
-        after: the number of the last message that the stream had acknowledged before; 0 for none.
-        is_first: whether it is the first message of a batch: the samples of all links in some commits.
+        start: a random number for one start of the sender; numbers of messages of different starts are not related.
+        number: number of the message since that start, from 1; each attempt to send a message gets a new number.
+        after: ``number`` of the last message that the stream had acknowledged before this one; 0 for none.
+        is_first: whether the message is the first of a batch: the messages with the samples of all links in some
+            commits.
     """
 
     start: int = 0
@@ -61,13 +62,14 @@ class SampleMessage:
         link: name of the link that the samples were read over; empty for devices without a link.
         epoch: epoch of the link's ownership in which the samples were taken; None for samples from before the fleet.
         revision: revision of the configuration with which the samples were taken; 0 if none is known.
-        complete: the commit up to which the stream had acknowledged all samples of this store before this message.
-        kept: the commit up to which, as the sender knows, all sinks have the samples of this store. The sender begins
-            after that commit when it sends again.
-        samples: the samples in the order of their commits, each without its revision; empty in a message that tells
-            ``complete`` or a gap.
-        chain: its place in all that the sender has sent.
-        gap: a time before this epoch in which the link had no owner; then there are no samples. None otherwise.
+        complete: number of the commit up to which the stream had acknowledged all samples of this store before this
+            message was sent.
+        kept: number of the commit up to which, as the sender knows, all sinks have the samples of this store. When the
+            sender sends samples again, it never begins before that commit.
+        samples: the samples in the order of their commits; their ``revision`` is not encoded. Empty in a message that
+            only tells ``complete`` or a gap.
+        chain: the place of the message among the messages of its sender.
+        gap: a time before this epoch in which the link had no owner; the message then has no samples. None otherwise.
     """
 
     collector: str
@@ -83,7 +85,7 @@ class SampleMessage:
 
     @property
     def name(self) -> str:
-        """The name of the message; a stream drops a message whose name it knows already (rule 1)."""
+        """The name of the message, different for each attempt to send it; a stream drops a known name (rule 1)."""
         return f"{self.collector}/{self.store}/{self.chain.start:x}.{self.chain.number}"
 
     def encode(self) -> bytes:
@@ -123,7 +125,7 @@ def decode_message(data: bytes) -> SampleMessage:
     """Return the message with samples that bytes from a stream hold.
 
     Raises:
-        UnreadableMessage: the bytes are no such message, or are of a format that is not known here.
+        UnreadableMessage: the bytes are no message with samples, or have a format that this program does not know.
         MissingExtra: the package msgpack is not installed.
     """
     require("msgpack", "samples of a fleet")
@@ -162,11 +164,11 @@ def decode_message(data: bytes) -> SampleMessage:
 
 
 def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iterator[tuple[str, list[CommittedSample]]]:
-    """Yield for each link its name and its samples, which keep their order; links come in the order of their names.
+    """Yield for each link its name and its samples in their present order; the links in the order of their names.
 
     Args:
         samples: samples of any devices.
-        link_of: by device, the name of its link; samples of devices that are missing have the link ``""``.
+        link_of: by name of the device, the name of its link; samples of other devices have the link ``""``.
     """
 
     def link(sample: CommittedSample) -> str:
@@ -177,7 +179,7 @@ def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iter
 
 
 def longest_head(*names: str) -> int:
-    """Return how many bytes a message may have beside its samples.
+    """Return an upper bound, in bytes, of the length of a message without its samples.
 
     Args:
         names: the names in it: collector, store and link, and the devices of a gap.
@@ -186,12 +188,12 @@ def longest_head(*names: str) -> int:
 
 
 def longest_row(sample: CommittedSample, known: set[str]) -> int:
-    """Return how many bytes a sample may add to a message; computed from the longest forms in MessagePack.
+    """Return an upper bound, in bytes, of what a sample adds to the length of a message in MessagePack.
 
     Args:
         sample: the sample.
-        known: names of the samples before it in the same message: devices, points and units of measure. Its own are
-            added.
+        known: devices, points and units of measure of the samples before it in the same message, which are encoded
+            once; those of this sample are added to the set.
     """
     names = 0
     for name in (sample.device, sample.point, sample.unit_of_measure):
@@ -218,7 +220,7 @@ def _longest_text(text: str) -> int:
 
 
 def _packed(value: Any) -> Any:
-    """Return a value in the form that MessagePack can hold: an integer beyond 64 bits as a list with its text."""
+    """Return a value as it is encoded: unchanged, but an integer beyond 64 bits as a list with its decimal text."""
     if isinstance(value, int) and not -(2**63) <= value < 2**64:
         return [str(value)]
     return value

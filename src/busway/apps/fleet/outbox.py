@@ -2,27 +2,29 @@
 
 Knows commits and cursors; `streams` knows the engine.
 
-1. Samples are sent after their commit, in the order of commits, and again after each start from the cursor on: the
-   commit up to which every sink has told that it has all samples. The stream may lose all messages.
+1. Samples are sent after their commit, in the order of commits. After each start they are sent again from the cursor
+   on: the commit up to which every sink has confirmed all samples. So no sample is missing even if the stream loses all
+   messages.
 2. The cursor is in the manifest of the store. Retention counts the samples after the cursor that it deletes as lost;
    the log and the status say so.
-3. A sink that has taken messages of the stream for `AGAIN_AFTER` seconds without having more samples of this store
-   lacks some: all samples are sent again from the commit on that it has. Each time without success the wait is twice as
-   long. A sink that takes no messages is away: what is sent to it again would only fill the stream.
+3. If a sink has taken messages of the stream for `AGAIN_AFTER` seconds and its commit for this store has not
+   advanced, it lacks samples: all samples after that commit are sent again. Each time without success the wait is twice
+   as long. A sink that takes no messages is away: sending again would only fill the stream.
 4. Each attempt to send a message has a name that the stream does not know. A stream that recognised the name would
    drop the new message, and might lose the older copy before a sink has it.
-5. A stream that is full or away stops nothing: samples wait in the store, and the status says so. It is tried again
-   after ever longer pauses, and at once when the connection to its server is there again.
-6. What a sink says that it has counts only if messages of this start have proved it. If an older copy of the store was
-   put back, its numbers are used twice, and a sink may have commits of the newer one.
-7. A gap of ownership is sent before the samples of the epoch that ended it, in a message of its own, and again with
-   them. So a sink that has all samples up to a commit has all gaps up to there.
+5. A stream that is full or away does not stop the collector: samples wait in the store, and the status says so. Sending
+   is tried again after ever longer pauses, and at once when the connection to the server is there again.
+6. The commit that a sink says it has counts only if messages of this start have proved it. If an older copy of the
+   store was put back, commit numbers are used twice, and the commits that a sink has may be those of the newer copy.
+7. A gap of ownership is sent before the samples of the epoch that ended it, in a message of its own, and is sent again
+   whenever these samples are. So a sink that has all samples up to a commit has all gaps up to there.
 8. A message is no longer than `SampleStream.most_bytes`. A sample that alone is longer is set aside: it stays in the
    store, no sink gets it, and the status counts it.
-9. What a commit has of a link is in one message. If it is too long for one, it begins a message, and is cut at the same
-   places whenever it is sent again: sinks make a document with a key of what a commit has of a device.
-10. Samples from before the wall clock was set wait until they are mended, as they do for a sink beside the store
-    (`ClockWait`): sent before, they would have another time when they are sent again.
+9. All samples of one link in one commit are in one message. If they are too long for one message, they begin a message
+   of their own, and are cut at the same places whenever they are sent again: some sinks write all samples of a device
+   in a commit as one document with a key.
+10. Samples from before the wall clock was set wait until their times are corrected, as they do for a sink beside the
+    store (`ClockWait`): sent before that, they would have another time when they are sent again.
 """
 
 import asyncio
@@ -51,11 +53,11 @@ IDLE: Final = 0.25
 """Seconds between two checks for new commits."""
 AGAIN_AFTER: Final = 30.0
 AGAIN_LIMIT: Final = 600.0
-"""Most seconds before it is sent again; also where nothing moves because nothing is sent."""
+"""Longest wait in seconds before missing samples are sent again; also the wait if nothing is sent meanwhile."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 15.0
 MOST_COUNTED: Final = 10_000
-"""Most samples set aside that are remembered; if more are sent again, the status counts some of them again."""
+"""Most samples set aside that are remembered as counted; if there are more, some are counted again when sent again."""
 
 _log = logging.getLogger("busway.fleet")
 
@@ -66,11 +68,11 @@ class StreamDown(ModbusError):
 
 @dataclass(frozen=True, slots=True)
 class SinkPlace:
-    """How far one sink of the stream is.
+    """How far one sink of the stream is with the samples of one store.
 
     Attributes:
-        commit: the commit up to which it keeps all samples of one store.
-        sequence: the number of the last message of the stream that it has taken, of whatever sender.
+        commit: number of the commit up to which the sink has all samples of the store; 0 if it has none.
+        sequence: number in the stream of the last message that the sink has taken, from any sender.
         start: `Chain.start` of the messages that proved ``commit``; 0 if none did.
     """
 
@@ -81,7 +83,14 @@ class SinkPlace:
 
 @dataclass(slots=True)
 class _Waiting:
-    """A sink that keeps less than was sent: where it was at first, since when it takes messages, how long it may."""
+    """A sink that has less than was sent, and the wait until it counts as lacking samples (rule 3).
+
+    Attributes:
+        place: how far the sink was when the wait began.
+        since: when the wait began, in seconds of the clock of the outbox.
+        wait: seconds for which the sink may take messages without getting further.
+        takes_since: when the sink was first seen to take messages in this wait, by the same clock; None if it has not.
+    """
 
     place: SinkPlace
     since: float
@@ -107,10 +116,15 @@ class SampleStream(Protocol):
         """Wait until the connection to the server is a newer one than when the last message was sent."""
 
     def most_bytes(self) -> int:
-        """Return the most bytes that a message may have."""
+        """Return the length in bytes that a message may have at most."""
 
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
-        """Return by sink how far it is with the samples of a store; empty if no sink is known."""
+        """Return for each sink, by name, how far it is with the samples of a store; empty if no sink is known.
+
+        Args:
+            collector: name of the collector that has the store.
+            store: the word that names the store in messages.
+        """
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,11 +132,12 @@ class OutboxStatus:
     """How far the sending of stored samples to the message stream has come, and what is wrong.
 
     Attributes:
-        sent: the commit up to which the stream has all samples.
-        kept: the commit up to which all sinks have all samples.
+        sent: number of the commit up to which the stream has acknowledged all samples. It goes back when samples are
+            sent again.
+        kept: number of the commit up to which all sinks have all samples.
         messages: number of messages acknowledged since the start.
         set_aside: number of samples since the start that no sink gets, because they are too long for a message.
-        error: why the stream does not take more; None while it does.
+        error: why the stream takes no samples now; None while it takes them.
         lost: number of samples that retention has deleted before all sinks had them; some sinks may have them.
     """
 
@@ -137,14 +152,14 @@ class OutboxStatus:
 class Outbox:
     """Sends the samples of a collector's store to the message stream of its fleet until all sinks have them.
 
-    When it is made, its cursor is put into the manifest.
+    A new object puts its cursor into the manifest of the store, if it is not there yet.
 
     Args:
         folder, manifest: folder and manifest of the store.
         stream: the message stream that gets the samples.
         collector: name of the collector in the messages.
-        store: the word that names its store in the messages.
-        link_of: returns by device the name of its link; called before each batch.
+        store: the word that names the store in the messages.
+        link_of: returns the names of the links of all devices, by name of the device; called before each batch.
         shard_of: returns the name of a link's shard (group of links); called for each message with a link.
         epoch_of: returns the epoch in which a link's samples of a commit were taken; None for no epoch.
         revision_of: returns the revision of the configuration with which a commit's samples were taken.
@@ -194,7 +209,7 @@ class Outbox:
         return OutboxStatus(self._sent, self._kept, self._messages, self._aside, self._error, self._lost)
 
     async def run(self) -> None:
-        """Send stored samples to the message stream until cancelled; a stream that is away or full is tried again."""
+        """Send stored samples to the message stream until cancelled; if the stream is away or full, try again."""
         wait = PAUSE
         while True:
             try:
@@ -212,7 +227,7 @@ class Outbox:
                 await asyncio.sleep(IDLE)
 
     async def _is_connected_again(self, seconds: float) -> bool:
-        """Wait for some seconds, or until the stream has a new connection to its server; returns whether it has."""
+        """Wait until the stream has a new connection to its server; return True, or False if none came in time."""
         try:
             async with asyncio.timeout(seconds):
                 await self._stream.connected_again()
@@ -221,12 +236,13 @@ class Outbox:
         return True
 
     async def step(self) -> bool:
-        """Send the next batch of stored samples to the stream; returns whether more samples are probably waiting.
+        """Send the next batch of stored samples to the stream; return True if more samples are probably waiting.
 
-        Before, the cursor is moved to what all sinks have; if a sink lacks samples, they are sent again from there.
+        First the cursor is moved to the commit that all sinks have. If a sink lacks samples, the batch begins after the
+        commit that this sink has. False if there was nothing to send, or less than a full batch.
 
         Raises:
-            StreamDown: the stream has not taken the whole batch; the next call sends it again.
+            StreamDown: the stream has not acknowledged the whole batch; the next call sends it again.
         """
         await self._take_kept()
         found = await asyncio.to_thread(self._next)
@@ -243,7 +259,7 @@ class Outbox:
         return len(found.samples) >= MOST
 
     def _next(self) -> CommitRange | None:
-        """Return the next commits to be sent, None if there are none; note what retention has deleted."""
+        """Return the next commits to be sent, None if there are none; also count samples that retention has deleted."""
         self._note_lost()
         if self._clock.waits:  # to look again costs little
             found = self._reader.read(self._sent, 1)
@@ -275,7 +291,7 @@ class Outbox:
     async def _take_kept(self) -> None:
         """Move the cursor in the store's manifest to the commit up to which all sinks have the samples.
 
-        Where a sink lacks samples that were sent, sending begins again (rules 1 and 3).
+        If a sink lacks samples that were sent, the next batch begins after the commit that it has (rules 1 and 3).
         """
         places = {
             name: place if place.start == self._start else replace(place, commit=0)  # rule 6
@@ -293,9 +309,9 @@ class Outbox:
             self._sent, self._told = begin, -1
 
     def _lacks(self, name: str, place: SinkPlace) -> bool:
-        """Whether a sink lacks samples that were sent, as far as can be seen (rule 3). To be called at each step.
+        """Whether a sink lacks samples that were sent: it has not got further for the whole wait (rule 3).
 
-        Each call notes how far the sink is. After True the wait begins anew, and is twice as long.
+        To be called at each step: each call notes how far the sink is. After True a new wait begins, twice as long.
         """
         now, waiting = self._now(), self._waiting.get(name)
         if waiting is None or place.commit > waiting.place.commit or place.commit >= self._sent:
@@ -311,7 +327,10 @@ class Outbox:
         return True
 
     async def _tell_complete(self) -> None:
-        """Tell sinks that all stored samples were sent, so that their positions reach the last commit."""
+        """Send a message without samples that says that all stored samples were sent, unless it was sent already.
+
+        By it the positions of sinks reach the last commit.
+        """
         if self._told < self._sent:
             await self._publish(self._message("", []), is_first=True)
             self._told = self._sent
@@ -379,7 +398,15 @@ class Outbox:
                 yield epoch, waiting
 
     def _pieces(self, commit: list[CommittedSample], head: int, most: int) -> Iterator[list[CommittedSample]]:
-        """Yield what a commit has of a link in pieces, each for a message; the commit is too long for one (rule 9)."""
+        """Yield one link's samples of one commit, too many for one message, in pieces for one message each (rule 9).
+
+        A sample that alone is too long is set aside.
+
+        Args:
+            commit: the samples.
+            head: bytes of a message without samples.
+            most: most bytes of a message.
+        """
         piece, length, known = list[CommittedSample](), head, set[str]()
         for row in commit:
             alone = head + longest_row(row, set())

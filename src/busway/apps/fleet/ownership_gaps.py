@@ -5,9 +5,10 @@ Pure: knows no file, stream or sink.
 1. The new owner records a gap, from the last renewal of the lease before to the begin of its own ownership. The former
    owner may have gone on for a while after that renewal.
 2. Nothing of a device is missing before its newest sample in the gap, so the time of that sample is the true begin.
-   It may be a sample of either owner, and may arrive late: a later one moves the begin, an earlier one does nothing.
-   The order in which samples arrive does not matter.
-3. An interval without reads that an owner has recorded (`Reason.OWNERSHIP`) is no sample in this sense.
+   The sample may be of either owner, and may arrive late: then a later sample moves the begin to its own time, and an
+   earlier one changes nothing. The order in which samples arrive does not matter.
+3. The marks without a value that an owner writes for a time without reads (`Reason.OWNERSHIP`) do not count as samples
+   here.
 """
 
 from collections.abc import Iterable
@@ -23,11 +24,11 @@ class OwnershipGap:
     Attributes:
         link: name of the link.
         epoch: epoch of the ownership that ended the gap.
-        commit: the number after that of the last commit of the new owner before it: its first sample in ``epoch`` has
-            this commit or a later one.
+        commit: the first commit number that the new owner can use for samples of ``epoch``: one more than its last
+            commit before this ownership.
         devices: names of the devices of the link.
-        begin: nanoseconds since 1970 UTC of the last renewal by the former owner.
-        end: nanoseconds since 1970 UTC; the first sample of the new owner is later.
+        begin: when the former owner renewed its lease for the last time, in nanoseconds since 1970 UTC.
+        end: when the new ownership began, in nanoseconds since 1970 UTC; samples of the new owner are later.
     """
 
     link: str
@@ -39,11 +40,14 @@ class OwnershipGap:
 
 
 def true_begin(begin: int, end: int, times: Iterable[int]) -> int:
-    """Return when a gap of a device really began: at its newest sample within the gap, else at ``begin`` (rule 2).
+    """Return when a gap of a device really began, in nanoseconds since 1970 UTC (rule 2).
+
+    That is the time of the device's newest sample within the gap; ``begin`` if there is no sample in the gap.
 
     Args:
         begin: begin of the gap as it was recorded, nanoseconds since 1970 UTC.
-        end: its end.
-        times: times of samples of the device, in any order; those outside of the gap do not matter.
+        end: end of the gap, nanoseconds since 1970 UTC; a sample at this very time is outside of the gap.
+        times: times of samples of the device, nanoseconds since 1970 UTC, in any order; those outside of the gap are
+            ignored.
     """
     return max((time for time in times if begin <= time < end), default=begin)

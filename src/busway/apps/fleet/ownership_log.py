@@ -8,8 +8,9 @@ not here.
 2. A row is on disk before the first transaction of its epoch.
 3. An ownership whose end is missing ended with the process; the next start records that end.
 4. A gap before an ownership (`ownership_gaps`) is on disk together with it.
-5. What is recorded never belongs to commits that `gaps` was asked for before: commits of other links may be sent while
-   the disk is waited for, and the outbox asks for each range once.
+5. The outbox asks `OwnershipLog.gaps` for each range of commits once. So an ownership that is recorded later begins
+   after the last commit that was asked for, even if the caller names an earlier one: commits of other links may be sent
+   while a record waits for the disk.
 6. Of two ownerships that begin after the same commit, the one that was recorded later is later. Their times say
    nothing: the wall clock can be set back.
 """
@@ -48,7 +49,7 @@ _BEGIN: Final = """
 INSERT INTO ownership VALUES (?, ?, ?, ?, ?, NULL, NULL)
 ON CONFLICT DO UPDATE SET last_commit = NULL, "end" = NULL
 """
-"""A link that the configuration lacked for a while goes on in the epoch of its shard."""
+"""SQL that records an ownership; a link that was out of the configuration for a while continues in the same epoch."""
 _GAP: Final = "INSERT OR IGNORE INTO gap VALUES (?, ?, ?, ?, ?, ?, ?)"
 _END: Final = """
 UPDATE ownership SET last_commit = ?, "end" = ? WHERE link = ? AND generation = ? AND revision = ?
@@ -65,9 +66,10 @@ class Ownership:
     Attributes:
         link: name of the link.
         epoch: the epoch of the ownership.
-        after_commit: the last commit before the period.
+        after_commit: number of the collector's last commit before the period.
         begin: begin of the period, nanoseconds since 1970 UTC.
-        last_commit: the last commit in the period; None while the period lasts, or if the process was killed in it.
+        last_commit: number of the last commit in the period; None while the period lasts. If the process was killed in
+            the period, None until its next start.
         end: end of the period, nanoseconds since 1970 UTC; None if ``last_commit`` is None.
     """
 
@@ -131,9 +133,11 @@ class OwnershipLog:
 
         Args:
             owned: names of the links, each with the epoch of its ownership.
-            after_commit: the last commit before the ownership; a later one counts if `gaps` was asked for it (rule 5).
-            now: nanoseconds since 1970 UTC.
-            gaps: the times before in which some of them had no owner. Their commit is that after ``after_commit``.
+            after_commit: number of the last commit before the ownership. If `gaps` was asked up to a later commit, that
+                one is recorded instead (rule 5).
+            now: the begin of the ownership, nanoseconds since 1970 UTC.
+            gaps: the times just before, in which some of the links had no owner. Their own ``commit`` is ignored: they
+                are recorded with the same commit as the ownership.
 
         Raises:
             sqlite3.Error: nothing was recorded; the links must not be polled.
@@ -158,18 +162,28 @@ class OwnershipLog:
                 self._epochs.setdefault(link, []).append((after_commit, Epoch(generation, revision)))
 
     def end(self, owned: Iterable[tuple[str, Epoch]], last_commit: int, now: int) -> None:
-        """Record that links are no longer owned; all their samples are committed. Raises `sqlite3.Error`."""
+        """Record that links are no longer owned. All samples taken from them must be committed before.
+
+        Args:
+            owned: names of the links, each with the epoch of the ownership that ends.
+            last_commit: number of the last commit in the ownership.
+            now: the end of the ownership, nanoseconds since 1970 UTC.
+
+        Raises:
+            sqlite3.Error: nothing was recorded.
+        """
         rows = [(last_commit, now, link, epoch.generation, epoch.revision) for link, epoch in owned]
         with self._lock:
             self._write([(_END, rows)])
 
     def mend(self, correction: ClockCorrection, after_commit: int, *, of_one_clock: bool) -> None:
-        """Correct times that were recorded before the wall clock was right, of ownerships that begin after a commit.
+        """Correct times of this start of the collector that were recorded before its wall clock was right.
 
         Args:
-            correction: the correction.
-            after_commit: the last commit before this start of the collector.
-            of_one_clock: whether the begin of a gap, which is by the clock of the owner before, is corrected too.
+            correction: which times are wrong, and by how much.
+            after_commit: number of the last commit before this start: only records that begin after it are corrected.
+            of_one_clock: True to correct the begin of gaps too. They are by the clock of the former owner, so this is
+                right only if that clock was wrong in the same way.
 
         Raises:
             sqlite3.Error: nothing was corrected.
@@ -193,13 +207,16 @@ class OwnershipLog:
         self._database.execute("COMMIT")
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
-        """Return the epoch in which a link's samples of a commit were taken; None if they are from before the fleet."""
+        """Return the epoch in which a link's samples of a commit were taken; None if no ownership began before it."""
         known = self._epochs.get(link, ())
         place = bisect_left(known, commit, key=lambda each: each[0])
         return known[place - 1][1] if place else None
 
     def set_configuration(self, revision: int, after_commit: int) -> None:
-        """Record that samples after a commit are taken with a revision of the configuration. Raises `sqlite3.Error`."""
+        """Record the revision of the configuration with which samples after a commit are taken.
+
+        Does nothing if this revision was recorded last. Raises `sqlite3.Error` if nothing was recorded.
+        """
         with self._lock:
             if self._revisions and self._revisions[-1][1] == revision:
                 return
@@ -213,9 +230,9 @@ class OwnershipLog:
         return self._revisions[place - 1][1] if place else 0
 
     def gaps(self, after: int, last: int) -> list[OwnershipGap]:
-        """Return the gaps that belong to the commits after number ``after``, up to ``last`` and with it, in order.
+        """Return the gaps of ownerships that begin with commits ``after`` + 1 to ``last``, ordered by commit and link.
 
-        Nothing that is recorded later belongs to these commits.
+        Whatever is recorded after this call begins after ``last`` (rule 5).
         """
         with self._lock, closing(self._database.cursor()) as cursor:
             self._asked = max(self._asked, last)
@@ -229,7 +246,10 @@ class OwnershipLog:
         ]
 
     def unended(self) -> dict[str, Epoch]:
-        """Return by link the epoch of its last ownership, if the end of that is missing (rule 3)."""
+        """Return by name of each link the epoch of its last ownership, for links whose last ownership has no end.
+
+        At the start of a process these are the links that it owned when it was killed (rule 3).
+        """
         newest = {each.link: each for each in self.all()}
         return {link: each.epoch for link, each in newest.items() if each.end is None}
 

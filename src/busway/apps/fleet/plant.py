@@ -28,7 +28,7 @@ from .shards import links_by_shard
 
 
 def restricted(configuration: CollectorConfiguration, links: Container[str]) -> CollectorConfiguration:
-    """Return a copy of a plant's configuration with only some of its links, and the devices on them; all else stays.
+    """Return a copy of a plant's configuration with only some of its links and their devices; all else is the same.
 
     Args:
         configuration: the configuration of the whole plant.
@@ -43,10 +43,14 @@ def restricted(configuration: CollectorConfiguration, links: Container[str]) -> 
 
 
 def name_edge_nodes(configuration: CollectorConfiguration, member: str) -> None:
-    """Give each Sparkplug sink of a new configuration the name of this collector's edge node.
+    """Put the name of this collector into the edge node's name of each Sparkplug sink; changes these sinks.
+
+    Args:
+        configuration: a configuration that is not in use yet.
+        member: name of the collector.
 
     Raises:
-        ConfigError: the name of an edge node has no place for that of the collector.
+        ConfigError: the name of an edge node has no ``{collector}``, so two collectors would be one edge node.
     """
     for name, (sink, _) in configuration.sinks.items():
         if isinstance(sink, SparkplugSink):
@@ -78,13 +82,13 @@ def _link_with_short_user_timeout(link: NamedLink) -> NamedLink:
 
 @dataclass(frozen=True, slots=True)
 class LinkTimes:
-    """For how long a request of one link may still reach the device, in seconds.
+    """The parts of the time for which a request on one link can still reach the device, in seconds.
 
     Attributes:
-        connecting: the longest time to connect; 0 for a serial port.
-        exchange: how long after the sending of a frame its reply is waited for, or TCP may repeat it; infinity if TCP
-            repeats bytes without limit.
-        held: for how long what is behind the link may hold the request (rule 3).
+        connecting: longest time to connect; 0 for a serial port.
+        exchange: longest time after a frame was sent in which its reply is waited for or TCP may repeat the frame;
+            infinity if TCP repeats bytes without limit.
+        held: longest time for which a gateway behind the link may hold the request in its queue (rule 3).
     """
 
     connecting: float
@@ -100,14 +104,14 @@ class LinkTimes:
     def transaction(self) -> float:
         """Seconds from the permission of a transaction until none of its bytes can reach the device any more.
 
-        A poller repeats nothing. The wait of a frame for a serial line is not included: permission is asked again when
-        it leaves, with `after_sending`.
+        A transaction of a poller has one request, without retries. The time that a frame waits for its turn on a serial
+        line is not included: permission is asked again when the frame is sent, with `after_sending`.
         """
         return self.connecting + self.after_sending
 
 
 def link_times(configuration: CollectorConfiguration) -> dict[str, LinkTimes]:
-    """Return by name of each link of a plant for how long its requests may still reach the device."""
+    """Return for each link of a plant, by name, for how long its requests can still reach the device."""
     held: dict[str, float] = {}
     for link, seconds in configuration.gateway_waits.items():
         for place in _places(configuration, link, configuration.hosts):
@@ -125,9 +129,9 @@ def link_times(configuration: CollectorConfiguration) -> dict[str, LinkTimes]:
 
 
 def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) -> None:
-    """Raise `ConfigError` for a link whose transactions may be too long for a lease (right to poll).
+    """Raise `ConfigError` for the first link whose transactions can be too long for a lease (right to poll).
 
-    They may take `LeaseTimes.longest_transaction`, which is shorter than a lease.
+    `LinkTimes.transaction` must be at most `LeaseTimes.longest_transaction`, which is shorter than a lease.
     """
     longest = times.longest_transaction
     for name, each in link_times(configuration).items():
@@ -143,7 +147,10 @@ def refuse_slow_links(configuration: CollectorConfiguration, times: LeaseTimes) 
 
 
 def _enough(seconds: float, times: LeaseTimes) -> str:
-    """Return in brackets how long leases must hold for transactions of ``seconds``; empty if none are that long."""
+    """Return a hint for an error, in brackets: how long leases must hold for transactions of ``seconds``.
+
+    Empty if no permitted lease is long enough.
+    """
     ttl = ceil(min(seconds * times.ttl / times.longest_transaction, LONGEST_TTL + 1))
     return f" (busway fleet apply --ttl {ttl}s)" if ttl <= LONGEST_TTL else ""
 
@@ -153,7 +160,7 @@ def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, flo
 
     Args:
         configuration: the configuration whose links are returned.
-        loads: the load of each link; links that are missing have no load.
+        loads: seconds of line time per second for each link; links that are missing count as 0.
     """
     return {name: max(0.001, loads.get(name, 0.0)) for name in configuration.links}
 
@@ -161,12 +168,13 @@ def costs_by_link(configuration: CollectorConfiguration, loads: Mapping[str, flo
 def links_of_shards(
     configuration: CollectorConfiguration, shards: int, hosts: Mapping[str, Sequence[str]] | None = None
 ) -> dict[str, list[str]]:
-    """Return the links of a configuration grouped by shard; shards without links are left out.
+    """Return the names of the links in each shard, by name of the shard; shards without links are left out.
 
     Args:
         configuration: the configuration of the whole plant.
         shards: how many shards the zone has, 1…1024.
-        hosts: the hosts that can reach a link, by link; for missing links, the configuration says it.
+        hosts: by name of the link, the hosts that can reach it; links that are missing have the hosts of the
+            configuration.
     """
     shown = {**configuration.hosts, **(hosts or {})}
     firsts = _first_links(configuration, shown)
@@ -179,7 +187,7 @@ def links_of_shards(
 
 
 def refuse_two_owners(configuration: CollectorConfiguration) -> None:
-    """Raise `ConfigError` for two links to one endpoint that different hosts could own (rule 1)."""
+    """Raise `ConfigError` if two links to one endpoint have different hosts: two collectors could own them (rule 1)."""
     hosts = configuration.hosts
     for link, first in _first_links(configuration, hosts).items():
         if list(hosts.get(link, ())) != list(hosts.get(first, ())):
@@ -231,7 +239,7 @@ def _shown(link: str, hosts: Sequence[str]) -> str:
 
 
 def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequence[str]]) -> dict[str, str]:
-    """Return for each link the name that comes first among all links to its endpoint."""
+    """Return for each link, by name, which name sorts first among all links to its endpoint."""
     first_at: dict[str, str] = {}
     found: dict[str, str] = {}
     for link in sorted(configuration.links):
@@ -244,7 +252,10 @@ def _first_links(configuration: CollectorConfiguration, hosts: Mapping[str, Sequ
 
 
 def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str, Sequence[str]]) -> list[str]:
-    """Return what a link leads to: one address in the network, or a serial port on each of its hosts."""
+    """Return what a link leads to, as texts: ``HOST:PORT``, or for a serial port, ``PATH of HOST`` for each host.
+
+    A serial port without hosts is its path alone.
+    """
     endpoint = configuration.links[link].settings.endpoint
     if endpoint.carrier == "serial":
         path = normpath(endpoint.path)
@@ -253,7 +264,10 @@ def _places(configuration: CollectorConfiguration, link: str, hosts: Mapping[str
 
 
 def _one_spelling(host: str) -> str:
-    """Return a host in one spelling: without a dot at the end, and an IPv6 address in its shortest form."""
+    """Return a host name or address in one spelling, so that equal hosts are equal texts; empty means ``127.0.0.1``.
+
+    Lower case, without a dot at the end; an IPv6 address in its shortest form, one that holds an IPv4 address as that.
+    """
     name = host.lower().removesuffix(".") or "127.0.0.1"
     try:
         address = ip_address(name.replace("%25", "%"))

@@ -15,7 +15,7 @@ MEMBERS: Final = "member."
 GENERATION: Final = "generation"
 ZONE: Final = "zone"
 LONGEST_SILENCE: Final = 375.0
-"""Seconds that no valid lease times exceed (`LeaseTimes.silence`): a wrong entry keeps a shard for no longer."""
+"""Longest valid `LeaseTimes.silence`, in seconds: longer ones are cut, so no wrong entry keeps a shard for good."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,10 +47,11 @@ class LeaseRecord:
         cost: seconds of line time per second that the reads of the shard's links need.
         epoch: the epoch of the ownership; None in the entry that takes the lease, as the revision of that entry gives
             the epoch (`epoch_at`).
-        target: name of the collector that the shard was released for; empty if any collector may take it.
-        at: when the entry was written, seconds since 1970 UTC by the owner's wall clock; for the record of gaps only,
-            no decision rests on it.
-        before: in the entry that takes the lease, the last epoch of the shard that the owner knows; None for none.
+        target: in a released lease, name of the collector that is to take the shard; empty if any collector may.
+        at: when the entry was written, seconds since 1970 UTC by the owner's wall clock. It only dates gaps: who owns
+            the shard is never decided by it.
+        before: in the entry that takes the lease, the last earlier epoch of the shard that the owner knows. None if it
+            knows none, and in all other entries.
         hole: the time without an owner before this one took the shard; None if it is not known.
         silence: seconds for which the entry must not change before another collector may take the shard, by the lease
             times of the owner; 0 in an entry of an older version. The taker waits for the longer of this and its own.
@@ -69,11 +70,13 @@ class LeaseRecord:
     silence: float = 0.0
 
     def epoch_at(self, revision: int, generation: int) -> Epoch:
-        """Return the epoch of the ownership; in the entry that takes the lease, the entry's revision gives the epoch.
+        """Return the epoch of the ownership: ``epoch``, or if that is None, one from the revision of the entry.
+
+        An epoch from a revision is always above ``before``.
 
         Args:
-            revision: revision of the entry that holds this record.
-            generation: generation of the zone.
+            revision: revision of the table entry that holds this record.
+            generation: generation number of the zone.
         """
         return self.epoch or Epoch(generation, revision).above(self.before)
 
@@ -105,11 +108,11 @@ class MemberRecord:
         name: name of the collector, the only one of that name in the zone.
         run: a random word for this start of the collector.
         host: name of its machine, for links that only some machines can reach.
-        count: how often the record was renewed.
+        count: how often this start of the collector has written the record.
         capacity: the collector's part of the work, relative to the others; 1 is usual.
         draining: whether the collector gives away all its shards (groups of links) and takes none.
         revision: revision of the configuration that the collector works with; 0 if that is not from the coordinator.
-        gone: whether the collector has ended in order.
+        gone: True once the collector has released all its shards and ended; False while it runs or if it was killed.
         at: when the record was written, seconds since 1970 UTC by the collector's wall clock; shows wrong clocks.
         problem: why the collector may own no shard; empty while it may.
         behind: commits of the collector's store that not all sinks have.
@@ -190,7 +193,7 @@ def decode_zone(value: bytes) -> ZoneRecord | None:
 
 
 def decode_lease(value: bytes) -> LeaseRecord | None:
-    """Return the lease in the bytes of a table entry; None if they are not a lease."""
+    """Return the lease in the bytes of a table entry; None if the bytes are not a valid lease."""
     try:
         owner, run, held, count, cost, epoch, target, at, before, hole, silence, *_ = _filled(_list(value), 11)
         return LeaseRecord(

@@ -17,10 +17,10 @@ from typing import Final
 from .server_rights import STATUS, Permissions, permissions
 
 SYNCS: Final = (2, 10)
-"""The first version that can be told to sync each message to the disk before it is acknowledged."""
+"""First version of nats-server that can be told to sync each message to the disk before it acknowledges it."""
 CLIENT_PORT, ROUTE_PORT, LEAF_PORT = 4222, 6222, 7422
 ANSWER_WITHIN: Final = "1h"
-"""Time in which a collector may answer a command, as nats-server writes it."""
+"""Time in which a collector may answer a command (one hour), in the notation of nats-server."""
 ACCOUNTS_FILE: Final = "accounts.conf"
 LEAFS_FILE: Final = "leafs.conf"
 """Name of a secret file: the passwords of edge sites, for servers of the centre."""
@@ -66,7 +66,9 @@ class NatsServerOptions:
 def server_text(
     server: NatsServer, servers: Sequence[NatsServer], options: NatsServerOptions, *, has_sites: bool = False
 ) -> str:
-    """Return the text of the configuration file of one NATS server, which may be one of a cluster.
+    """Return the text of the configuration file of one NATS server of the centre.
+
+    With several servers the file has their cluster. The text includes `ACCOUNTS_FILE`, and for sites `LEAFS_FILE`.
 
     Args:
         server: the server.
@@ -98,7 +100,7 @@ def server_text(
 
 
 def site_text(site: NatsServer, options: NatsServerOptions) -> str:
-    """Return the text of the configuration file of the NATS server of an edge site.
+    """Return the text of the configuration file of the NATS server of an edge site; it includes two further files.
 
     Args:
         site: the server; its name is that of the site's zone.
@@ -157,9 +159,9 @@ def accounts_text(
     """Return the text of `ACCOUNTS_FILE`: an account for each zone with its users, and the system account.
 
     Args:
-        zones: the public key of each user, by name of the zone and then name of the role.
-        status_key: public key of the user of the system account, who asks how the servers are.
-        sites: like ``zones``, for zones of edge sites in the file of the centre; None for none.
+        zones: the public key of the user of each role, by name of the zone and then name of the role.
+        status_key: public key of the user of the system account, who may only ask for the state of the servers.
+        sites: like ``zones``, for the zones of edge sites in the file of the centre; None for none.
     """
     lines = [
         "# Accounts of all servers, made by busway fleet server-config. Remove a user and reload to revoke it.",

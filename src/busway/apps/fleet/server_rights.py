@@ -102,13 +102,13 @@ RIGHTS: Final[dict[str, tuple[Right, ...]]] = {
         Right("reads live values and the audit", _followed(_AUDIT), ("busway.{zone}.live.*",)),
     ),
 }
-"""By role of a zone, what the role may do."""
+"""What each role may do in its zone, by name of the role."""
 STATUS: Final = Permissions(
     ("$SYS.REQ.SERVER.PING", "$SYS.REQ.SERVER.PING.*", "$SYS.REQ.SERVER.*.VARZ", "$SYS.REQ.SERVER.*.JSZ"),
     (ANSWERS,),
     answers=False,
 )
-"""The permissions of the user of the system account, which only asks how the servers are."""
+"""The permissions of the user of the system account, who may only ask for the state of the servers."""
 
 
 def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
@@ -117,8 +117,8 @@ def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
     Args:
         role: ``collector``, ``sink`` or ``operator``: a key of `RIGHTS`.
         zone: name of the zone.
-        is_site: True for the permissions at the centre for the zone of an edge site: the subjects for reaching the
-            site's JetStream domain are added.
+        is_site: True for the file of the centre if the zone is that of an edge site: then the result also has the
+            subjects that reach the JetStream domain of the site.
     """
     rights = RIGHTS[role]
     publish = dict.fromkeys(subject.replace("{zone}", zone) for each in rights for subject in each.publish)
@@ -129,9 +129,9 @@ def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
 
 
 def in_domain(subject: str, domain: str) -> str:
-    """Return the subject for reaching a subject of JetStream's API, or a table's key, in another domain.
+    """Return the subject by which a subject of JetStream's API, or a key of a table, is reached in another domain.
 
-    Other subjects are the same in all domains, and are returned as they are.
+    Any other subject is returned as it is: it is the same in all domains.
 
     Args:
         subject: the subject within its domain.

@@ -13,7 +13,7 @@ from ...errors import ConfigError
 
 FEWEST: Final = 1
 MOST: Final = 1024
-"""Most shards in one zone. Each lease is renewed by itself, and all collectors of the zone see every renewal."""
+"""Most shards in one zone. Each shard has a lease of its own, and every collector of the zone reads each renewal."""
 PINNED: Final = "pin."
 _KEYS: Final = "-commands"
 LONGEST_ZONE: Final = 63 - len(_KEYS)
@@ -24,8 +24,8 @@ _NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 def shard_of(link: str, shards: int) -> str:
     """Return the name of the shard (group of links) that a link belongs to: ``0000`` … ``1023``.
 
-    The name follows from the link's name alone. With another number of shards as few links as possible belong to
-    another one: if shard n + 1 is added, n of n + 1 links stay where they are.
+    The result depends on the two arguments alone. If the number of shards changes, few links change their shard: with
+    n + 1 shards instead of n, about n of every n + 1 links keep theirs.
 
     Args:
         link: name of the link.
@@ -51,7 +51,10 @@ def pinned_shard(hosts: Sequence[str]) -> str:
 
 
 def hosts_of(shard: str) -> tuple[str, ...]:
-    """Return the hosts whose collectors may own a shard (group of links), the preferred one first; empty for all."""
+    """Return the names of the hosts whose collectors may own a shard (group of links), the preferred one first.
+
+    Empty if collectors on any host may own the shard.
+    """
     return tuple(shard.removeprefix(PINNED).split(".")) if shard.startswith(PINNED) else ()
 
 
@@ -74,11 +77,10 @@ def links_by_shard(links: Iterable[tuple[str, Sequence[str]]], shards: int) -> d
 
 
 def checked_zone(zone: str) -> str:
-    """Return the name of a zone of collectors if it is valid.
+    """Return the name of a zone of collectors unchanged; raise an error if the name is invalid.
 
     Raises:
-        ConfigError: the name has invalid characters, or more than `LONGEST_ZONE`, so that `keys_zone` cannot append to
-            it.
+        ConfigError: the name has invalid characters, or more than `LONGEST_ZONE`: `keys_zone` needs room for a suffix.
     """
     if len(checked_name(zone, "zone")) > LONGEST_ZONE:
         raise ConfigError(
@@ -93,11 +95,11 @@ def keys_zone(zone: str) -> str:
 
 
 def checked_name(name: str, what: str) -> str:
-    """Return the name of a zone, host or collector if it may be part of a key of the shared table.
+    """Return a name unchanged if it can be part of a key of the shared table; raise an error otherwise.
 
     Args:
-        name: the name: up to 63 letters, digits, ``-`` and ``_``, the first a letter or digit.
-        what: what has the name, for the error.
+        name: name of a zone, host or collector: 1…63 letters, digits, ``-`` and ``_``, the first a letter or digit.
+        what: the kind of thing that has the name, such as ``zone``; used in the error.
 
     Raises:
         ConfigError: the name is invalid.

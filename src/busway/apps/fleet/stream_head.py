@@ -1,4 +1,4 @@
-"""The number of the newest message of a zone's stream; with it the page shows how far sinks are behind.
+"""Reads the number of the newest message of a zone's stream; the zone's web page shows by it how far sinks are behind.
 
 Knows the stream's name at NATS; reads no message, so the credentials of a collector permit it.
 """
@@ -14,7 +14,9 @@ SECONDS: Final = 3.0
 
 
 async def newest_message(coordinator: Coordinator, zone: str) -> int | None:
-    """Return the number of the newest message of a zone's stream; None without a stream, or an answer in `SECONDS`.
+    """Return the number of the newest message of a zone's stream; 0 if it never had one.
+
+    None if there is no stream, or the server does not answer within `SECONDS`. Raises nothing.
 
     Args:
         coordinator: the coordinator of the zone; only one by NATS has a stream.

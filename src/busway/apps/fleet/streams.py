@@ -2,10 +2,10 @@
 
 Knows streams, subjects and consumers; the protocol is nats-py's (``busway[fleet]``). Works with nats-server 2.9.
 
-1. Subjects are ``busway.<zone>.samples.<shard>``, with the shard whose lease is that of the link; one stream has them
-   all. It drops the oldest when it is full: collectors still have what no sink keeps, and send it again.
-2. A sink is a durable consumer with explicit acknowledgement. It tells how far it is by a cursor in the coordinator's
-   table, written after the sink has committed.
+1. Subjects are ``busway.<zone>.samples.<shard>``, with the shard of the link; one stream has them all. It drops the
+   oldest messages when it is full: collectors still have the samples that not all sinks have, and send them again.
+2. A sink is a durable consumer with explicit acknowledgement. An entry in the coordinator's table, its cursor, says how
+   far it is; the cursor is written after the sink has accepted the samples.
 3. A message that was sent and not acknowledged may be in the stream. Sent again, it has another ``Nats-Msg-Id``
    (`outbox`), and sinks replace samples with the same device, point and time.
 """
@@ -41,19 +41,19 @@ from .ownership_gaps import OwnershipGap
 
 CURSORS: Final = "cursor."
 MOST_HEADERS: Final = 1024
-"""Bytes that a server counts to a message beside its data: the header with its name."""
+"""Bytes kept free for the header of a message, with its name: a server counts it in the length of a message."""
 FETCH: Final = 64
-"""Most messages that a sink takes at once."""
+"""Most messages that a sink asks of the stream at once."""
 AUDIT_AGE: Final = 366 * 86_400.0
 ACK_SECONDS: Final = 10.0
 """Seconds after which a message that a sink has not acknowledged is given to it again."""
 LOOK_EVERY: Final = 5.0
-"""Seconds without messages after which a sink looks whether the stream still has its consumer.
+"""Seconds without messages after which a sink checks whether the stream still has its consumer.
 
 A server that has lost its disk does not answer a request for messages of a consumer that it does not know.
 """
 MISSING_SECONDS: Final = 4 * ACK_SECONDS
-"""Seconds for which a sink waits for the next message while the stream gives it later ones."""
+"""Seconds for which a sink waits for a missing message, while the stream gives it later ones."""
 _log = logging.getLogger("busway.fleet")
 
 
@@ -63,10 +63,11 @@ class StreamOptions:
 
     Attributes:
         replicas: number of servers that keep each message, 1…5.
-        max_bytes: most bytes of the stream on each server; the oldest messages are dropped.
+        max_bytes: most bytes of the stream on each server; beyond them the oldest messages are dropped.
         max_age: seconds after which a message is dropped.
-        duplicate_window: seconds for which the server recognises a message that it has already, and drops the second.
-        source: JetStream domain of the edge site whose stream is copied into this one; None for a stream that
+        duplicate_window: seconds for which the server remembers the name of a message, and drops another message with
+            that name; ``max_age`` if that is shorter.
+        source: JetStream domain of the edge site whose stream is copied into the new one; None for a stream that
             collectors publish to.
     """
 
@@ -85,12 +86,13 @@ async def make_stream(client: Any, zone: str, options: StreamOptions | None = No
     Args:
         client: connected client of nats-py.
         zone: name of the zone.
-        options: options for a stream that is created, and the least number of replicas of one that exists.
+        options: options for a stream that is created; a stream that exists must have at least its ``replicas``. None
+            for the defaults.
         start: seconds for which a server that does not answer is asked again; 0 to ask once.
 
     Raises:
         ConfigError: the stream cannot be created or used, or has too few replicas.
-        StreamDown: no server has answered.
+        StreamDown: no server has answered for ``start`` seconds, or the stream cannot be used yet.
     """
     return await until_up(lambda: _made_stream(client, zone, options or StreamOptions()), StreamDown, start)
 
@@ -118,19 +120,19 @@ async def _made_stream(client: Any, zone: str, options: StreamOptions) -> str:
 async def make_audit_stream(
     client: Any, zone: str, replicas: int, *, domain: str | None = None, start: float = 30.0
 ) -> None:
-    """Find the message stream for the lines of a zone's audit log, or create it.
+    """Find or create the message stream for the lines of a zone's audit log.
 
     Args:
         client: connected client of nats-py.
         zone: name of the zone.
-        replicas: number of servers that keep each message of a stream that is created, 1…5.
+        replicas: number of servers that keep each message, 1…5; a stream that exists must have at least as many.
         domain: JetStream domain of the edge site that has the stream; None for the server that ``client`` is
             connected to.
         start: seconds for which a server that does not answer is asked again; 0 to ask once.
 
     Raises:
         ConfigError: the stream cannot be created or used, or has too few replicas.
-        StreamDown: no server has answered.
+        StreamDown: no server has answered for ``start`` seconds, or the stream cannot be used yet.
     """
     api = import_module("nats.js.api")
     config = api.StreamConfig(
@@ -145,11 +147,12 @@ async def make_audit_stream(
 
 
 async def found_or_made(client: Any, config: Any, domain: str | None = None) -> Any:
-    """Find or create a message stream of NATS, and return the configuration that the server has of the stream.
+    """Find or create a message stream of NATS, and return its configuration as the server has it.
 
     Args:
         client: connected client of nats-py.
-        config: ``StreamConfig`` of nats-py: its name finds the stream; all of it is used for a stream that is created.
+        config: ``StreamConfig`` of nats-py. A stream with its name is used as it is if it exists; else one is created
+            by this configuration.
         domain: JetStream domain of the edge site that has the stream, asked through the centre; None for the server
             that ``client`` is connected to.
 
@@ -199,10 +202,10 @@ async def _found_or_made(client: Any, config: Any, domain: str | None) -> Any:
 
 
 class NatsStream:
-    """Sends the samples of one collector into the zone's message stream, and follows which of them all sinks have.
+    """Sends the samples of one collector into the zone's message stream, and follows how far each sink has come.
 
     Args:
-        client: the NATS client of the coordinator, which tells when it has a new connection.
+        client: client of `connect_nats`, connected.
         zone: name of the collector's zone.
         timeout: seconds to wait for the acknowledgement of a message.
     """
@@ -239,20 +242,22 @@ class NatsStream:
         await self._again.wait()
 
     def most_bytes(self) -> int:
-        """Return the most bytes that a message may have: `MOST_BYTES`, or what the server takes, if that is less."""
+        """Return the length in bytes that a message may have at most: `MOST_BYTES`, or less if the server wants."""
         return min(MOST_BYTES, int(self._client.max_payload) - MOST_HEADERS)
 
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
-        """Return by sink up to which commit it has the samples of a collector's store; empty if no sink is known.
+        """Return for each sink, by name, how far it is with the samples of a store; empty if no sink is known.
+
+        Empty too until `watch_cursors` has read the table to its end once.
 
         Args:
-            collector: name of the collector.
-            store: the word that names its store in messages.
+            collector: name of the collector that has the store.
+            store: the word that names the store in messages.
         """
         return self._cursors.places(collector, store)
 
     async def watch_cursors(self, coordinator: Coordinator) -> None:
-        """Follow the positions of all sinks in the shared table until cancelled; `places` answers from them.
+        """Follow the positions of all sinks in the shared table until cancelled, for the answers of `places`.
 
         Raises:
             ConfigError: the table can never be read.
@@ -266,8 +271,8 @@ class SinkCursors:
 
     Attributes:
         sequence: number of the last message of the stream that the sink has taken; 0 before the first.
-        commits: by ``collector/store``, the commit up to which the sink has all samples.
-        proved: by ``collector/store``, start and number (`Chain`) of the last message that proved that commit; messages
+        commits: by ``collector/store``, number of the commit up to which the sink has all samples of that store.
+        proved: by ``collector/store``, start and number (`Chain`) of the last message that proved this commit; messages
             after a missing one prove nothing (`SinkProgress`).
     """
 
@@ -292,14 +297,14 @@ class CursorBook:
     def begin_snapshot(self) -> None:
         """Prepare to receive all entries of the shared table once more.
 
-        An entry that is shown again replaces what is known of its sink, even if its revision is lower.
+        The first entry of each sink after this call replaces the known one, even if its revision is lower.
         """
         self._shown_again = set(self._revisions)
 
     def end_snapshot(self) -> None:
-        """Note that all existing entries of the shared table are known.
+        """Record that all existing entries of the shared table were passed to `take`; later entries are changes.
 
-        What was known of a sink whose entry the table has lost holds, but the entry has no revision any more.
+        If the table has lost the entry of a known sink, the sink keeps its position here, but its revision becomes 0.
         """
         for sink in self._shown_again:
             del self._revisions[sink]
@@ -307,7 +312,10 @@ class CursorBook:
         self._is_complete = True
 
     def take(self, entry: Entry) -> None:
-        """Take over an entry of the shared table if it is a sink's position; an empty value removes the sink."""
+        """Take over an entry of the shared table if it is a sink's position and newer than the known one.
+
+        An empty value removes the sink. An entry that cannot be read counts as position 0: the sink has nothing.
+        """
         if not entry.key.startswith(CURSORS):
             return
         sink = entry.key[len(CURSORS) :]
@@ -327,9 +335,13 @@ class CursorBook:
             self._cursors[sink] = found
 
     def places(self, collector: str, store: str) -> dict[str, SinkPlace]:
-        """Return by sink up to which commit it has the samples of a store: commit 0 if it has nothing of it yet.
+        """Return for each sink, by name, how far it is with the samples of a store: commit 0 if it has none of them.
 
         Empty until the table has been read to its end once: a sink that is not known yet may have less than the others.
+
+        Args:
+            collector: name of the collector that has the store.
+            store: the word that names the store in messages.
         """
         if not self._is_complete:
             return {}
@@ -340,9 +352,9 @@ class CursorBook:
         }
 
     def of(self, sink: str) -> tuple[SinkCursors | None, int]:
-        """Return the position of one sink and the revision of its table entry; None and 0 if none is known.
+        """Return the position of one sink and the revision of its table entry; None and 0 if the sink is not known.
 
-        The revision is 0 too if the table has lost the entry.
+        The revision is also 0 if the sink is known but the table has lost its entry (`end_snapshot`).
         """
         return self._cursors.get(sink), self._revisions.get(sink, 0)
 
@@ -380,9 +392,9 @@ class SinkLag:
 
     Attributes:
         messages: number of messages in the stream that the sink has not taken.
-        seconds: age of the oldest of them, by the clocks of the server and of this machine; 0 if the sink has all
-            messages. None if the age is not known: the credentials do not permit reading the stream, or the stream has
-            dropped the message.
+        seconds: age of the oldest of these messages, by the clocks of the server and of this machine; 0 if the sink has
+            taken all messages. None if the age is not known: the credentials do not permit reading the stream, or the
+            stream has dropped the message.
     """
 
     messages: int
@@ -450,17 +462,19 @@ async def _stored_at(client: Any, stream: str, sequence: int) -> float | None:
 class SinkProgress:
     """Computes up to which commits a sink has all samples, from the messages of the stream that the sink has taken.
 
-    1. While no message of a sender is missing, each proves that the sink has all samples of that sender up to the
-       commit `SampleMessage.complete`. One is missing if the sink has not taken the message that `Chain.after` names.
-       The numbers of the stream do not show that: a server that ends can lose messages that it has acknowledged, and
-       use their numbers again.
-    2. After that nothing is proved of the sender until it has begun again: with the first message of a batch, whose
-       ``complete`` is not above the commit that the sink is known to have.
-    3. A sender that starts anew begins at ``complete``, even if its earlier start proved more: an older copy of its
-       store may have been put back, and then the commits of both are not the same.
+    1. While no message of a sender is missing, each message proves that the sink has all samples of that sender up to
+       the commit `SampleMessage.complete`. A message is missing if the sink has not taken the one that `Chain.after`
+       names. The numbers of the stream do not show that: a server that ends can lose messages that it has acknowledged,
+       and use their numbers again.
+    2. After a missing message nothing is proved for the sender until it sends again from an earlier commit: until the
+       first message of a batch whose ``complete`` is not above the commit that the sink is known to have, here or by
+       `SampleMessage.kept`.
+    3. When a sender has started anew, its commits count from the ``complete`` of its messages, even if its earlier
+       start proved more: an older copy of its store may have been put back, and then equal commit numbers mean
+       different commits.
 
     Args:
-        cursors: the position that the sink saved last; None for a new sink.
+        cursors: the position of the sink as it was saved last; None for a new sink.
     """
 
     def __init__(self, cursors: SinkCursors | None) -> None:
@@ -474,14 +488,17 @@ class SinkProgress:
         return SinkCursors(self._sequence, dict(self._commits), dict(self._proved))
 
     def set_newest(self, sequence: int) -> None:
-        """Set the number of the stream's newest message; after it the stream goes on to count.
+        """Lower the sink's position to the newest message of the stream, if it is above that; else change nothing.
 
-        It is lower than what the sink has taken if the stream was made anew, or has lost its last messages.
+        It is above if the stream was made anew, or has lost its last messages: their numbers are used again.
+
+        Args:
+            sequence: number of the newest message in the stream.
         """
         self._sequence = min(sequence, self._sequence)
 
     def take(self, sequence: int, message: SampleMessage | None) -> None:
-        """Count a message of the stream as taken by the sink; a message that came before is ignored.
+        """Count a message of the stream as taken by the sink; a message that was counted before changes nothing.
 
         Args:
             sequence: number of the message in the stream.
@@ -504,14 +521,16 @@ class SinkProgress:
 
 @runtime_checkable
 class OwnershipGapSink(Protocol):
-    """Interface of a sink that takes gaps of ownership too."""
+    """Interface of a sink that takes gaps of ownership beside samples."""
 
     async def send_gap(self, gap: OwnershipGap) -> list[CommittedSample]:
-        """Send a gap of ownership, or return samples that are to be sent instead of it.
+        """Send a gap of ownership to the receiver, or return samples that the caller is to send instead of it.
+
+        The result is empty if the gap was sent, or if there is nothing to send.
 
         Raises:
-            SinkDown: it may have arrived; it may be given again.
-            SinkRefused: the receiver would refuse it again.
+            SinkDown: the gap may have arrived; give it again later.
+            SinkRefused: the receiver refuses the gap, and would refuse it again.
         """
 
 
@@ -525,13 +544,14 @@ class StreamSink:
         name: name of the sink; a sink started again under its name goes on where it was in the stream.
         sink: the sink that gets the samples.
         set_aside: called with each sample that the sink refuses for good, and the reason.
-        options: options for the stream, which is created if missing.
+        options: options for the stream, which is created if missing; None for the defaults.
 
     Attributes:
-        taken: samples that the sink has taken since the start.
-        refused: samples that the sink has refused for good.
-        unreadable: messages that could not be decoded, and were left out.
-        dropped: messages that a full stream has dropped before this sink took them; collectors send them again.
+        taken: number of samples that the sink has accepted since the start, repetitions included.
+        refused: number of samples that the sink has refused for good.
+        unreadable: number of messages that could not be decoded, and were left out.
+        dropped: number of messages that a full stream has dropped before this sink took them; collectors send their
+            samples again.
         error: why no samples are passed on now; None while they are.
     """
 
@@ -555,7 +575,7 @@ class StreamSink:
         self._missing = 0, 0.0
 
     async def run(self) -> None:
-        """Pass samples on to the sink until cancelled. After a failure it is tried again every half second.
+        """Pass samples on to the sink until cancelled; after a failure try again every half second.
 
         Raises:
             ConfigError: the stream cannot be created or used, or the table of the zone can never be read.
@@ -626,7 +646,13 @@ class StreamSink:
     async def _take(self, jetstream: Any, stream: str, found: Iterable[Any]) -> None:
         """Send messages to the sink, save its position in the shared table, then acknowledge the messages.
 
-        If a step fails, the messages are given back to the stream, which delivers them again in order.
+        If a step before the acknowledgements fails, all messages are given back to the stream, which delivers them
+        again. Messages after a gap in the numbers are given back too (`_following`).
+
+        Args:
+            jetstream: JetStream context of nats-py.
+            stream: name of the stream.
+            found: messages of nats-py, in any order.
         """
         messages = sorted(found, key=lambda each: int(each.metadata.sequence.stream))
         ready = await self._following(jetstream, stream, messages)
@@ -647,11 +673,11 @@ class StreamSink:
         await self._client.flush(timeout=5)
 
     async def _following(self, jetstream: Any, stream: str, messages: list[Any]) -> list[Any]:
-        """Return the first of ``messages``, as many as may be sent to the sink now; the caller gives the rest back.
+        """Return the messages that may be sent to the sink now; the caller gives the others back to the stream.
 
-        They are those before the first gap in the numbers of the stream, counted from the last message that the sink
-        has; there may be none. All are returned if the missing ones do not come any more: the stream has dropped them
-        (counted in ``dropped``), or has not given them for `MISSING_SECONDS`.
+        These are the messages before the first gap in the numbers, counted from the last message that the sink has
+        taken; the list can be empty. All messages are returned if the missing ones will not come any more: the stream
+        has dropped them (counted in ``dropped``), or has not delivered them for `MISSING_SECONDS`.
 
         Args:
             jetstream: JetStream context of nats-py.
@@ -687,16 +713,19 @@ class StreamSink:
         return messages
 
     def _is_missing_for_good(self, sequence: int) -> bool:
-        """Whether a message is missing for more than `MISSING_SECONDS`, so that it is not waited for any longer.
+        """Whether a message has been missing for more than `MISSING_SECONDS`, counted from the first call for it.
 
-        Servers of a cluster can differ in which message has a number.
+        True means not to wait for it any longer. Servers of a cluster can differ in which message has a number.
+
+        Args:
+            sequence: number of the message in the stream.
         """
         if self._missing[0] != sequence:
             self._missing = sequence, time.monotonic()
         return time.monotonic() > self._missing[1] + MISSING_SECONDS
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
-        """Refuse messages, so that the stream delivers them again after 0.2 s; errors are ignored."""
+        """Give messages back to the stream, which delivers them again after 0.2 s; errors are ignored."""
         errors = import_module("nats.errors")
         with contextlib.suppress(errors.Error, OSError, TimeoutError):
             for message in messages:
@@ -712,10 +741,10 @@ class StreamSink:
             return None
 
     async def _send_all(self, messages: list[SampleMessage]) -> None:
-        """Send what messages carry to the sink, in order; many messages at once.
+        """Send the samples and gaps of messages to the sink in order, the samples of many messages at once.
 
-        What two messages have of one device and one commit number is sent apart, also if they come together: sinks make
-        a document with a key of it, which must be the same at a repetition.
+        Samples of one device and one commit number from two messages are sent one after the other, never together: a
+        sink can make one document with a key of them, which must be the same at a repetition.
         """
         waiting: list[CommittedSample] = []
         places = set[tuple[str, int]]()

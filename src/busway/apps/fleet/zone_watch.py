@@ -2,7 +2,8 @@
 
 Knows entries of the coordinator; asks no collector.
 
-1. A collector lives while its entry changes within the time of a lease, by the clock of this process.
+1. A collector counts as alive for `LeaseTimes.silence` seconds after each change of its entry that this process sees;
+   the first sight of the entry counts as a change.
 2. A hole is the time from an owner's last renewal, or its release, until the next owner took the shard, by the wall
    clocks of both. An owner that fell silent may have polled for a part of that time, so the real hole may be shorter.
 """
@@ -38,7 +39,8 @@ class OwnershipHole:
         shard: name of the shard.
         before, after: names of the collector that owned the shard before, and of the one that took it.
         was_silent: True if the owner before stopped renewing its lease; False if it released the shard.
-        begin, end: last renewal or release by the owner before, and the taking; seconds since 1970 UTC.
+        begin: when the owner before renewed or released its lease for the last time, seconds since 1970 UTC.
+        end: when the new owner took the shard, seconds since 1970 UTC.
         epoch: the epoch of the new ownership.
     """
 
@@ -89,7 +91,7 @@ class ZoneWatch:
         return self._complete.is_set()
 
     def status(self) -> ZoneStatus:
-        """Return the status of the zone as far as it is known now.
+        """Return the status of the zone as far as it is known now (`is_complete`); nothing is waited for.
 
         Raises:
             ConfigError: the zone's configuration in the table cannot be read.
@@ -99,11 +101,17 @@ class ZoneWatch:
         return status_of(self._entries, living)
 
     def holes(self) -> list[OwnershipHole]:
-        """Return the times without an owner that this watch has seen end, `MOST_HOLES` at most, the latest first."""
+        """Return the times in which a shard had no owner, the latest first, `MOST_HOLES` at most.
+
+        Only those whose end this object has seen while it followed the table.
+        """
         return [*reversed(self._holes)]
 
     def sinks(self) -> dict[str, int]:
-        """Return for each sink, by name, the number of the last message that it has taken from the zone's stream."""
+        """Return by name of each sink the number of the last message that the sink has taken from the zone's stream.
+
+        Sinks whose entry cannot be read are left out.
+        """
         found: dict[str, int] = {}
         for key, entry in sorted(self._entries.items()):
             if key.startswith(CURSORS) and entry.value:
@@ -114,7 +122,10 @@ class ZoneWatch:
         return found
 
     def take(self, entry: Entry) -> None:
-        """Update the status by an entry of the table, or by a mark: the begin or end of a snapshot of the table."""
+        """Update the status by an entry of the table, or by a mark (`SNAPSHOT_BEGINS`, `SNAPSHOT_ENDS`).
+
+        An entry that is not newer than the known one is ignored, unless a new snapshot shows it with a lower revision.
+        """
         if entry is SNAPSHOT_BEGINS:
             self._complete.clear()
             self._shown_again = set(self._entries)

@@ -13,7 +13,7 @@ serial line gateways").
 `own_unit`                  The gateway's own unit: its identification, diagnostics and status registers
 `policy_gaps`               Finds routes that reach a rule's device by units or addresses that the rule does not name
 `read_cache`                Values read recently, until they are too old or a write comes; when reads may not be shared
-`shared_reads`              Two clients that ask for the same at once: the second waits for the read of the first
+`shared_reads`              Two clients that read the same at once: the second gets the reply to the first one's read
 `route_checks`              Checks the routes of a gateway file before the gateway runs
 `router`                    Which upstream or own unit answers a request of one listener; broadcasts
 `routes`                    Routes: which upstream and which unit a request is forwarded to
@@ -23,7 +23,7 @@ serial line gateways").
 `upstream_exception_codes`  Exception code (0A or 0B) for the client when an upstream is down, silent or dies
 `upstream`                  One upstream: its connections, their loss and recovery, counters and status
 `upstream_log`              Log lines about an upstream: when it cannot be reached, how many requests got 0A
-`waiter_deadlines`          Deadlines of clients that wait for the same read: each has its own
+`waiter_deadlines`          Deadlines of clients that wait for the same read: each client has its own
 ==========================  ============================================================================================
 
 A gateway is a server whose responder hands each request to a link.

@@ -1,9 +1,9 @@
-"""An index of many address ranges that finds the first one a request touches, without going through all.
+"""An index of many address ranges that finds the first range a request touches, without going through all ranges.
 
 Knows ranges in their order; knows no route, table or unit.
 
-The addresses are cut at the edges of all ranges, and each piece knows the first range that has it. The result is the
-first range of all the pieces that a request lies on, whether that range has the whole request or only a part.
+The addresses are cut at the edges of all ranges, and for each piece the first range that covers it is known. The result
+is the first of these ranges over all pieces that a request lies on, whether it covers the whole request or only a part.
 """
 
 from bisect import bisect_right
@@ -30,7 +30,7 @@ class AddressIndex:
             self._first[begin:end] = [index] * (end - begin)
 
     def first_touched(self, address: int, end: int) -> int | None:
-        """Return the position of the first range that has any of the items ``address`` … ``end - 1``; None for none."""
+        """Return the position of the first range that has any item of ``address`` … ``end - 1``; None if none has."""
         edges = self._edges
         at = bisect_right(edges, address) - 1
         found = self._first[at]

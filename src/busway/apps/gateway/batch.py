@@ -1,6 +1,6 @@
 """A batch of forwarded requests: those of one client that go upstream together, and all clients that wait for them.
 
-Knows calls and who waits; what is done with an outcome is decided by `forwarding`.
+Knows calls and the clients that wait; `forwarding` decides what is done with an outcome.
 """
 
 from collections.abc import Iterator, Mapping, MutableMapping, Sequence, Set
@@ -18,7 +18,10 @@ from .waiter_deadlines import WaiterDeadlines
 ForwardingClient = ForwardedReads | Forwarding
 """The client that gets the answers to forwarded requests: a connection with its reads, or a single request."""
 ForwardedRequest = Any
-"""A `ForwardPlan` of `ForwardedReads`, or a `Translated` of a `Forwarding`; each client gets its own back."""
+"""A request to forward: a `ForwardPlan` if the client is a `ForwardedReads`, a `Translated` if it is a `Forwarding`.
+
+The client gets the object back with the reply.
+"""
 Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
 """A client, the tag that names its request for the client, and that request."""
 _NO_POSITIONS: frozenset[int] = frozenset()
@@ -36,10 +39,10 @@ class BatchForwarder(Protocol):
         """Answer all clients whose requests in a batch have an outcome."""
 
     def withdraw(self, batch: "Batch", asker: ForwardingClient) -> None:
-        """Drop the requests of a client that has disconnected, unless other clients wait for them."""
+        """Drop the requests of a client that has disconnected; those that other clients wait for go on."""
 
     def give_up_one(self, batch: "Batch", waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed.
+        """Answer a client whose deadline has passed with exception code 0A or 0B.
 
         ``waiter`` is a client that joined a read of the batch; None is the client that sent the batch, with all its
         requests.
@@ -63,7 +66,7 @@ class BatchTarget(Protocol):
 
     @property
     def retries(self) -> int:
-        """Further attempts of a read."""
+        """Number of further attempts of a read, after the first."""
 
     @property
     def deadline(self) -> float | None:
@@ -77,23 +80,23 @@ class Batch(Call):
         target: the unit of the upstream.
         link: the link that sends the requests.
         asker: the client.
-        tags: for each request of the client, the tag that names the request for the client.
-        asked: the requests.
+        tags: for each request of the client, the tag by which the client knows the request.
+        asked: the client's requests.
 
     Attributes:
         forwarder: the forwarder of the upstream.
         link: the link that sends the requests.
         asker: the client that sent the batch; None once it has disconnected or was answered at its deadline.
-        tags, asked: the client's requests, in the order of ``requests``, which go upstream; a single request may be
-            split into several of these.
-        told: positions of the requests that were answered one by one; empty if all are answered together.
+        tags, asked: the client's requests with their tags. ``requests`` (see `Call`) has the requests that go upstream,
+            in the same order; a request that is split into several is alone in its batch.
+        told: positions of the requests that were answered already while others wait; empty if all are answered at once.
         joined: the other clients that wait for a read's reply, by position of the read.
-        deadlines: deadlines of the clients, if several wait; key None stands for ``asker``.
+        deadlines: deadlines of the clients, once several wait; None until then. Waiter None stands for ``asker``.
         keys: if the reads may be shared, the key of each.
         shared: the table in which other clients find the batch by these keys; None if it has no reads to share.
-        place: the range whose values are to be remembered; None for none.
-        since: number of changes of the unit (`ReadCache.changes`) when the batch was sent.
-        read_at: when the batch was sent, monotonic seconds.
+        place: the range of the read whose values are to be remembered; None if none are.
+        since: number of changes of the unit (`ReadCache.changes`) when the batch was made.
+        read_at: when the batch was made, in monotonic seconds; 0 without ``place``.
     """
 
     # What most batches never set is a class attribute until it is set, as in `Call`.
@@ -130,21 +133,24 @@ class Batch(Call):
         self.asked = asked
 
     def done(self) -> bool:
-        """Return False always. The link treats a batch like a future, and calls this before `set_result`."""
+        """Return False, always. The link treats a batch like a future, and calls this before `set_result`."""
         return False
 
     def set_result(self, result: None) -> None:
-        """Answer the clients. The link calls this, as on a future, when all requests of the batch have an outcome."""
+        """Answer the clients; ``result`` is ignored.
+
+        The link calls this, as on a future, when all requests of the batch have an outcome.
+        """
         self.forwarder.answer(self)
 
     def owed(self, asker: ForwardingClient) -> Iterator[ForwardedRequest]:
-        """Yield a client's requests in this batch without an answer, including reads of others that it has joined."""
+        """Yield a client's unanswered requests in this batch: its own, and its reads that join others."""
         for position in range(len(self.tags)):
             if position not in self.told:
                 yield from (asked for waiter, _, asked in self.waiters(position) if waiter is asker)
 
     def asker_gone(self, asker: ForwardingClient) -> None:
-        """Withdraw a disconnected client's requests from this batch, including reads of others that it has joined."""
+        """Withdraw a disconnected client's requests from this batch: its own, and its reads that join others."""
         self.forwarder.withdraw(self, asker)
 
     def is_sent(self, position: int) -> bool:
@@ -153,7 +159,7 @@ class Batch(Call):
 
     @property
     def left(self) -> int:
-        """Number of requests of the batch that have no answer yet."""
+        """Number of client requests in the batch that have no answer yet; a shared read counts once."""
         return len(self.tags) - len(self.told)
 
     def waiters(self, position: int) -> list[Waiter]:

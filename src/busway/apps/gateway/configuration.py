@@ -1,6 +1,7 @@
 """Reads the configuration of a gateway from one file, or from a few URLs, and builds the gateway.
 
-Knows which section becomes which part of a gateway; `route_checks` knows what cannot work. Reads no other file.
+Knows which section of the file becomes which part of a gateway; `route_checks` checks the routes. Reads no other file,
+except certificates and the like with ``preflight``.
 
 >>> configuration = load_gateway("gateway.toml")                       # doctest: +SKIP
 >>> async with configuration.serve() as gateway: ...                   # doctest: +SKIP
@@ -38,7 +39,7 @@ from .routes import RoutingTable
 from .settings import UPSTREAM_DEFAULTS, GatewayListener, GatewayPlan, UpstreamSettings
 
 COMMAND = "busway gateway"
-"""Name of the file in messages about a configuration that comes from no file."""
+"""Stands for the name of the file in messages about a configuration that comes from the command line alone."""
 _SERVER_KINDS: Mapping[str, type[Any]] = {
     "parameters": ServerParameters,
     "listener": ListenerParameters,
@@ -51,10 +52,10 @@ class GatewayConfiguration:
     """The checked contents of a gateway file.
 
     Attributes:
-        common: the sections that other configurations have too: security, policy, audit log, metrics, control.
-        file: all sections.
+        common: the parts that a server's configuration has, too: security, policy, audit log, metrics, control.
+        file: all sections of the file.
         plan: listeners, upstreams and routes.
-        routes: the routes, each with its place in the file.
+        routes: the routes, each with its path in the file.
         at_once: sections whose changes take effect when a running gateway reads the file again.
     """
 
@@ -81,31 +82,32 @@ class GatewayConfiguration:
 
     @property
     def audit(self) -> str | None:
-        """Path of the gateway's audit log; None without one."""
+        """Path of the gateway's audit log; None if the file declares none."""
         return self.common.audit
 
     @property
     def control(self) -> str | None:
-        """Address of the gateway's control socket; None for the default one."""
+        """Path or address of the gateway's control socket; None for the default one, or if the file switches it off."""
         return self.common.control
 
     @property
     def warnings(self) -> tuple[ConfigError, ...]:
-        """Warnings about the file, each with the line of its key."""
+        """Warnings about the file, each with file, line and key."""
         return self.common.warnings
 
     def serve(self, listen: Iterable[str | Listener] = (), **options: Any) -> Gateway:  # Any: as `Gateway` takes them
-        """Create the gateway that the file declares, not started yet, with its policy and address lists.
+        """Create the gateway that the file declares, with the file's policy and address lists; it is not started yet.
 
-        The audit log, metrics and control socket are opened by `busway gateway`; a program opens those that it wants.
+        Audit log, metrics and control socket of the file are not opened: `busway gateway` does that, and a program
+        opens those that it wants.
 
         Args:
             listen: URLs or listeners that replace the file's, as many and in the same order; empty to use the file's.
-            options: ``authorize`` and ``policy`` instead of the file's, ``audit`` as of `Gateway`; ``standard_port`` as
-                of `busway.serve`.
+            options: ``authorize`` and ``policy`` instead of the file's; ``audit`` and ``observers`` as of `Gateway`;
+                ``standard_port`` as of `busway.serve`.
 
         Raises:
-            ConfigError: an invalid option, or not as many listeners as the file has.
+            ConfigError: an option is invalid, or ``listen`` has another number of listeners than the file.
         """
         plan = self._plan(listen)
         beside = options.pop("standard_port", None)
@@ -120,12 +122,13 @@ class GatewayConfiguration:
 
         Args:
             running: the `Gateway`, made from an earlier version of the file.
-            listen: the listeners, one for each of the file.
+            listen: the listeners to use, one for each listener of the file, in the same order.
             policy: the policy of new listeners until `Gateway.replace_policy`; None for the policy of the existing
                 listeners.
 
         Raises:
-            LinkDown, ConfigError: a new listener or upstream cannot be opened; everything is as before.
+            LinkDown, ConfigError: a new listener or upstream cannot be opened; the old configuration is in force again,
+                but listeners and serial ports that were to change have lost their connections.
         """
         assert isinstance(running, Gateway)
         old = running.plan
@@ -155,12 +158,12 @@ def load_gateway(
 
     Args:
         path: path of the file, in TOML.
-        preflight: whether to open the files named in it too, such as certificates, so that their errors are found now.
-        changes: options of listeners, by name, that override the file's.
+        preflight: whether to open files that it names, too, such as certificates, so that their errors are found now.
+        changes: options of all listeners, by name, that override the file's.
 
     Raises:
-        ConfigError: the file cannot be read or is invalid; then the error has all ``problems``, each with file, line
-            and key.
+        ConfigError: the file cannot be read.
+        FileError: the file is invalid; ``problems`` has all errors, each with file, line and key.
     """
     name = os.fspath(path)
     return parse_gateway(read_text(name), name, preflight=preflight, changes=changes)
@@ -177,7 +180,7 @@ def parse_gateway(
         preflight, changes: as of `load_gateway`.
 
     Raises:
-        FileError: all problems, each with file, line and key.
+        FileError: the text is invalid; ``problems`` has all errors, each with file, line and key.
     """
     file, source = parse_with_source(text, GatewayFile, name)
     return _put_together(file, source, preflight=preflight, changes=changes)
@@ -220,7 +223,7 @@ def _put_together(
     changes: Mapping[str, Any] | None = None,
     client_deadline: float | None = CLIENT_DEADLINE,
 ) -> GatewayConfiguration:
-    """Build the configuration of a gateway from the sections of its file. Raises `FileError` with all problems.
+    """Build the configuration of a gateway from the sections of its file. Raises `FileError` with all errors in it.
 
     Args:
         file: the sections.
@@ -272,7 +275,10 @@ def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadli
 
 
 def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
-    """Return the listeners with unique names: of two listeners with the same URL (port 0) the second gets ``(2)``."""
+    """Return the listeners with unique names: of two with the same name, the second gets the suffix ``(2)``.
+
+    The name of a listener is its URL by default, and several may have the same URL if its port is 0.
+    """
     named: dict[str, PlacedListener] = {}
     for listener in listeners:
         name, number = listener.name, 1
@@ -303,9 +309,9 @@ def _upstream(
 
 
 def _as_served(common: Configuration) -> tuple[list[Listener], dict[str, Any]]:  # Any: as `Server` takes them
-    """Return the listeners, and the keyword arguments that all their `Server` objects share.
+    """Return the listeners, and the keyword arguments for `Server` that all listeners share.
 
-    The preset is applied to both.
+    The options of the file's preset are applied to the listeners and to the keyword arguments.
     """
     options = common.served()
     tls: TlsParameters | None = options.pop("tls", None)

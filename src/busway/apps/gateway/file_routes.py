@@ -1,6 +1,7 @@
 """The routes and listeners of a gateway file, each with its path in the file, so that errors can name the key.
 
-Knows sections and routes; checks nothing. A route without units is for all units that its upstream can have.
+Knows sections and routes; does not check whether routes fit together. A route without units is for all units that its
+upstream can have.
 """
 
 from collections.abc import Mapping, Sequence
@@ -18,7 +19,7 @@ from .routes import ALL_UNITS, SERIAL_UNITS, AddressRange, Route, RouteAction
 from .settings import UpstreamSettings
 
 SAME = "name", "unit", "unit_offset", "shift", "max_registers", "max_bits", "split_writes", "cache", "timeout"
-"""Options of a route in a file that a route in memory has as they are."""
+"""Names of the route options that a `Route` gets from the file unchanged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,23 +38,23 @@ class PlacedRoute:
 
     @property
     def title(self) -> str:
-        """The name of the route in messages about the file."""
+        """The route in messages about the file: ``route[0]``, followed by its name in brackets if it has one."""
         return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
 
     @property
     def names_units(self) -> bool:
-        """Whether the file says which units the route is for."""
+        """Whether the route has units in the file; False if it is for all units of its upstream by default."""
         return self.section is not None and self.section.parameters.units is not None
 
     @property
     def gap(self) -> float:
-        """Seconds of silence that the route wants between a unit's reply and the next request."""
+        """Seconds of silence that the route wants between a unit's reply and the next request to it; 0 for none."""
         return (self.section.parameters.request_gap or 0.0) if self.section is not None else 0.0
 
     def key(self, *names: str) -> Place:
-        """Return the path in the file of the first of some keys that the route sets.
+        """Return the path in the file of the first of these keys that the route's section has.
 
-        The route's own path if it sets none.
+        Returns the path of the section if it has none of them.
         """
         written = set() if self.section is None else self.section.model_fields_set
         return next(((*self.place, name) for name in names if name in written), self.place)
@@ -65,10 +66,10 @@ class PlacedListener:
 
     Attributes:
         name: name of the listener in routes.
-        endpoint: its URL.
+        endpoint: the URL of the listener, parsed.
         place: path of the URL or section in the file.
         deadline: seconds until each request is answered; None for no limit.
-        is_chosen: whether the deadline was set, and is not the default.
+        is_chosen: whether the user has set the deadline; False if it is the default.
     """
 
     name: str
@@ -79,16 +80,17 @@ class PlacedListener:
 
     @property
     def is_serial(self) -> bool:
-        """Whether the framing is RTU or ASCII, on a line or a network: clients use units 1…247 only."""
+        """Whether the framing is RTU or ASCII, on a line or over a network, so that clients use units 1…247 only."""
         return self.endpoint.framing != "mbap"
 
 
 def placed_routes(
     file: GatewayFile, upstreams: Mapping[str, UpstreamSettings], report: ConfigurationReport
 ) -> list[PlacedRoute]:
-    """Return the routes of a gateway file with their paths in it; invalid ones are left out.
+    """Return the routes of a gateway file with their paths in it; invalid routes are reported and left out.
 
-    A file without routes has one route to each upstream, for all its units.
+    For a file without routes, returns one route to each upstream, for all units of the upstream. A route to an upstream
+    that is missing or invalid is left out without a report, because the check of the upstreams reports that.
 
     Args:
         file: the sections of the file.
@@ -135,10 +137,12 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 
 
 def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
-    """Return the units of a route that names none, as clients number them: all that its upstream can have.
+    """Return the units of a route that names none, as clients number them: all for which its upstream can have a unit.
+
+    A route without an upstream (``upstream`` None) gets all units 0…255.
 
     Raises:
-        ConfigError: with its offset the route has no unit left.
+        ConfigError: the offset of the route leaves no unit.
     """
     if upstream is None:
         return ALL_UNITS
@@ -157,7 +161,14 @@ def upstream_units(upstream: UpstreamSettings) -> frozenset[int]:
 
 
 def unit_gaps(routes: Sequence[PlacedRoute], upstream: str) -> dict[int, float]:
-    """Return for each unit of an upstream the longest silence after a reply, in seconds, that any route needs."""
+    """Return for each unit on an upstream the longest silence after a reply, in seconds, that any route wants.
+
+    Units for which no route wants a silence are left out.
+
+    Args:
+        routes: all routes.
+        upstream: name of the upstream.
+    """
     found: dict[int, float] = {}
     for placed in routes:
         if placed.gap and placed.route.upstream == upstream:

@@ -1,14 +1,14 @@
 """Forwarding of requests to an upstream: batches of requests, shared reads, deadlines, and the reply to each client.
 
-Knows upstreams, calls and who asked; knows no route and no listener.
+Knows upstreams, calls and the clients that wait; knows no route and no listener.
 
 1. The requests that one client sends to one unit at once are one call, a batch: they wait for their turn as one, and
    are sent together as far as the turn allows. If the upstream takes one request at a time, each is its own batch.
 2. Each request is answered as soon as its own reply is there. None waits for the others of its batch.
 3. A read that is identical to one in flight shares its reply, if no write came between (`shared_reads`, `read_cache`).
-   A priority host does not share what still waits in the queue for others: its own read goes before.
+   A priority host does not share a read that still waits in the queue for another client: its own read goes first.
 4. When a client disconnects, those of its requests that no other client waits for are given up. A write that was sent
-   goes on, and until it ends nothing of its unit is shared.
+   goes on, and until it ends no read of its unit is shared.
 5. Clients that share a read have a deadline each; the read goes on for the others.
 """
 
@@ -40,12 +40,12 @@ class ForwardTarget:
     Args:
         forwarder: the forwarder of the upstream.
         unit: unit identifier on the upstream.
-        timeout: seconds to wait for the unit; None for the upstream's own timeout.
+        timeout: seconds to wait for a reply of the unit, per attempt; None for the upstream's own timeout.
         deadline: seconds until clients must be answered, counted from their request; None for no limit.
 
     Attributes:
-        is_broadcast: whether requests go to all units of the upstream.
-        retries: further attempts of a read.
+        is_broadcast: whether requests go to all units of the upstream: the unit is 0 and the upstream takes broadcasts.
+        retries: number of further attempts of a read, after the first.
     """
 
     __slots__ = ("deadline", "forwarder", "is_broadcast", "retries", "timeout", "unit")
@@ -60,11 +60,13 @@ class ForwardTarget:
         self.deadline: float | None = deadline
 
     def ask(self, asker: ForwardingClient, tags: Sequence[Any], asked: Sequence[ForwardedRequest]) -> None:
-        """Forward requests of one client to the unit. The client gets each reply later, or before this returns.
+        """Forward requests of one client to the unit, as one batch if possible; never raises for a failed request.
+
+        The client gets each reply or exception code by its own methods, later or before this returns.
 
         Args:
-            asker: the client, which gets the replies and exception codes.
-            tags: for each request, the tag that names the request for the client.
+            asker: the client.
+            tags: for each request, the tag by which the client knows the request.
             asked: the requests.
         """
         forwarder = self.forwarder
@@ -114,9 +116,9 @@ class ForwardTarget:
         tags: Sequence[Any],
         asked: Sequence[ForwardedRequest],
     ) -> None:
-        """Forward requests one by one, each as its own batch.
+        """Forward requests one by one, each as its own batch; refuse all with 0A if the upstream is closed.
 
-        If the upstream is closed (``link`` is None), refuse them with 0A.
+        ``link`` is the link that sends them; None means that the upstream is closed.
         """
         forwarder = self.forwarder
         for tag, one in zip(tags, asked, strict=True):
@@ -128,9 +130,14 @@ class ForwardTarget:
         forwarder.send()
 
     def _not_begun(self, batch: Batch, asker: ForwardingClient, error: ModbusError) -> None:
-        """Refuse the requests of a batch that the link did not accept.
+        """Answer the requests of a batch that the link did not accept with an exception code.
 
-        If the queue of the link has no room for all of them, they are forwarded one by one instead.
+        If the queue of the link has no room for all requests of the batch, they are forwarded one by one instead.
+
+        Args:
+            batch: the batch.
+            asker: the client that sent it.
+            error: why the link did not accept it.
         """
         forwarder = self.forwarder
         forwarder.leave(batch)
@@ -153,8 +160,8 @@ class Forwarder:
 
     Attributes:
         cache: the reads in flight and the remembered values.
-        open: the batches that have not ended.
-        answered: clients with answers that have not been sent yet.
+        open: the batches that have not ended; keys only, the values are None.
+        answered: clients with answers that `send` has not sent yet; keys only, the values are None.
     """
 
     def __init__(
@@ -170,22 +177,24 @@ class Forwarder:
 
     @property
     def open_requests(self) -> int:
-        """Number of forwarded requests that have no answer yet."""
+        """Number of requests forwarded to this upstream that have no answer yet."""
         return sum(batch.left for batch in self.open)
 
     async def wait_until_answered(self) -> None:
-        """Wait until every request forwarded to the upstream is answered."""
+        """Wait until no request forwarded to the upstream is without an answer; return at once if there is none."""
         if self.open:
             self._all_answered = asyncio.Event()
             await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
-        """Return remembered data that answer a read, if they are younger than ``seconds``; else None.
+        """Return remembered data that answer a read, as in a reply, if they are young enough; else None.
+
+        Counts the read in ``recalled`` if they are.
 
         Args:
             unit: unit identifier on the upstream.
-            place: the range to read.
-            seconds: seconds after which values are too old.
+            place: the range to read: table, first address, count.
+            seconds: age in seconds from which values are too old.
         """
         data = self.cache.recall(unit, place, self.upstream.clock(), for_seconds=seconds)
         self.upstream.counters.recalled += data is not None
@@ -196,7 +205,8 @@ class Forwarder:
     def look(self, session: object) -> None:
         """Answer the requests of a link's session that have an outcome by now, even if others of their batch have none.
 
-        The link calls this after it has handled received bytes or a timer.
+        The link calls this after it has handled received bytes or a timer. Only Modbus TCP sessions have batches whose
+        requests end one by one.
         """
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
@@ -217,9 +227,9 @@ class Forwarder:
             asker.send()
 
     def answer(self, batch: Batch) -> None:
-        """Give the clients the replies or exception codes of a batch's requests that have an outcome; sent by `send`.
+        """Hand the clients the replies or exception codes of a batch's requests that have an outcome.
 
-        A batch whose requests all have an outcome is then forgotten.
+        `send` sends them. A batch whose requests all have an outcome is then forgotten.
         """
         asker = batch.asker
         data: list[Any] = batch.outcomes  # Any: bytes where the request has asked for them, see `as_bytes`
@@ -244,12 +254,12 @@ class Forwarder:
             self.leave(batch)
 
     def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
-        """Answer all clients that wait for one request, whose reply or error is known.
+        """Answer all clients that wait for one request, whose reply or error is known; `send` sends the answers.
 
         Args:
             batch: the batch of the request.
             position: position of the request in the batch.
-            outcomes: its outcome, or the outcomes of its parts.
+            outcomes: the outcome of the request, or of each of its parts if it was split.
         """
         batch.told = {*batch.told, position}
         if batch.shared is not None and batch.shared.get(batch.keys[position]) is batch:
@@ -275,7 +285,7 @@ class Forwarder:
             self.answered[asker] = None
 
     def refuse(self, waiter: Waiter, code: int) -> None:
-        """Answer a forwarded request of a client with an exception code; sent by `send`."""
+        """Answer a forwarded request of a client with an exception code; `send` sends the answer."""
         asker, tag, asked = waiter
         asker.refuse(tag, asked, code)
         self.answered[asker] = None
@@ -283,11 +293,14 @@ class Forwarder:
     # Clients that wait no longer.
 
     def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
-        """Answer a client whose deadline has passed with 0A or 0B.
+        """Answer a client whose deadline has passed, for each request without an answer: 0B if it was sent, else 0A.
+
+        The answers are sent at once. The batch is cancelled if no other client waits for it, except a write that was
+        sent. Does nothing if the client has disconnected.
 
         Args:
             batch: the batch that the client waits for.
-            waiter: the client and the read that it shares; None for the client that sent the batch, with all requests.
+            waiter: the client with the read that it shares; None for the client that sent the batch, with all requests.
         """
         asker = batch.asker if waiter is None else waiter[0]
         if asker is None:
@@ -317,7 +330,7 @@ class Forwarder:
     def withdraw(self, batch: Batch, asker: ForwardingClient) -> None:
         """Drop the requests of a client that has disconnected; the batch is cancelled if no other client waits for it.
 
-        A write that was sent goes on.
+        A write that was sent is not cancelled.
         """
         counters = self.upstream.counters
         if batch.asker is asker:

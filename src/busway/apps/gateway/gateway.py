@@ -49,7 +49,10 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _RunningListener:
-    """A listener of a gateway with its server, responder and authorizer; the authorizer is None without a policy."""
+    """A listener of a gateway with its server, responder and authorizer.
+
+    The authorizer is None if the gateway was created without a policy and without an audit log.
+    """
 
     listener: GatewayListener
     responder: ListenerRouter
@@ -57,7 +60,7 @@ class _RunningListener:
     server: Server
 
     def follow(self, listener: GatewayListener) -> None:
-        """Use the new deadline and broadcast option of a listener at once; its connections stay open."""
+        """Use the deadline and the option ``silent_broadcasts`` of changed settings at once; connections stay open."""
         self.listener = listener
         self.responder.deadline = listener.deadline
         self.responder.silent_broadcasts = listener.silent_broadcasts
@@ -69,7 +72,7 @@ class Gateway:
     Args:
         plan: the configuration: listeners, upstreams and routes.
         authorize: called with the host of each new client at any listener; returns whether the client may connect.
-        policy: rules for the requests at all listeners; None permits all.
+        policy: rules for the requests at all listeners; None permits all requests.
         audit: the audit log for denied requests and writes; None for none.
         observers: objects that see the requests of all listeners (metrics, for example).
 
@@ -110,13 +113,14 @@ class Gateway:
 
     @property
     def endpoints(self) -> list[str]:
-        """The URLs of the listeners, with the ports that they are bound to; empty while stopped."""
+        """The URLs of the open listeners, with the ports that they are bound to; empty while the gateway is stopped."""
         return [url for each in self._listeners.values() for url in each.server.endpoints]
 
     async def start(self) -> None:
-        """Open all listeners. Serial ports of upstreams are opened by tasks; networks connect at the first request.
+        """Open all listeners of the gateway; does nothing while the gateway runs.
 
-        Does nothing while the gateway runs. A serial port of an upstream that cannot be opened is tried again.
+        Does not wait for the upstreams: their serial ports are opened in the background, again and again until that
+        succeeds, and servers on networks are connected at the first request.
 
         Raises:
             LinkDown: a listener cannot be opened; the gateway is stopped.
@@ -136,7 +140,7 @@ class Gateway:
         self._started = time.monotonic()
 
     async def stop(self) -> None:
-        """Close all listeners and upstreams at once. Open requests get no reply."""
+        """Close all listeners and upstreams at once; requests without a reply get none. `start` may be called again."""
         listeners, self._listeners = self._listeners, {}
         for each in listeners.values():
             await each.server.stop()
@@ -148,10 +152,10 @@ class Gateway:
     async def drain(self, seconds: float = GatewayParameters().drain) -> int:
         """Accept no connection or request any more, wait until open requests are answered, then stop the gateway.
 
-        Returns how many requests were not answered.
+        Returns the number of forwarded requests that had no answer when the gateway was stopped; 0 if all had one.
 
         Args:
-            seconds: longest wait.
+            seconds: longest wait; the default is that of the option ``drain``.
         """
         for each in self._listeners.values():
             await each.server.take_no_more()
@@ -166,8 +170,8 @@ class Gateway:
     async def change(self, plan: GatewayPlan, *, policy: Policy | None = None) -> list[str]:
         """Apply another configuration while the gateway runs, and return what changed: one text for each part.
 
-        Unchanged listeners and upstreams keep their connections. After an error everything is as before, but clients of
-        listeners that were to change have lost their connections.
+        Unchanged listeners and upstreams keep their connections. After an error the old configuration is in force
+        again, but listeners and serial ports that were to change have lost their connections.
 
         Args:
             plan: the new configuration; own unit, functions and options of servers must be the same as before.
@@ -175,8 +179,8 @@ class Gateway:
 
         Raises:
             LinkDown: a new listener cannot be opened.
-            ConfigError: a new listener or upstream cannot be used as configured, or a part changed that needs a
-                restart.
+            ConfigError: a new listener or upstream cannot be used as configured, or a part differs that only a restart
+                can change.
         """
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
@@ -215,12 +219,19 @@ class Gateway:
         same_listeners: Mapping[str, _RunningListener],
         policy: Policy | None,
     ) -> tuple[dict[str, Forwarder], dict[str, _RunningListener]]:
-        """Stop listeners and serial ports that change, and open the new ones; on an error undo all.
+        """Close changed or removed listeners and serial ports, then open the new ones; after an error, undo all that.
 
-        The old ones are closed first, because they may hold ports that new ones need.
+        Closing comes first, because old listeners may hold ports that new ones need. Upstreams on networks that
+        change or end are left open; the caller closes them.
+
+        Args:
+            plan: the new configuration.
+            same_upstreams: by name, the forwarders of upstreams that do not change.
+            same_listeners: by name, the listeners that do not change.
+            policy: the policy of new listeners.
 
         Returns:
-            The forwarders of all upstreams, and all listeners, of the new configuration, each by name.
+            The forwarders of all upstreams of the new configuration, and all its listeners, each by name.
         """
         old_upstreams = {one.name: one for one in self.plan.upstreams}
         forwarders, listeners = dict(same_upstreams), dict(same_listeners)
@@ -258,7 +269,7 @@ class Gateway:
 
     @property
     def functions(self) -> FunctionTable:
-        """The table of function codes, with their messages, that the gateway decodes."""
+        """The table of the functions that the gateway decodes; requests with other functions are forwarded unread."""
         return self._functions
 
     def observe(self, observer: RequestObserver) -> None:
@@ -292,11 +303,19 @@ class Gateway:
             each.server.reload_security()
 
     def end_unauthorized(self) -> int:
-        """Abort the connections of hosts that may no longer connect to their listener; returns how many there were."""
+        """Abort the connections of hosts that may no longer connect to their listener.
+
+        Returns the number of connections aborted.
+        """
         return sum(each.server.end_unauthorized() for each in self._running.values())
 
     def is_priority(self, listener: str, host: str) -> bool:
-        """Whether a host is a priority host of the listener with this URL, which is one of `endpoints`."""
+        """Whether a host is a priority host of the listener with this URL; False if no listener has the URL.
+
+        Args:
+            listener: a URL as in `endpoints`.
+            host: the client's host.
+        """
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
@@ -311,7 +330,7 @@ class Gateway:
 
     @property
     def open_requests(self) -> int:
-        """Number of forwarded requests that have no answer yet."""
+        """Number of requests forwarded to any upstream that have no answer yet."""
         return sum(forwarder.open_requests for forwarder in self._forwarders.values())
 
     @property
@@ -334,7 +353,11 @@ class Gateway:
         )
 
     def _numbers(self) -> tuple[list[int], list[list[int]]]:
-        """Return the values of the own unit's status registers: the gateway's, and a list of them for each upstream."""
+        """Return the values for the own unit's status registers.
+
+        First those of the gateway, in the order of `own_unit.REGISTERS`; then a list for each upstream, in the order of
+        `own_unit.UPSTREAM_REGISTERS`.
+        """
         status = self.status()
         own = [
             int(status.uptime),
@@ -389,16 +412,20 @@ class Gateway:
 
 
 def _until_restart(plan: GatewayPlan) -> tuple[object, ...]:
-    """Return what only a restart changes in a gateway's configuration: own unit, functions, server options."""
+    """Return the parts of a configuration that only a restart can change: own unit, functions, server options."""
     return plan.own_unit, plan.own_registers, plan.functions, plan.server
 
 
 def _standard_port(listener: GatewayListener, plan: GatewayPlan) -> bool | None:
-    """Return whether a listener's server also listens on port 502 (option ``standard_port``).
+    """Return the option ``standard_port`` for a listener's server: whether it also listens on port 502.
 
-    None if the server decides.
+    At most one listener gets the value of the gateway's own option (True, or None for an attempt that may fail): the
+    first ``tcp://`` listener with a fixed port that other hosts can reach, or without such a listener the first
+    ``tcp://`` one. All others get False. All get False if the option is False, or if one of them has port 502 anyway.
 
-    Only one of the listeners may do so: the others get False.
+    Args:
+        listener: the listener.
+        plan: the gateway's configuration, with all listeners.
     """
     choice: bool | None = plan.server.get("standard_port")
     places = {one.name: parse_endpoint(one.settings.endpoint) for one in plan.listeners}
@@ -435,8 +462,9 @@ def _changes(
     """Yield a text for each listener or upstream that was added, changed or closed.
 
     Args:
-        what: the word for them in the texts.
-        old, new: the listeners or upstreams before and after.
+        what: the first word of each text: ``listener`` or ``link``.
+        old: the listeners or upstreams before the change, by name.
+        new: the listeners or upstreams after the change.
     """
     names = set()
     for one in new:

@@ -1,6 +1,7 @@
 """The gateway's own unit: a device with the gateway's identification, diagnostics, and if wanted status registers.
 
-Knows numbers of a status; knows no upstream and no listener (T32: unit 255, and 0 for requests that are no broadcast).
+Knows the values of a status as numbers; knows no upstream and no listener. Requests reach the own unit as unit 255, and
+as unit 0 if they are no broadcast (T32).
 
 Without registers a read gets exception 01. A client that names no unit asks unit 255, and must not take the status of
 the gateway for values of a device.
@@ -18,9 +19,9 @@ from ...server.hooks import Access
 from ...version import __version__
 
 FIRST_UPSTREAM: Final = 100
-"""Address of the first upstream's registers."""
+"""Address of the first upstream's first register, counted from 0."""
 PER_UPSTREAM: Final = 16
-"""Registers from one upstream to the next."""
+"""Number of registers between the first register of one upstream and that of the next."""
 MOST_UPSTREAMS: Final = 64
 FUNCTIONS: Final = (
     FunctionCode.DIAGNOSTICS,
@@ -29,9 +30,9 @@ FUNCTIONS: Final = (
     FunctionCode.REPORT_SERVER_ID,
     FunctionCode.ENCAPSULATED_INTERFACE,
 )
-"""Functions that the own unit offers also without status registers."""
+"""Functions that the own unit has, with and without status registers."""
 STATES: Final = ("down", "backing off", "connecting", "suspect", "up")
-"""States of a connection, from worst to best."""
+"""States of a connection, from worst to best; the position is the number in the status register."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,8 +41,8 @@ class StatusRegister:
 
     Attributes:
         address: address of the first input register; in `UPSTREAM_REGISTERS` relative to the upstream's first one.
-        registers: number of registers, 1 or 2; of two the first is the high one.
-        name, meaning: for the table of the documentation.
+        registers: number of registers, 1 or 2; of two registers the first has the high 16 bits.
+        name, meaning: name and meaning of the value, for the table of the documentation.
     """
 
     address: int
@@ -72,7 +73,7 @@ UPSTREAM_REGISTERS: Final = (
 )
 
 Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
-"""Function that returns the current values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`."""
+"""Function that returns two lists: the values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`."""
 
 
 def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
@@ -81,7 +82,8 @@ def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
     Args:
         numbers: returns the values of the status registers; called before each read of input registers. Only the first
             64 upstreams (`MOST_UPSTREAMS`) have registers.
-        registers: whether the device has its status in input registers; without them a read gets exception 01.
+        registers: whether the device has the status in input registers; without them a read gets exception 01. A value
+            that one register cannot hold is shown as 65535; of values in two registers the low 32 bits are shown.
     """
     device = Device(
         input_registers=FIRST_UPSTREAM + MOST_UPSTREAMS * PER_UPSTREAM if registers else 0,

@@ -1,9 +1,9 @@
 """Finds gaps of a policy: routes that reach a rule's device by units or addresses that the rule does not name.
 
 Knows routes, and asks the evaluator of rules (`busway.access.rule_evaluation`) what is permitted; opens nothing.
-Rules use the numbers of the listener. If a second route gives the same device another unit, or its registers other
-addresses, a rule for the first numbers does not hold for the second: `gateway check` warns where more is permitted
-there.
+Rules name units and addresses as clients use them. If a second route gives the same device another unit, or its
+registers other addresses, a rule for the first numbers does not hold for the second: `gateway check` warns if more is
+permitted by the second route.
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -21,9 +21,9 @@ from .file_routes import PlacedRoute
 from .routes import Route
 
 Way = tuple[PlacedRoute, int]
-"""A route that leads to a device, and the unit that is asked for it."""
+"""A route that leads to a device, and the unit that clients ask to use it."""
 Access = tuple[type[Request], TouchedRange]
-"""A function, and what it touches."""
+"""A function, and a range of data that it reads or writes."""
 
 
 def policy_gaps(
@@ -31,7 +31,7 @@ def policy_gaps(
 ) -> Iterator[tuple[Place, str]]:
     """Yield the access rules that clients can evade by another route to the same device.
 
-    For each rule these are its path in the gateway file, and a message.
+    Yields the path of the rule in the gateway file and a message, once for each route by which it can be evaded.
 
     Args:
         policy: the access rules.
@@ -60,9 +60,9 @@ def policy_gaps(
 
 
 def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
-    """Return the accesses to test: a function, and a table that it reads or writes.
+    """Return the accesses to test, each a function and a table that it reads or writes.
 
-    Of functions that all rules and routes treat alike, only one is returned.
+    Of several functions that all rules and routes treat alike, only the first is returned.
     """
     by_rules = [rule for rule in policy.rules if rule.functions is not None]
     found: dict[object, Access] = {}
@@ -101,7 +101,7 @@ def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
 
 
 def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, other: Way) -> str:
-    """Return how a request by another route may do more than a rule permits, as a sentence; empty if it may not.
+    """Return a sentence on how a request by another route can do more than a rule permits; empty if it cannot.
 
     Args:
         rule: the rule.
@@ -146,9 +146,9 @@ def _takes(route: Route, kind: type[Request]) -> bool:
 
 
 def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
-    """Return the part of the addresses ``low`` … ``high - 1`` that a route forwards.
+    """Return the part of the addresses ``low`` … ``high - 1`` that a route takes: first address and end (exclusive).
 
-    None if it forwards none of them.
+    None if the route takes none of them.
     """
     if isinstance(touched.space, Table):
         low, high = max(low, 0), min(high, 0x10000)
@@ -162,9 +162,8 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
 def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
     """Whether the rule for another route permits more of some items than the rule for this route.
 
-    It permits items that are refused here, or with another rate or limits.
-
-    False if both routes are decided by the same access rule.
+    True if it permits items that this route's rule refuses, or permits them with another rate or other limits. False if
+    one and the same access rule decides for both routes.
 
     Args:
         other: zone of the rules for the other route: a range of items in which one rule decides.

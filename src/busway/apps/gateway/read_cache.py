@@ -7,9 +7,9 @@ Knows reads and writes by unit and range; knows no link, and the time only as ``
 A client that has seen a write end must not get a value from before it. So:
 
 1. From the moment a write to a unit is forwarded until it has ended, no read of the unit is shared or remembered, and
-   earlier values are dropped. A broadcast concerns all units of the upstream. So does a write to 255 or 0 of a server
-   on TCP, which is the device itself, whatever unit others ask; and every write drops the values of 255 and 0. A write
-   to one of several units that are the same device concerns all of them.
+   earlier values are dropped. A write to unit 0 or 255 concerns all units of the upstream: 0 is a broadcast, and on TCP
+   both numbers mean the server itself, which may be the device behind any unit. So every write concerns units 0 and 255
+   as well. A write to one of several units that are the same device concerns all of them.
 2. A read that was sent before a write ended is not remembered either: its value may be the old one.
 3. A value is as old as its request; it is used until its time to live has passed.
 """
@@ -26,17 +26,17 @@ Shared = TypeVar("Shared")
 Key = bytes
 """The PDU of a read as it is sent upstream; for a read that is split, the PDUs of all its parts joined."""
 Place = tuple[Table, int, int]
-"""Table, address of the first item, count."""
+"""A range of items: table, address of the first item, number of items."""
 
 ANY_DEVICE = (BROADCAST_UNIT, TCP_DEVICE_UNIT)
 """Units that may be the same device as any other."""
 BLOCKS_PER_UNIT = 64
-"""Most values remembered of a unit; the one unused longest is dropped."""
+"""Most results of reads that are remembered for a unit; the result unused for the longest time is dropped."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Block:
-    """The values that one read returned, and the time when that read was forwarded, in seconds."""
+    """The values that one read returned, and the time when that read was forwarded, in monotonic seconds."""
 
     place: Place
     data: bytes
@@ -64,8 +64,8 @@ class ReadCache(Generic[Shared]):
     A client that has seen a write end never gets a value from before the write.
 
     Args:
-        register_width: bytes of a register.
-        same_device: groups of units that are the same device.
+        register_width: number of bytes in a register of the upstream's devices.
+        same_device: groups of units that are the same device: a write to one unit concerns all units of its group.
     """
 
     __slots__ = ("_concerned", "_open_writes", "_units", "_width")
@@ -88,13 +88,13 @@ class ReadCache(Generic[Shared]):
     def write_begins(self, unit: int) -> None:
         """Drop remembered values and stop the sharing of reads, because a write to a unit is about to be forwarded.
 
-        Both concern also the other units that may be the same device (rule 1). Each call must be followed by one of
-        `write_ended`.
+        This concerns also the other units that may be the same device; a write to unit 0 or 255 concerns all units.
+        Each call must be followed by a call of `write_ended`.
         """
         self._changed(unit, 1)
 
     def write_ended(self, unit: int) -> None:
-        """Record the end of a write to a unit, successful or not. Remembered values are dropped again (rule 2).
+        """Record the end of a write to a unit, successful or not, and drop values that were read during the write.
 
         Once no write to the unit is in progress, its reads are shared and remembered again.
         """
@@ -108,7 +108,7 @@ class ReadCache(Generic[Shared]):
             state.forget()
 
     def _is_quiet(self, unit: int) -> bool:
-        """Whether no write to a unit is in progress; a broadcast is a write to all units."""
+        """Whether no write is in progress that concerns a unit; a write to unit 0 or 255 concerns all units."""
         if not self._open_writes:
             return True
         if unit in ANY_DEVICE:
@@ -119,10 +119,10 @@ class ReadCache(Generic[Shared]):
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """Return a unit's reads in flight by key; None while a write forbids sharing.
+        """Return a unit's reads in flight by key; None while a write to the unit is in progress: share no reads then.
 
-        The caller adds its reads to the dictionary, and removes them when they end. It is the same object at each call,
-        and a write empties it.
+        The caller adds its reads to the dictionary, and removes them when they end. Each call returns the same
+        dictionary for a unit; a write empties it.
         """
         state = self._unit(unit)
         return state.reading if not self._open_writes or self._is_quiet(unit) else None
@@ -160,8 +160,8 @@ class ReadCache(Generic[Shared]):
         Args:
             unit: unit identifier on the upstream.
             place: the range, which may be a part of a larger read.
-            now: the time, by the clock of ``read_at``.
-            for_seconds: seconds after which values are too old.
+            now: the time in seconds, by the clock of ``read_at`` in `remember`.
+            for_seconds: age in seconds from which values are too old.
         """
         state = self._units.get(unit)
         if state is None or not state.blocks:

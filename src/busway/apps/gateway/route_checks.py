@@ -5,7 +5,8 @@ T32).
 
 1. Errors: a route that is never reached, a unit that an upstream or a listener cannot have, a client deadline shorter
    than the upstream may take, an upstream that leads back to a listener.
-2. Warnings: units that an earlier route takes, an upstream without a route, a gap of the policy.
+2. Warnings, for example: units that an earlier route takes, an upstream without a route, a route that evades a rule of
+   the policy.
 """
 
 import os
@@ -30,7 +31,7 @@ from .settings import UpstreamSettings
 _EVERYWHERE = frozenset({"", "0.0.0.0", "::"})
 _SAME = {"localhost": "127.0.0.1"}
 _REQUEST_CHARACTERS = {"rtu": (8, 256), "ascii": (17, 513)}
-"""Characters of a request to read, and of the longest to write (Serial Line V1.02 §2.5)."""
+"""By framing: number of characters of a read request, and of the longest request (Serial Line V1.02 §2.5)."""
 _MOST_REGISTERS = 125
 _MOST_BITS = 2000
 
@@ -40,7 +41,7 @@ class WorstCase:
     """The longest time that an upstream may need for one request, from sending it until the last attempt has failed.
 
     Attributes:
-        seconds: that time.
+        seconds: the time in seconds.
         sum: how the time adds up from attempts, timeouts, frames and pieces, as text for messages.
     """
 
@@ -59,12 +60,12 @@ def check_routes(
     policy: Policy | None,
     report: ConfigurationReport,
 ) -> None:
-    """Find errors and warnings in the routes of a gateway file, and add them to a report (rules 1 and 2).
+    """Find errors and warnings in the routes of a gateway file, and add them to a report; raises nothing.
 
     Args:
         file: the sections of the file.
-        routes: the routes, with their places in the file.
-        listeners: the listeners, with their places in the file.
+        routes: the routes, with their paths in the file.
+        listeners: the listeners, with their paths in the file.
         upstreams: the upstreams by name.
         policy: the access rules; None without any.
         report: gets the errors and warnings.
@@ -126,9 +127,9 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
-    """Yield an error for each refusing route if an earlier route forwards a part of the requests to refuse.
+    """Yield an error for each refusing route if an earlier route forwards or drops a part of the requests to refuse.
 
-    A refusing route without units, functions and addresses may stand last: it refuses what other routes do not take.
+    A refusing route without units, functions and addresses gets no error: it refuses what other routes do not take.
     """
     for position, placed in enumerate(routes):
         refusal = placed.route
@@ -148,9 +149,13 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 
 
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
-    """Return in words which requests of a refusing route an earlier route forwards, by units, functions or addresses.
+    """Return in words which requests of a refusing route an earlier route takes: units, functions or addresses.
 
-    Empty if none, and for a refusing route that names no units, functions and addresses.
+    Empty if it takes none, and for a refusing route that names no units, functions and addresses.
+
+    Args:
+        placed: the refusing route.
+        earlier: a route before it that forwards or drops.
     """
     refusal = placed.route
     wider = replace(refusal, units=refusal.units & earlier.units or refusal.units)
@@ -290,7 +295,7 @@ def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> Wo
     Args:
         upstream: the upstream of the route.
         route: the route, whose limits may split the request.
-        gap: seconds of silence that the unit needs before a request.
+        gap: seconds of silence that the route wants before a request; counts on serial lines only.
     """
     parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout
@@ -344,7 +349,7 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
 
 
 def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
-    """Yield errors for upstreams that lead back to the gateway itself, and for serial ports used twice."""
+    """Yield errors for upstreams that lead back to a listener of the gateway, and for serial ports used twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
         if listener.endpoint.carrier == "serial":

@@ -3,8 +3,8 @@
 Knows routes, upstreams and the gateway's own unit; knows no bytes (Messaging on TCP/IP V1.0b §4.4.2, T32).
 
 1. A write to unit 0 goes to all upstreams of the listener that take broadcasts, and is answered when it was sent. All
-   units of an upstream hear it, so a route must permit the write for each of them. Where the policy denies it for one
-   unit of one upstream, no upstream hears it.
+   units of an upstream receive it, so a route must permit the write for each of them. If the policy denies it for one
+   unit of one upstream, no upstream gets it.
 2. A request without a route gets 0A, unless it is for unit 0 or the gateway's own unit: then the own unit answers it.
    A serial listener does not answer for units without a route (`ListenerRouter.serves`).
 3. A malformed request is answered here, as by any server: it could not be framed on a serial line. A request with an
@@ -47,12 +47,13 @@ class GatewayListenerCounters:
     """Counters of a gateway's listener: requests that were not forwarded, and broadcasts.
 
     Attributes:
-        no_route: requests without a route, or with addresses of which only a part is in the range of a route.
+        no_route: requests refused because no route takes them (0A), or because only a part of their addresses is in the
+            range of a route (02).
         refused: requests that a route refused, and broadcasts that a route or the policy refused for an upstream.
         dropped: requests that a route dropped: they got no reply.
         own: requests that the gateway's own unit answered.
-        malformed: requests that broke a rule of their function.
-        broadcasts: writes to all units.
+        malformed: requests that broke a rule of their function, such as a wrong length; answered with an exception.
+        broadcasts: writes to all units, also refused ones. One from a serial line counts once for each upstream.
     """
 
     no_route: int = 0
@@ -89,7 +90,8 @@ class ListenerRouter:
     Attributes:
         generation: number that changes whenever other routes are used, so that compiled answers are dropped.
         counters: counters of requests that were not forwarded, and of broadcasts.
-        refusal_of: returns the exception code with which the policy refuses a broadcast; 0 if it is permitted.
+        refusal_of: function that returns the exception code with which the policy refuses a request to several units,
+            0 if the policy permits it. Set by `Gateway`; permits everything until then.
     """
 
     def __init__(
@@ -132,14 +134,14 @@ class ListenerRouter:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the unit with this number if a route or the gateway's own unit answers for it; else None."""
+        """Return the unit with this number if a route takes it or it is the gateway's own unit; else None."""
         return self._served.get(unit)
 
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        """Return how the fast path forwards reads with this PDU to this unit; None if they need the generic path.
+        """Return how the fast path forwards reads with this PDU to the context's unit; None: use the generic path.
 
-        The generic path is needed for other functions, for reads that are refused or split, for routes with remembered
-        values, and for devices with wider registers.
+        The generic path is needed for other functions than reads, for reads that no route forwards or that are split,
+        for routes with remembered values, and for devices with registers wider than 16 bits.
         """
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
@@ -162,8 +164,8 @@ class ListenerRouter:
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Return the outcome of a request: its reply, how it is forwarded, or silence.
 
-        The gateway's own unit is answered by its device; malformed requests and those without a route get an exception
-        code.
+        Requests to the gateway's own unit that no route takes are answered by its device. Malformed requests, and
+        requests without a route, get an exception code.
         """
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1
@@ -199,7 +201,10 @@ class ListenerRouter:
 
     @staticmethod
     def _reaches_all(route: Route, unit: int, request: Request, forwarder: Forwarder) -> bool:
-        """Whether a route turns a request to one unit into a broadcast on the upstream."""
+        """Whether a route turns a request to one unit into a broadcast: it sends the request to the upstream's unit 0.
+
+        False for requests that cannot be broadcast, such as reads, and for upstreams that take no broadcasts.
+        """
         takes_it = request.broadcast and forwarder.upstream.takes_broadcasts
         return takes_it and route.upstream_unit(unit) == BROADCAST_UNIT
 
@@ -216,8 +221,8 @@ class ListenerRouter:
         """Return how a request is forwarded by a route, or the reply if it need not or cannot be forwarded.
 
         A read is answered with remembered values if the route permits that and they are young enough. The reply is
-        exception 02 if the shifted address does not exist, and 03 if the registers of the device are
-        wider than 16 bits and so many do not fit into a reply.
+        exception 02 if the shifted address does not exist, and 03 if the device's registers are wider than 16 bits and
+        the registers asked for do not fit into one reply.
 
         ``forwarder`` is the forwarder of the route's upstream.
         """
@@ -250,8 +255,10 @@ class ListenerRouter:
     def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
         """Return the outcome of a write to unit 0 over a network, which goes to all upstreams that take broadcasts.
 
-        The client gets an exception code if no upstream can be reached, or if a rule of the policy denies the write;
-        then no upstream gets it.
+        A write that the policy denies for any unit goes to no upstream, and the client gets the exception code. A write
+        that the routes refuse for one upstream goes to the others; the client gets the exception code all the same. If
+        no upstream takes broadcasts, a route for unit 0 forwards the write like any request, to its own upstream;
+        without such a route the client gets 0A. A route for unit 0 that refuses or drops the write decides alone.
         """
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
@@ -284,9 +291,9 @@ class ListenerRouter:
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
     def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
-        """Return how a broadcast from a serial line is forwarded for one unit.
+        """Return how a broadcast from a serial line is forwarded for one unit; silence if nothing is to be sent for it.
 
-        Called for each unit that the listener serves.
+        Called for each unit that the listener serves. A broadcast on a serial line never gets a reply.
 
         An upstream that takes broadcasts gets one broadcast. Any other upstream, a server on a network, gets a write
         for each unit that a route names; if the route names none, one write to unit 0. Writes to all 247 units would
@@ -294,7 +301,9 @@ class ListenerRouter:
 
         Args:
             context: the unit and the client.
-            executed: ids of the forwarders that this broadcast has reached already.
+            executed: what this broadcast has done so far; this method adds to it: ``id()`` of each forwarder that was
+                reached, negative if the broadcast was refused for that upstream, and ids of rules with a rate that have
+                counted it.
             request: the write.
         """
         found = self._routes.find(context.unit, request)
@@ -320,7 +329,7 @@ class ListenerRouter:
         return SILENCE
 
     def _takers(self) -> list[str]:
-        """Return the names of this listener's upstreams to which broadcasts are forwarded."""
+        """Return the names of the upstreams in this listener's routes that take broadcasts."""
         names = [name for name in self._routes.upstreams if name in self._forwarders]
         return [name for name in names if self._forwarders[name].upstream.takes_broadcasts]
 
@@ -329,14 +338,15 @@ class ListenerRouter:
     ) -> Route | int | None:
         """Return the route for a broadcast to an upstream, or the exception code if the broadcast is refused.
 
-        None if the routes do not forward this write there. Every unit of the upstream receives a broadcast, so the
-        routes and the policy must permit the write for each of them, with the same address.
+        None if no route forwards this write to the upstream. Every unit of the upstream receives a broadcast, so the
+        routes and the policy must permit the write for each of them, and the routes must agree on its address; if only
+        some units have such a route, the code is 0A.
 
         Args:
             context: the client.
             upstream: name of the upstream.
             request: the write.
-            charged: ids of the rules with a rate that have counted the broadcast already.
+            charged: ids of the rules with a rate that have counted the broadcast already; ids are added.
         """
         ways: set[Route] = set()
         refused = 0  # by a route

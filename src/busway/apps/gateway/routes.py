@@ -1,6 +1,6 @@
 """Routes: which upstream and which unit a request is forwarded to.
 
-Knows requests by unit, function and range; knows of an upstream its name only.
+Knows requests by unit, function and address range, and upstreams by name only.
 
 1. The first route that fits decides.
 2. A route with an address range takes requests wholly within it. A request across the edge of the range is refused with
@@ -22,7 +22,7 @@ from ...pdu.message import Request, Span
 from .address_index import AddressIndex
 
 _FEW = 3
-"""Up to this number, trying the routes of a unit one after the other is as quick as an index of addresses."""
+"""Up to this number of routes, trying them one after the other is as quick as an index of addresses."""
 ALL_UNITS = frozenset(range(256))
 SERIAL_UNITS = frozenset(range(1, LAST_SERIAL_UNIT + 1))
 
@@ -37,7 +37,11 @@ class RouteAction(Enum):
 
 @dataclass(frozen=True, slots=True)
 class AddressRange:
-    """The items ``first`` … ``end - 1`` of a table, whose requests a route takes. Raises `ConfigError` if invalid."""
+    """A range of a table that a route serves: items ``first`` … ``end - 1``, counted from 0.
+
+    Raises:
+        ConfigError: the range is empty, or not within 0…65535.
+    """
 
     table: Table
     first: int
@@ -61,8 +65,8 @@ class Route:
         units: unit identifiers that clients use, 0…255.
         functions: function codes; empty for all.
         addresses: the range in which requests must lie; None for all addresses.
-        unit: unit identifier on the upstream; None for the unit that the client asks, plus ``unit_offset``.
-        unit_offset: number that is added to the unit.
+        unit: unit identifier on the upstream, for all requests; None for the client's unit plus ``unit_offset``.
+        unit_offset: number that is added to the client's unit; 0 if ``unit`` is set.
         shift: number that is added to every address, and subtracted in replies.
         max_registers, max_bits: most items in one request to the device; longer reads are split. None for no limit.
         split_writes: whether longer writes are split too; their parts are executed one after the other.
@@ -117,15 +121,15 @@ class Route:
 
     @property
     def names_no_units(self) -> bool:
-        """Whether the route takes all units (1…247 at least), and forwards each request to the unit it names."""
+        """Whether the route takes all units (at least 1…247), and leaves the unit number of each request as it is."""
         return self.unit is None and not self.unit_offset and self.units >= SERIAL_UNITS
 
     def covers(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` would take: ``other`` after it is never reached."""
+        """Whether this route takes every request that ``other`` would take, so that ``other`` after it gets none."""
         return other.units <= self.units and self.covers_beside_units(other)
 
     def covers_beside_units(self, other: "Route") -> bool:
-        """Whether this route takes every request that ``other`` takes, for the units that both have."""
+        """Whether this route takes every request that ``other`` would take, regarding only units that both have."""
         return (
             (not self.listeners or (bool(other.listeners) and other.listeners <= self.listeners))
             and (not self.functions or (bool(other.functions) and other.functions <= self.functions))
@@ -142,7 +146,7 @@ class Route:
 
     @property
     def title(self) -> str:
-        """The name of the route for messages; without a name, its units and where they go."""
+        """The route's name for messages; if it has none, a text like ``units 1-5 to boiler`` or ``units 7 to drop``."""
         return self.name or f"units {units_text(self.units)} to {self.upstream or self.action.value}"
 
 
@@ -150,8 +154,10 @@ class Route:
 class Straddles:
     """Result of the search for a route: the request's addresses are only partly in the range of a route.
 
+    Such a request is refused with exception 02.
+
     Attributes:
-        route: that route. The request is refused with exception 02.
+        route: the first route that has some of the addresses.
     """
 
     route: Route
@@ -183,7 +189,7 @@ class ListenerRoutes:
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
         """Return the first route that takes a request; None if no route does.
 
-        It is a `Straddles` if the first route that the request touches has only a part of its addresses.
+        Returns a `Straddles` instead if the first route that has some of the request's addresses does not have all.
 
         Args:
             unit: unit identifier that the client uses.
@@ -195,7 +201,10 @@ class ListenerRoutes:
         return self._looked_through(routes, request)
 
     def _found_by_address(self, routes: tuple[Route, ...], request: Request, touch: Span) -> Route | Straddles | None:
-        """Return what `find` returns, by an index of addresses, fast also for many routes."""
+        """Search the routes of a unit with an index of addresses, which is fast for many routes; returns as `find`.
+
+        ``touch`` is the one address range that the request touches.
+        """
         key = id(routes), request.code, touch.table
         indexed = self._indexed.get(key)
         if indexed is None:
@@ -210,7 +219,7 @@ class ListenerRoutes:
         return Straddles(route)
 
     def _looked_through(self, routes: tuple[Route, ...], request: Request) -> Route | Straddles | None:
-        """Return what `find` returns, by testing one route after the other."""
+        """Search the routes of a unit by testing one after the other; returns as `find`."""
         for route in routes:
             if route.functions and function_of(request) not in route.functions:
                 continue
@@ -224,7 +233,7 @@ class ListenerRoutes:
         return None
 
     def units_to(self, upstream: str) -> list[int]:
-        """Return the units 1…247, as clients use them, that have a route to an upstream."""
+        """Return the units among 1…247, as clients number them, that have a route to the upstream with this name."""
         return [
             unit
             for unit in range(1, LAST_SERIAL_UNIT + 1)
@@ -233,7 +242,7 @@ class ListenerRoutes:
 
     @property
     def units(self) -> frozenset[int]:
-        """The units, as clients use them, that have a route."""
+        """The units, as clients number them, that have a route of any kind."""
         return frozenset(self._by_unit)
 
     @property
@@ -256,7 +265,7 @@ def _indexed(routes: Sequence[Route], function: int, table: Table) -> tuple[list
 
 
 def _touched_at_once(request: Request) -> Span | None:
-    """Return the address range that a request touches; None if it touches none or several, or if that is unknown."""
+    """Return the one address range that a request touches; None if there are none or several, or it is unknown."""
     if isinstance(request, OpaqueRequest):
         return None
     spans = request.spans()
@@ -264,9 +273,9 @@ def _touched_at_once(request: Request) -> Span | None:
 
 
 def _within(wanted: AddressRange, request: Request) -> bool | None:
-    """Whether a request lies in an address range: True for wholly, False for not at all, None for partly.
+    """Return whether a request lies in an address range: True for wholly, False for not at all, None for partly.
 
-    False also if it is unknown what the request touches.
+    False also for a request with an unknown function, whose addresses cannot be read.
     """
     if isinstance(request, OpaqueRequest):
         return False
@@ -302,7 +311,7 @@ class RoutingTable:
             raise ConfigError(sentence, key=f"route[{position}]")
 
     def faults(self) -> Iterator[tuple[int, str]]:
-        """Yield position and message for each route that no request can reach, as earlier routes take all of them."""
+        """Yield position and message for each route that no request can reach, because earlier routes take them all."""
         for position in range(len(self.routes)):
             takers, left = taken_before(self.routes, position)
             if not left:
@@ -322,9 +331,10 @@ class RoutingTable:
 
 
 def taken_before(routes: Sequence[Route], position: int) -> tuple[list[Route], frozenset[int]]:
-    """Return the earlier routes that leave a route no requests for some of its units, and the units left to it.
+    """Return the earlier routes that take all requests of a route for some of its units, and the units left to it.
 
-    The first route that matches takes a request.
+    If one earlier route takes all requests of the route for all its units, only that one is returned. No unit is left
+    to a route that is never reached.
 
     Args:
         routes: all routes in their order.

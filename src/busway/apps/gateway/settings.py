@@ -25,7 +25,7 @@ UPSTREAM_DEFAULTS: Mapping[str, Any] = {  # Any: values of options
     "timeout": ClientParameters().timeout,
     "open_after": BreakerParameters().open_after,
 }
-"""Options of links that have another default in a gateway.
+"""Options of links whose default in a gateway differs from that of `busway.open`: the gateway's default by name.
 
 A gateway does not wait for a missing port. On a network its attempts end before its clients give up, and a silent unit
 does not stall the others.
@@ -41,7 +41,7 @@ class GatewayListener:
         settings: endpoint, access, certificates and limits.
         deadline: seconds until each request is answered, if necessary with 0A or 0B; None for no limit. Requests
             still queued then are not sent.
-        silent_broadcasts: whether a write to unit 0 is not answered.
+        silent_broadcasts: whether a write to unit 0 gets no reply.
     """
 
     name: str
@@ -58,11 +58,12 @@ class UpstreamSettings:
         name: name of the upstream in routes.
         link: endpoint, timeouts and gaps, as for `busway.open`.
         options: number of connections, whether reads are shared, whether broadcasts are forwarded.
-        unit_gaps: by unit, seconds of silence after its reply; on serial lines only.
+        unit_gaps: for each unit, seconds of silence after its reply before it gets the next request; only with RTU and
+            ASCII framing.
         same_device: groups of units that are the same device: a write to one drops remembered values of the others.
 
     Raises:
-        ConfigError: ``unit_gaps`` on a network, several connections to a serial port, or an invalid group.
+        ConfigError: ``unit_gaps`` with Modbus TCP framing, several connections to a serial port, or an invalid group.
     """
 
     name: str
@@ -93,7 +94,7 @@ class UpstreamSettings:
 
     @classmethod
     def of(cls, name: str, url: str | Endpoint, **options: Any) -> Self:
-        """Create the settings of an upstream from a URL and options. Raises `ConfigError` for invalid ones.
+        """Create the settings of an upstream from a URL and options. Raises `ConfigError` if one of them is invalid.
 
         The gateway does not wait for a missing port unless ``port_wait`` says so: clients get 0A at once. By default
         ``timeout`` is 1 second and ``open_after`` 3, for every scheme.
@@ -118,15 +119,17 @@ class GatewayPlan:
     """The complete configuration of a gateway (listeners, upstreams, routes) as objects, checked as a whole.
 
     Attributes:
-        listeners, upstreams: the listeners and upstreams, each with a unique name.
+        listeners: the listeners, each with a unique name.
+        upstreams: the upstreams, each with a unique name.
         table: the routes between them.
-        own_unit: unit identifier of the gateway itself, 0…255; None if it answers as no unit.
+        own_unit: unit identifier of the gateway itself, 0…255; None if the gateway has no unit of its own.
         own_registers: whether the own unit has input registers with the gateway's status.
         functions: the table of functions; requests with other functions are forwarded unread.
         server: keyword arguments of `Server` for all listeners (parameters, limits, sockets, TLS …).
 
     Raises:
-        ConfigError: there is no listener, two listeners or upstreams have one name, or a route names an unknown one.
+        ConfigError: there is no listener, two listeners or two upstreams have the same name, or a route names an
+            upstream or listener that does not exist.
     """
 
     listeners: tuple[GatewayListener, ...]
@@ -167,8 +170,10 @@ def simple_plan(
 ) -> GatewayPlan:
     """Return the configuration of a gateway that forwards all units of all listeners to one upstream.
 
+    All units are 0…255, or 1…247 if the upstream has RTU or ASCII framing.
+
     Args:
-        listeners: URLs to listen on, or listeners.
+        listeners: URLs to listen on, or listeners; a URL is also the name of its listener.
         upstream: URL of the upstream, which gets the name ``line``.
         options: options of the upstream, as for `UpstreamSettings.of`.
 

@@ -1,4 +1,4 @@
-"""Shared reads: a client that asks for what another client has in flight waits for that read, and gets the same reply.
+"""Shared reads: a read that equals one in flight for another client is not sent, but gets the reply to that one.
 
 Knows batches in flight. Whether reads of a unit may be shared at all (no write came between) is decided by
 `read_cache`; what happens when the reply comes, or a client goes, by `forwarding`.
@@ -13,7 +13,7 @@ from .read_cache import Key
 from .waiter_deadlines import WaiterDeadlines
 
 FOR_EVER: Final = 86_400.0
-"""Seconds that a client without a deadline waits for a read that it shares with one that has a deadline."""
+"""Deadline of a shared read, in seconds, if a client without a deadline joins a read of a client that has one."""
 
 
 def share(
@@ -23,21 +23,21 @@ def share(
     shared: Mapping[Key, Batch],
     within: float | None,
 ) -> tuple[Sequence[Any], Sequence[ForwardedRequest], list[tuple[Any, ForwardedRequest]]]:
-    """Let the reads of one client wait for equal reads that are in flight for others.
+    """Let those reads of one client that equal a read in flight wait for its reply, and return the others.
 
-    The reads of a priority host wait only for reads of priority hosts, or for those that were sent upstream already. A
-    deadline of a batch that is joined moves so that the batch lasts for its latest client.
+    The reads of a priority host wait only for reads of priority hosts, or for those that were sent upstream already.
+    If a read of a batch is joined, the deadline of the batch is extended to the latest deadline of its clients.
 
     Args:
         asker: the client.
-        tags: for each read, the tag that names the read for the client.
+        tags: for each read, the tag by which the client knows the read.
         asked: the reads, all to one unit.
-        shared: the unit's reads in flight, by key.
+        shared: the unit's reads in flight: for each key, the batch that has the read.
         within: seconds until the client must be answered; None for no limit.
 
     Returns:
-        Tags and requests to send; and tag and request of each read that equals one of those to send: pass them to
-        `share` again once that one is in flight.
+        Three lists: the tags of the reads to send; these reads; and tag and read of each further read that equals one
+        of those to send. Pass the latter to `share` again once the reads to send are in flight.
     """
     left: dict[Key, tuple[Any, ForwardedRequest]] = {}
     twice: list[tuple[Any, ForwardedRequest]] = []

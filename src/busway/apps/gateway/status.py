@@ -23,7 +23,8 @@ class GatewayListenerStatus:
     Attributes:
         name: name of the listener in routes.
         server: status of the listener's server.
-        counters: counters of the requests that were not forwarded, and of broadcasts.
+        counters: counters of the requests that were not forwarded, and of broadcasts; the live object, which goes on
+            counting.
     """
 
     name: str
@@ -33,12 +34,12 @@ class GatewayListenerStatus:
 
 @dataclass(frozen=True, slots=True)
 class GatewayStatus:
-    """Status of a gateway, with the totals of its listeners.
+    """Status of a gateway: its listeners and upstreams, and totals of its listeners.
 
     Attributes:
         running: whether the gateway is started.
         uptime: seconds since the start; 0 while stopped.
-        endpoints: URLs of the listeners, with the ports that they are bound to.
+        endpoints: URLs of the listeners, with the ports that they are bound to; empty while stopped.
         gateway_listeners, upstreams: status of each listener and each upstream.
         open_requests: number of forwarded requests that are not answered yet.
     """
@@ -52,7 +53,7 @@ class GatewayStatus:
 
     @property
     def connections(self) -> tuple[ConnectionStatus, ...]:
-        """The open client connections of all listeners."""
+        """The status of each open client connection, of all listeners."""
         return tuple(one for listener in self.gateway_listeners for one in listener.server.connections)
 
     @property
@@ -62,7 +63,7 @@ class GatewayStatus:
 
     @property
     def counters(self) -> ServerCounters:
-        """The counters of all listeners of the gateway, added up."""
+        """The sums of the counters of all listeners of the gateway; a new object at each access."""
         total = ServerCounters()
         for listener in self.gateway_listeners:
             counted = listener.server.counters
@@ -76,7 +77,7 @@ class GatewayStatus:
 
     @property
     def supported_connections(self) -> int:
-        """The highest number of client connections that all listeners together accept."""
+        """The largest number of client connections that all listeners together accept at the same time."""
         return sum(listener.server.supported_connections for listener in self.gateway_listeners)
 
     @property
@@ -93,7 +94,8 @@ class GatewayStatus:
 def upstream_numbers(upstream: UpstreamStatus) -> list[int]:
     """Return the values of an upstream for the status registers of the gateway's own unit.
 
-    Their order is that of `busway.apps.gateway.own_unit.UPSTREAM_REGISTERS`.
+    Their order is that of `busway.apps.gateway.own_unit.UPSTREAM_REGISTERS`. The first is the position of the state of
+    the best connection in `busway.apps.gateway.own_unit.STATES`; 0 without a connection.
     """
     counters = upstream.counters
     return [

@@ -27,11 +27,11 @@ class Translated:
     Args:
         request: the client's request.
         route: the route of the request.
-        width: bytes of a register of the device, 2…12; clients get registers of this width too.
+        width: number of bytes in a register of the device, 2…12; clients get registers of this width, too.
 
     Attributes:
-        requests: the requests that are sent upstream for the client's; usually one, several if it is split.
-        key: bytes that are the same for identical reads; empty for other requests.
+        requests: the requests that are sent upstream for the client's request: one, or several if it is split.
+        key: bytes that are equal for identical reads; empty for other requests.
         place: the range that is read (table, first address upstream, count) if its values are to be remembered;
             otherwise None.
 
@@ -59,14 +59,18 @@ class Translated:
         return reply
 
     def whole(self, replies: Sequence[Message]) -> Message:
-        """Return the upstream's replies to `requests` joined to one reply.
+        """Return one reply made of the upstream's replies to `requests`; a single reply is returned as it is.
 
-        Its addresses are still those of the upstream.
+        Addresses in the reply are still those of the upstream; `client_reply` shifts them back.
         """
         return replies[0] if len(replies) == 1 else _joined(self._request, self._route, self.requests, replies)
 
     def client_reply(self, reply: Message) -> Message:
-        """Return the client's reply, translated from the upstream's reply: addresses are shifted back."""
+        """Return the client's reply, translated from the upstream's reply: addresses are shifted back.
+
+        A broadcast gets no reply from the upstream. Its request then stands for the reply, and the client gets the
+        reply that a device would give to a write.
+        """
         if reply is self.requests[0]:  # no unit answers on unit 0 of a serial line: the request stands for its reply
             return echo(self._request)
         shift = self._route.shift
@@ -103,7 +107,10 @@ def _upstream_requests(request: Request, route: Route, width: int) -> tuple[Requ
 
 
 def echo(request: Request) -> Message:
-    """Return the reply that a device gives after it has executed this write; it repeats fields of the request."""
+    """Return the reply of a device that has executed this write: it repeats fields of the request, such as the address.
+
+    For a request with an unknown function, the reply is the request itself.
+    """
     if request.echoes or isinstance(request, OpaqueRequest):
         return request
     fields = request.values()
@@ -156,7 +163,7 @@ def _joined(request: Request, route: Route, sent: Sequence[Request], replies: Se
 
 
 def _moved(message: Message, kind: type[Request], shift: int) -> Message:
-    """Return a message with ``shift`` added to all its addresses; the message itself if it has none.
+    """Return a copy of a message with ``shift`` added to all its addresses; the message itself if it has none.
 
     Args:
         message: a request or its reply.

@@ -1,13 +1,14 @@
 """An upstream of a gateway: its connections, their loss and recovery, its counters and its status.
 
-Knows links; knows no request and no client beyond its name.
+Knows links, and clients by name only; knows no request.
 
 1. If an upstream has several connections to one server, all requests of one client use the same one, so that they
    arrive in the order in which they were asked. The order of clients is that of `busway.session.queue`.
-2. A serial port is opened with the upstream, and again whenever it is lost: its operator learns what is wrong before a
-   client does. A server on a network is connected at the first request.
-3. Reconnecting is that of every link: `busway.session.reconnect` says when, `busway.session.connection_life` what
-   becomes of open requests. What a client is answered while an upstream is down: `upstream_exception_codes`.
+2. A serial port is opened with the upstream, and again whenever it is lost: the log shows what is wrong before a
+   client asks. A server on a network is connected at the first request.
+3. Connections are made again as by every link: `busway.session.reconnect` decides when, and
+   `busway.session.connection_life` what happens to open requests. What a client is answered while an upstream is down:
+   `upstream_exception_codes`.
 """
 
 import asyncio
@@ -38,11 +39,11 @@ _CLIENTS_REMEMBERED = 4096
 
 @dataclass(slots=True)
 class UpstreamCounters:
-    """Counters of the requests that a gateway has forwarded to one upstream.
+    """Counters of the requests of clients to one upstream of a gateway, since the start or the last reset.
 
     Attributes:
-        forwarded: requests that a link accepted.
-        answered: requests with a reply of the device.
+        forwarded: requests that a link accepted, to be queued or sent.
+        answered: requests with a normal reply of the device, and broadcasts that were sent.
         exceptions: requests that the device refused with an exception code.
         no_path: requests answered 0A: upstream down, queue full, deadline passed in the queue.
         no_answer: requests answered 0B: they were sent and got no valid reply, or their unit does not answer.
@@ -70,7 +71,7 @@ class SuspendedUnit:
     Attributes:
         unit: unit identifier on the upstream.
         state: state of the breaker: ``open`` or ``probing``.
-        next_probe: seconds until a request is sent to the unit again, to probe it; 0 if the next request is.
+        next_probe: seconds until a request is sent to the unit again, to probe it; 0 if the next request is the probe.
     """
 
     unit: int
@@ -87,12 +88,12 @@ class LinkStatus:
         in_flight: number of requests in flight.
         queued: number of requests in the queue; on serial links number of calls, each of which may be a batch of
             requests.
-        counters: counters of the link.
+        counters: counters of the link; the live object, which goes on counting.
         suspended: units that get no requests for now, because of their breaker.
         reason: why the server or port cannot be reached; empty while it can be, and before the first attempt.
         next_attempt: seconds until the next attempt to connect is allowed; None if the next request makes one.
-        in_doubt: units that owe a reply, on serial links; without transaction identifiers a late reply could be taken
-            for another one.
+        in_doubt: units whose reply is overdue and may still come; empty except on serial links, where a late reply
+            could be taken for the reply to the next request.
     """
 
     state: str
@@ -113,7 +114,7 @@ class UpstreamStatus:
         name: name of the upstream in routes.
         endpoint: URL of the upstream.
         links: the status of each connection; empty while the upstream is closed.
-        counters: counters of the requests.
+        counters: counters of the requests; the live object, which goes on counting.
         indicators: communication is on while replies are awaited. Error flashes while the upstream is closed or one of
             its connections cannot be made; device status is on while error is off.
     """
@@ -140,9 +141,9 @@ class Upstream:
         counters: counters of the requests.
         watch: called with the session of a link after received bytes or a timer were handled; set it before `open`.
         links: the links to the server or line; empty while the upstream is closed.
-        news: writes the log lines.
-        register_width: bytes of a register of the devices.
-        pipelines: whether several requests may be in flight at once: on networks.
+        news: writes the log lines about the upstream.
+        register_width: number of bytes in a register of the upstream's devices.
+        pipelines: whether several requests may be in flight at once: True with Modbus TCP framing.
 
     Raises:
         ConfigError: an invalid number of connections.
@@ -180,9 +181,9 @@ class Upstream:
     # Open and close.
 
     def open(self) -> None:
-        """Create the links of the upstream; a serial port is then opened by a task. Does nothing while it is open.
+        """Create the links of the upstream; does nothing if they exist. Must be called while an event loop runs.
 
-        Must be called while an event loop runs.
+        A task then opens a serial port; a server on a network is connected at the first request.
 
         Raises:
             ConfigError: the upstream cannot be used as configured.
@@ -213,11 +214,11 @@ class Upstream:
                 await asyncio.sleep(link.next_attempt or 0.01)
 
     def _told(self, event: ConnectionEvent, reason: str) -> None:
-        """Log that a connection was opened or could not be, or that a serial port was lost; have that port reopened.
+        """Log that a connection was opened or could not be, or that a serial port was lost; the port is then reopened.
 
         Args:
             event: what happened to the connection.
-            reason: why, in words.
+            reason: the cause of the event, in words.
         """
         if event is ConnectionEvent.CONNECTED:
             self.news.is_up()
@@ -228,16 +229,16 @@ class Upstream:
             self.news.is_down(reason)
 
     def set_unit_gaps(self, unit_gaps: Mapping[int, float]) -> None:
-        """Set the seconds of silence after a unit's reply before the unit gets a request again, by unit.
+        """Set for each unit the seconds of silence between its reply and the next request to it.
 
-        No effect except on serial lines. Call this after `open`.
+        Has an effect only with RTU and ASCII framing, and only on links that exist: call this after `open`.
         """
         for link in self.links:
             if isinstance(link.session, SerialClientSession):
                 link.session.set_unit_gaps(unit_gaps)
 
     async def close(self) -> None:
-        """Close the links of the upstream. Open requests are answered 0A or 0B."""
+        """Close the links of the upstream. Open requests are answered 0A, or 0B if they may have been sent."""
         keeper, self._keeper = self._keeper, None
         if keeper is not None:
             keeper.cancel()
@@ -290,8 +291,8 @@ class Upstream:
     def refused(self, error: ModbusError) -> int:
         """Return the exception code that a client gets for the error of a forwarded request.
 
-        Counts the request in ``no_path`` (code 0A), ``no_answer`` (0B) or ``exceptions`` (any other). Logs 0A, and 0B
-        if the unit did not answer.
+        Also counts the request: in ``no_path`` (code 0A), ``no_answer`` (0B) or ``exceptions`` (any other code). Logs
+        0A, and 0B if the unit did not answer; repetitions are left out of the log.
         """
         code = code_for(error)
         counters = self.counters

@@ -16,7 +16,11 @@ NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 
 
 def code_for(error: ModbusError) -> int:
-    """Return the exception code that a client gets for the error of its forwarded request: the device's, 0A or 0B."""
+    """Return the exception code that a client gets for the error of its forwarded request.
+
+    If the device replied with an exception, this is its code. Otherwise 0A if the request was not sent, because the
+    upstream is down or busy; and 0B if it was sent, or was not sent because its unit does not answer.
+    """
     if isinstance(error, ExceptionReply):
         return error.code
     if isinstance(error, Overloaded | InvalidRequest):
@@ -32,5 +36,5 @@ def code_for(error: ModbusError) -> int:
 
 
 def _does_not_answer(error: NoReply) -> bool:
-    """Whether a request was not sent because of its unit: its breaker is open, or it owes a reply."""
+    """Whether a request was not sent because of its unit: the unit's breaker is open, or the unit owes a reply."""
     return isinstance(error, UnitSuspended) or error.kind == "in doubt"

@@ -2,10 +2,11 @@
 
 Knows reasons and times; knows no link and no request.
 
-1. A reason is logged once, and again when it changes. That the upstream is back is logged too.
+1. Why the upstream cannot be reached is logged once, and again when the reason changes. That it can be reached again is
+   logged, too.
 2. The first request that is answered 0A is logged with the reason. Later ones are counted, and their number is logged
-   once a minute, when the reason changes, or when the upstream is back: a poller would fill the log.
-3. For each unit the first request that is answered 0B is logged, and one in ten minutes with the number of the others.
+   once a minute, when the reason changes, or when the upstream is back: a client that polls would fill the log.
+3. For each unit the first request that is answered 0B is logged, then one in ten minutes with the number of the others.
 """
 
 import logging
@@ -33,7 +34,7 @@ class UpstreamLog:
     Args:
         name: name of the upstream in routes.
         endpoint: URL of the upstream.
-        is_waited_for: whether the gateway tries to open the upstream without a request.
+        is_waited_for: whether the gateway tries to open the upstream again without a request, as with serial ports.
         clock: returns the time in monotonic seconds.
     """
 
@@ -67,7 +68,7 @@ class UpstreamLog:
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """Log that the upstream can be reached again, and how many requests got 0A, if it was logged as down."""
+        """Log that an upstream logged as down can be reached again, and how many further requests got 0A."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)
@@ -87,14 +88,21 @@ class UpstreamLog:
             self._tell_count()
 
     def no_answer(self, unit: int | None, reason: str) -> None:
-        """Log a request that was answered with exception code 0B because its unit did not answer (rule 3)."""
+        """Log that a request was answered with exception code 0B because its unit did not answer.
+
+        For each unit at most one line in ten minutes is written; it has the number of requests left out.
+
+        Args:
+            unit: unit identifier on the upstream; None if it is not known.
+            reason: the error, in words.
+        """
         repeated = self._silent.again(str(unit), self._clock())
         if repeated is not None:
             text = "line %s: a request to unit %s was answered 0B: %s%s"
             _log.warning(text, self._name, unit, reason, so_often(repeated))
 
     def _tell_count(self) -> None:
-        """Log how many requests were answered with exception 0A since this was last logged."""
+        """Log how many requests were answered 0A since the last such line; log nothing if there were none."""
         if self._no_path:
             now = self._clock()
             _log.warning(

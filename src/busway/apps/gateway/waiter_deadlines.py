@@ -1,6 +1,7 @@
 """Deadlines of clients that wait for the same read: each has its own, and the read goes on for the others.
 
-Knows waiters and times; knows no read. There is one timer, for the nearest deadline; a read of one client has none.
+Knows waiters and times; knows no read. There is one timer for each shared read, set to the nearest deadline; a read
+that only one client waits for has no timer here.
 """
 
 from collections.abc import Callable
@@ -17,7 +18,7 @@ class DeadlineTimer(Protocol):
 
 
 CallAt = Callable[[float, Callable[[], None]], DeadlineTimer]
-"""Function that creates a timer: it takes the time of a clock and a callback, and the timer calls that once."""
+"""Function that starts a timer: it takes a time in seconds, and a function that the timer calls once at that time."""
 
 
 class WaiterDeadlines(Generic[Waiter]):
@@ -25,7 +26,7 @@ class WaiterDeadlines(Generic[Waiter]):
 
     Args:
         now: returns the time in seconds, by the clock of the deadlines.
-        call_at: creates a timer of that clock.
+        call_at: starts a timer of that clock.
         over: called with each waiter whose deadline has passed, after the waiter was forgotten here.
     """
 
@@ -42,15 +43,15 @@ class WaiterDeadlines(Generic[Waiter]):
         """Add a client that waits for the read.
 
         Args:
-            waiter: the client, as ``over`` gets it.
-            deadline: when the client must be answered, by the clock of this object.
+            waiter: the client, in the form in which ``over`` gets it.
+            deadline: when the client must be answered, in seconds by the clock of ``now``.
         """
         self._deadlines.append((deadline, waiter))
         if self._timer is None or deadline < self._nearest(self._deadlines[:-1]):
             self._arm()
 
     def close(self) -> None:
-        """Forget all deadlines of clients, because the shared read has ended."""
+        """Forget all deadlines and cancel the timer, because the shared read has ended; ``over`` is not called."""
         self._deadlines.clear()
         if self._timer is not None:
             self._timer.cancel()

@@ -1,6 +1,6 @@
-"""Chooses the importer for a device description of another program, by the file's form.
+"""Chooses the importer for a device description of another program, by the ending of its name and its contents.
 
-Knows the names of formats, and the endings and first lines of their files.
+Knows the names of formats, and the endings and first words of their files.
 """
 
 from collections.abc import Mapping
@@ -35,15 +35,16 @@ def import_file(
 
     Args:
         path: the file.
-        format: a key of `FORMATS`; None to find the format by the ending of the file's name and its contents.
-        address: for SunSpec models only: offset of the register ``ID`` in the device.
-        counts: for SunSpec models only: how often a repeated group is there, by its name or that of its count.
+        format: a key of `FORMATS`; None to choose by the ending of the file's name and, for CSV, by its contents.
+        address: for SunSpec models only: 0-based address of the model's register ``ID`` in the device.
+        counts: for SunSpec models only: how many members a repeated group has, by the name of the group or of the point
+            that holds its count.
 
     Returns:
         The points found, and what could not be carried over.
 
     Raises:
-        ConfigError: the file cannot be read, its format is unknown, or it is not of that format.
+        ConfigError: the file cannot be read, its format is unknown, or its contents do not have this format.
     """
     if format is not None and format not in FORMATS:
         raise ConfigError(f"there is no such format, but {', '.join(FORMATS)}", key=format)

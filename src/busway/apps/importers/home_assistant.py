@@ -1,7 +1,7 @@
 """Importer for Home Assistant: its ``modbus:`` configuration.
 
-Knows the keys of its sensors, binary sensors and switches. Other entities (climates, covers, fans, lights) are more
-than points and are reported. Addresses count from 0.
+Knows the keys of its sensors, binary sensors and switches. Other entities (climates, covers, fans, lights) combine
+several points; they are reported and left out. Addresses count from 0.
 """
 
 from collections.abc import Iterator, Mapping
@@ -23,14 +23,17 @@ _META: Final = ("unique_id", "device_class", "state_class", "precision", "scan_i
 
 
 def read_home_assistant(text: str, name: str) -> ImportedDevice:
-    """Import the points of a Home Assistant configuration (its ``modbus:`` part); report what is not carried over.
+    """Import the points of a Home Assistant configuration (its ``modbus:`` part).
 
     Args:
         text: the YAML text, with the key ``modbus`` or only what is below it.
         name: the file's name, for errors.
 
+    Returns:
+        The points, by unit; and as ``omissions`` what could not be carried over.
+
     Raises:
-        ConfigError: the text is no YAML, or is more than plain data; or PyYAML is not installed.
+        ConfigError: the text is no YAML or has tags such as ``!include``, or PyYAML is not installed.
     """
     document = parse_yaml(text, name)
     data, root = document.data, ()

@@ -1,4 +1,4 @@
-"""The result of an import: points put together into units, checked, and written as a device file.
+"""The result of an import: collects points in units, checks them, and writes them as a device file.
 
 Knows the schema of device files and reports; knows no format of other programs.
 
@@ -20,7 +20,7 @@ from ...errors import ConfigError
 from ..simulator.device_text import device_text
 
 WRONG_VALUE: Final = (ValueError, TypeError, AttributeError, OverflowError)
-"""Exceptions that converting a value of an imported file raises if it has another type or form than expected."""
+"""Exceptions that mean: a value in an imported file has another type or form than the importer expects."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,7 +30,7 @@ class Omission:
     Attributes:
         where: place in the imported file: a line or a name; empty for the whole file.
         what: the point, key or section that was left out.
-        why: the reason, as a sentence whose subject is ``what``.
+        why: the reason, as a sentence without subject (``what`` is its subject): "has no address".
     """
 
     where: str
@@ -43,7 +43,7 @@ class Omission:
 
 @dataclass(frozen=True, slots=True)
 class ImportedPoint:
-    """An imported point: its keys in a device file, and its place in the imported file (``where``, for reports)."""
+    """An imported point: its keys as in a device file, and its place in the imported file, for reports (``where``)."""
 
     keys: dict[str, Any]  # what TOML has
     where: str = ""
@@ -53,11 +53,11 @@ class ImportedPoint:
 class ImportedDevice:
     """The result of an import: the points found in a file of another program, and what was not carried over.
 
-    An importer fills it; `text` and `sections` turn it into a device file.
+    An importer fills it by `add`, `omit` and `reporting`; `sections` and `text` then make a device file of it.
 
     Attributes:
-        points: the points, by unit number.
-        groups: the groups of points of each unit, by unit number, as ``[[unit.group]]`` of a device file has them.
+        points: the points, by unit number; not checked yet.
+        groups: the ``[[unit.group]]`` tables of the device file, by unit number.
         remarks: comment lines for the head of the device file.
         omissions: the parts of the imported file that were not carried over.
     """
@@ -68,25 +68,26 @@ class ImportedDevice:
     omissions: list[Omission] = field(default_factory=list)
 
     def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
-        """Add an imported point to a unit; it is checked later, by `sections`.
+        """Add a point to a unit. It is not checked: `sections` does that later.
 
         Args:
             unit: the unit number.
-            keys: the keys of the point in a device file; those whose value is None are left out.
+            keys: the keys of the point as in a device file; keys whose value is None are left out.
             where: place of the point in the imported file, for reports.
         """
         kept = {key: value for key, value in keys.items() if value is not None}
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 
     def omit(self, where: str, what: str, why: str) -> None:
-        """Add to the report that a part of the imported file is not carried over; arguments as of `Omission`."""
+        """Record that a part of the imported file is not carried over; arguments: the attributes of `Omission`."""
         self.omissions.append(Omission(where, what, why))
 
     @contextmanager
     def reporting(self, where: str, what: str) -> Iterator[None]:
-        """Context manager that reports a part of the imported file as left out if its values cannot be read.
+        """Context manager that reports a part of the imported file as left out if a value in it cannot be read.
 
-        One of the exceptions `WRONG_VALUE` ends the block, and is not raised further. Arguments as of `Omission`.
+        An exception of `WRONG_VALUE` ends the block and is not raised further. ``where`` and ``what`` are those of
+        `Omission`.
         """
         try:
             yield
@@ -94,7 +95,10 @@ class ImportedDevice:
             self.omit(where, what, f"has a value that cannot be read: {error}")
 
     def sections(self) -> list[SimulatedUnitSection]:
-        """Return the imported units, sorted by number and checked; invalid points are reported and left out.
+        """Check the imported points, and return the units that they form, sorted by number.
+
+        Invalid points are left out and added to ``omissions``. Of several points with one name, all but the first get a
+        number appended.
 
         Raises:
             ConfigError: no valid point is left, or a unit is invalid as a whole.
@@ -121,9 +125,13 @@ class ImportedDevice:
         return self._together(number, kept)
 
     def _together(self, number: int, kept: list[ImportedPoint]) -> SimulatedUnitSection:
-        """Return the section of one unit with those imported points that are valid together.
+        """Return the section of one unit, with those of its points that are valid together.
 
-        The others are reported.
+        Points that share registers with others are marked for that (``overlaps``); other invalid ones are reported and
+        left out.
+
+        Raises:
+            ConfigError: the unit is invalid for another reason than its points.
         """
         groups = self.groups.get(number, [])
         while True:
@@ -161,20 +169,20 @@ class ImportedDevice:
 
 
 def tables_in(value: object) -> Iterator[tuple[int, Mapping[str, Any]]]:  # Any: what the file has
-    """Yield the tables in a list of an imported file (TOML tables, YAML mappings), each with its position.
+    """Yield the tables of a list from an imported file (TOML tables or YAML mappings), each with its index in the list.
 
-    Other elements are skipped; nothing is yielded if ``value`` is no list.
+    Elements that are no tables are skipped; if ``value`` is no list, nothing is yielded.
     """
     return ((at, each) for at, each in enumerate(value if isinstance(value, list) else []) if isinstance(each, dict))
 
 
 def others_of(table: Mapping[str, object], known: Collection[str]) -> list[str]:
-    """Return the keys of a table that are not among the known ones, in the order of the file."""
+    """Return the keys of a table that are not in ``known``, in the order of the file."""
     return [key for key in table if key not in known]
 
 
 def _once(name: str, taken: set[str]) -> str:
-    """Return a name that is not taken yet: the given one, or else that name with a number appended."""
+    """Return ``name`` if it is not in ``taken``, otherwise the name with the first free number appended: ``name_2``."""
     if name not in taken:
         return name
     number = 2

@@ -1,7 +1,7 @@
 """Importer for modpoll: its CSV of lines ``device``, ``poll`` and ``ref``.
 
-Knows modpoll's columns and types. Addresses of modpoll are offsets on the wire. An order such as ``BE_LE`` names the
-order of bytes and then that of words.
+Knows modpoll's columns and types. Addresses of modpoll count from 0. The first half of an order such as ``BE_LE`` is
+that of the bytes in a register, the second half that of the registers.
 """
 
 import csv
@@ -26,17 +26,20 @@ _BOOLS: Final = re.compile(r"bool(8|16)?")
 
 
 def is_modpoll(text: str) -> bool:
-    """Whether a CSV text looks like a modpoll configuration: it has lines that begin with ``poll`` and with ``ref``."""
+    """Whether a CSV text has lines whose first cell is ``poll`` and lines whose first cell is ``ref``."""
     heads = [line.partition(",")[0].strip().lower() for line in text.splitlines()]
     return "poll" in heads and "ref" in heads
 
 
 def read_modpoll(text: str, name: str) -> ImportedDevice:
-    """Import the points of a modpoll configuration (CSV); lines that are not carried over are reported.
+    """Import the points of a modpoll configuration (CSV).
 
     Args:
         text: the CSV text.
-        name: the file's name; not used here.
+        name: the file's name; not used.
+
+    Returns:
+        The points, by unit; and as ``omissions`` the lines that could not be carried over, all ``poll`` lines included.
     """
     found = ImportedDevice()
     unit, table, order = 1, "", "ABCD"

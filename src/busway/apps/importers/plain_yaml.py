@@ -1,8 +1,8 @@
-"""Reads plain data from YAML by PyYAML (``busway[yaml]``), with the line of each key and item.
+"""Reads plain data from YAML by PyYAML (``busway[yaml]``), with the line of each key and list item.
 
-1. Only plain data are read: a tag such as ``!include`` would need another program, and is refused with its line.
-2. A text has at most `LONGEST` characters, and at most `MOST_NODES` values, those included that aliases stand for, so
-   that no text exhausts time or memory. Merge keys (``<<``) are refused: PyYAML would copy their values before they are
+1. Only plain data are read. A tag such as ``!include`` has a meaning in one program only, and is refused with its line.
+2. A text has at most `LONGEST` characters and `MOST_NODES` values, so that no text exhausts time or memory; what an
+   alias refers to is counted each time. Merge keys (``<<``) are refused: PyYAML would copy their values before they are
    counted.
 """
 
@@ -19,7 +19,7 @@ MOST_NODES: Final = 100_000
 _TAG: Final = "tag:yaml.org,2002:"
 _CONVERTED: Final = frozenset({"null", "bool", "int", "float"})
 _KEPT: Final = frozenset({"str", "timestamp", "value", "seq", "map"})
-"""Types of YAML whose scalars stay texts as written, such as dates, and the types of lists and tables."""
+"""YAML types that are not converted: scalars of these types stay texts as written, such as dates; lists; mappings."""
 
 
 @dataclass(slots=True)
@@ -27,15 +27,15 @@ class YamlDocument:
     """The data of a YAML text, and the line of each key and list item.
 
     Attributes:
-        data: dictionaries, lists, texts, numbers, booleans and None.
-        lines: line numbers from 1, by the path of keys and list positions from the root.
+        data: dictionaries, lists, texts, numbers, booleans and None. All keys are texts.
+        lines: line numbers from 1, by path: a tuple of keys and list indices from the root.
     """
 
     data: Any  # what YAML has
     lines: dict[Place, int] = field(default_factory=dict)
 
     def line(self, place: Place) -> int:
-        """Return the line number of a path in the document, or of the nearest part around it; 1 if there is none."""
+        """Return the line number of a path, or of the nearest part of the document around it; 1 if there is none."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place, 1)
@@ -71,21 +71,22 @@ def parse_yaml(text: str, name: str) -> YamlDocument:
 
 
 class _Reader:
-    """Turns the nodes of a YAML text, as PyYAML has parsed it, into a `YamlDocument` (``found``)."""
+    """Converts the nodes that PyYAML has parsed into a `YamlDocument`, which is in its attribute ``found``."""
 
     def __init__(self, name: str, loader: Any) -> None:  # PyYAML has no types
         self.found = YamlDocument(None)
         self._name, self._loader, self._left = name, loader, MOST_NODES
 
     def value(self, node: Any, place: Place) -> Any:  # a node of PyYAML, and what YAML has
-        """Return a parsed YAML node as plain Python data, and note the lines of its parts.
+        """Return a parsed YAML node as plain Python data, and store the lines of its parts in ``found``.
 
         Args:
             node: a node of PyYAML.
             place: path of the node from the root.
 
         Raises:
-            ConfigError: the node has a tag, a merge key or a repeated key, or the text has too many values.
+            ConfigError: the node has a tag, a merge key, a repeated key or a key that is no text, or the text has too
+                many values.
         """
         self._left -= 1
         kind = node.tag.removeprefix(_TAG)

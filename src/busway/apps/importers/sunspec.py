@@ -1,10 +1,12 @@
 """Importer for SunSpec: models in JSON.
 
-Knows the types of the SunSpec Device Information Model Specification and the value of each for "not implemented".
+Knows the types of the SunSpec Device Information Model Specification, and the value of each that means "not
+implemented".
 
-1. A model begins with its registers ``ID`` and ``L``; the model does not say where they are in a device.
-2. A group whose count is the name of a point, or 0 (as many as ``L`` has room for), is read as often as the device
-   says, if no registers follow it. Otherwise what follows would move with the count: then the count has to be given.
+1. A model begins with its registers ``ID`` and ``L`` (length); it does not say at which address they are in a device.
+2. The count of a group may be the name of a point, or 0 for as many members as fit into ``L``. If no registers follow
+   the group, the device file takes the count from the device. If registers follow, their addresses depend on the count:
+   then the user has to give it.
 """
 
 import json
@@ -16,9 +18,9 @@ from ...values.refusal import shown
 from .imported import WRONG_VALUE, ImportedDevice
 
 FIRST_MODEL: Final = 40002
-"""Offset of the first model in devices whose map begins at 40000, after the marker "SunS"."""
+"""0-based address of the first model in devices whose map begins at 40000, after the marker "SunS"."""
 MOST: Final = 20
-"""Repetitions of a group that are written at most, if the device says how many there are."""
+"""Number of members that a repeated group gets in the device file if the device reports how many it has."""
 
 _ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
     "int16": ("int16", 0x8000),
@@ -43,7 +45,10 @@ _ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
     "ipv6addr": ("ipv6", None),
     "eui48": ("eui64", None),
 }
-"""For each SunSpec type, the value type in a device file and the number for "not implemented", NaN for floats."""
+"""For each SunSpec type: the value type in a device file, and the number that means "not implemented".
+
+The number is None for types without one, and for floats, where it is NaN.
+"""
 _UNITS: Final = {"C": "°C", "Secs": "s", "Pct": "%", "Degrees": "°", "deg": "°", "VAr": "var", "Var": "var"}
 _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comments")
 
@@ -51,16 +56,19 @@ _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comment
 def read_sunspec(
     text: str, name: str, *, first: int = FIRST_MODEL, counts: Mapping[str, int] | None = None
 ) -> ImportedDevice:
-    """Import the points of a SunSpec model, all as unit 1; report what is not carried over.
+    """Import the points of a SunSpec model, all as unit 1.
 
     Args:
         text: the model in JSON.
         name: the file's name, for errors.
-        first: offset of the model's register ``ID`` in the device.
-        counts: how often a repeated group is there, by its name or that of its count.
+        first: 0-based address of the model's register ``ID`` in the device.
+        counts: how many members a repeated group has, by the name of the group or of the point that holds its count.
+
+    Returns:
+        The points and groups; and as ``omissions`` what could not be carried over.
 
     Raises:
-        ConfigError: the text is no SunSpec model, or the count of a repeated group has to be given.
+        ConfigError: the text is no SunSpec model, or the user has to give the count of a repeated group.
     """
     try:
         model = json.loads(text)
@@ -85,7 +93,7 @@ def read_sunspec(
 
 
 class _Model:
-    """Turns the points and groups of a SunSpec model into those of a device file, each with its address."""
+    """Converts the points and groups of a SunSpec model to those of a device file, and finds their addresses."""
 
     def __init__(self, found: ImportedDevice, name: str, counts: dict[str, int]) -> None:
         self._found = found
@@ -93,7 +101,11 @@ class _Model:
         self._counts = counts
 
     def take(self, group: Mapping[str, Any], first: int) -> None:
-        """Import the top-level group of the model, with its inner groups; ``first`` is the offset of ``ID``."""
+        """Import the top-level group of the model, with all groups in it; ``first`` is the 0-based address of ``ID``.
+
+        Raises:
+            ConfigError: the user has to give the count of a repeated group.
+        """
         points, at = self._points(group, first, ())
         for keys in points:
             self._found.add(1, keys, keys["name"])
@@ -138,13 +150,13 @@ class _Model:
         return section, at + (count or MOST) * (end - at)
 
     def _count_by_length(self, name: str, at: int, size: int, first: int) -> str:
-        """Add a computed point for how often a group is there, computed from the model's length ``L``; return its name.
+        """Add a computed point: the number of members of a group, from the model's length ``L``. Return its name.
 
         Args:
             name: name of the group.
-            at: offset of the group's first register.
-            size: registers of one repetition.
-            first: offset of the model's register ``ID``.
+            at: 0-based address of the group's first register.
+            size: number of registers of one member.
+            first: 0-based address of the model's register ``ID``.
         """
         counting = f"{name}_count"
         self._found.add(1, {"name": counting, "formula": f"(L - {at - first - 2}) // {size}"}, name)
@@ -206,7 +218,10 @@ class _Model:
 
 
 def _symbols(point: Mapping[str, Any], name: str, found: ImportedDevice) -> Iterator[tuple[str, int]]:
-    """Yield name and number of each symbol of a point: a value or a bit. A second name for one number is reported."""
+    """Yield name and number of each symbol of a point: a value of an enumeration, or a bit of a bit field.
+
+    A symbol whose number is no integer, or has a name already, is reported and left out.
+    """
     seen: set[int] = set()
     for each in point.get("symbols", []):
         value = each.get("value")

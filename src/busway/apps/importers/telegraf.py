@@ -21,9 +21,9 @@ _TYPES: Final = {
     **{name.upper(): name for name in ("int16", "uint16", "int32", "uint32", "int64", "uint64")},
 }  # fmt: skip
 _SCALED: Final = {"FIXED": "int", "UFIXED": "uint", "FLOAT32": "uint"}
-"""Types of the register style whose size is the number of addresses.
+"""Types of the register style that have no size of their own: it follows from the number of addresses.
 
-FLOAT32 is an old name of UFIXED there, and a float of IEEE 754 in the other styles, where a field has one address.
+FLOAT32 is an old name of UFIXED (an integer) in this style. In the other styles it is a float of IEEE 754.
 """
 _KNOWN: Final = {
     "name", "slave_id", "controller", "configuration_type", "coils", "discrete_inputs", "holding_registers",
@@ -36,11 +36,14 @@ _FIELD_KEYS: Final = {
 
 
 def read_telegraf(text: str, name: str) -> ImportedDevice:
-    """Import the points of a Telegraf configuration (``[[inputs.modbus]]``); report what is not carried over.
+    """Import the points of a Telegraf configuration (``[[inputs.modbus]]``).
 
     Args:
         text: the TOML text.
         name: the file's name, for errors.
+
+    Returns:
+        The points, by unit; and as ``omissions`` what could not be carried over.
 
     Raises:
         FileError: the text is no TOML.

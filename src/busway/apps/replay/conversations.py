@@ -1,10 +1,10 @@
 """The exchanges between each client and unit of a capture: counts, items, times, and what was wrong.
 
-Knows exchanges; prints nothing. The memory depends on the number of conversations, and not on that of packets.
+Knows exchanges; prints nothing. The memory depends on the number of conversations, not on the number of packets.
 
 1. A conversation is all exchanges of a client address, a server and a unit, over all their connections.
 2. Bytes whose unit is unknown belong to a conversation of their own, without a unit.
-3. Limits: `MOST_CONVERSATIONS`; what comes after them is counted in `CapturedConversations.left_out`.
+3. There are at most `MOST_CONVERSATIONS`; exchanges of others are counted in `CapturedConversations.left_out`.
 """
 
 from collections import Counter
@@ -23,13 +23,13 @@ MOST_CONVERSATIONS: Final = 10_000
 
 @dataclass(slots=True)
 class Troubles:
-    """All troubles of one kind in a conversation, such as late replies.
+    """All troubles of one kind in a conversation, such as its late replies.
 
     Attributes:
         count: how many there were.
         first: the first one.
-        worst: the one with the longest response time, for late and slow replies; None for other kinds.
-        seconds: that response time.
+        worst: for late and slow replies, the one with the longest response time; None for other kinds.
+        seconds: response time of ``worst``; 0.0 for other kinds.
     """
 
     count: int
@@ -44,17 +44,17 @@ class CapturedConversation:
 
     Attributes:
         client: address of the client; empty for a serial line.
-        server: address and port of the server; name of a serial line.
+        server: address and port of the server; name of the line for a serial line.
         unit: unit identifier; None for bytes whose unit is unknown.
         first: time of the first frame, seconds since 1970.
         last: time of the last frame, seconds since 1970.
         requests: number of requests by function code, broadcasts included.
         replies: number of replies to requests, exceptions included.
         exceptions: number of exceptions by function code and exception code.
-        items: registers and bits that were asked for, by function code and table.
+        items: ranges of registers and bits that were requested, by function code and table.
         waiting: number of requests that still waited for a reply when the capture ended.
         broadcasts: number of broadcasts, which no unit answers.
-        times: the response times.
+        times: statistics of the response times.
         slowest_packet: number of the packet with the slowest reply; 0 without replies.
         troubles: what was wrong, by kind.
     """
@@ -111,10 +111,11 @@ class CapturedConversation:
 
 
 class CapturedConversations:
-    """All conversations of a capture, collected from its exchanges; iterating gives each `CapturedConversation`.
+    """All conversations of a capture, in the order of their first exchange; `add` collects them exchange by exchange.
 
     Attributes:
-        left_out: number of exchanges not counted, because they belong to conversations beyond `MOST_CONVERSATIONS`.
+        left_out: number of exchanges of conversations beyond the limit `MOST_CONVERSATIONS`; they are counted here
+            only.
     """
 
     def __init__(self) -> None:
@@ -122,7 +123,10 @@ class CapturedConversations:
         self._found: dict[tuple[str, str, int | None], CapturedConversation] = {}
 
     def add(self, exchange: CapturedExchange) -> None:
-        """Add an exchange to its conversation; a new conversation beyond the limit is only counted in ``left_out``."""
+        """Add an exchange to its conversation, which is created if it is new.
+
+        If there are `MOST_CONVERSATIONS` already, an exchange of a new conversation is only counted in ``left_out``.
+        """
         channel = exchange.channel
         key = channel.client_text, channel.server_text, exchange.unit
         conversation = self._found.get(key)

@@ -1,13 +1,15 @@
-"""Finds the reply to each request of a capture, and what is wrong with the two.
+"""Finds the reply to each request of a capture, and what is wrong with request and reply.
 
 Knows frames of a capture and the rules of replies; knows no file. `conversations` counts the exchanges found.
 
-1. On TCP and UDP a reply answers the oldest request with its transaction identifier that still waits. Frames of RTU and
-   ASCII have none: over a network a reply answers the request before it, on a line `busway.observe.pairing` decides.
-2. A request waits until its reply comes, its identifier is used again after ``reply_window``, or the connection ends. A
-   reply after ``reply_window`` is late. A request that waits when the capture ends, no longer than that, is no trouble.
+1. On TCP and UDP a reply belongs to the oldest waiting request with its transaction identifier. Frames of RTU and ASCII
+   have no identifier: over a network a reply belongs to the request before it, on a line `busway.observe.pairing`
+   decides.
+2. A request waits until its reply comes, its identifier is used again after ``reply_window`` seconds, or the connection
+   ends. A reply that comes after ``reply_window`` is late. A request that has waited for less than ``reply_window``
+   when the capture ends is no trouble.
 3. A missing reply is not the device's fault if the capture lacks bytes of that direction: the trouble says so.
-4. Limits: `MOST_WAITING` requests of a connection wait; then the oldest is given up.
+4. At most `MOST_WAITING` requests of a connection wait; then the oldest counts as unanswered.
 """
 
 from collections import OrderedDict, deque
@@ -36,7 +38,7 @@ from ...values import Address, format_address
 
 MOST_WAITING: Final = 4096
 _REMEMBERED: Final = 16
-"""Latest frames of a line that are kept with their packets, because `Pairing` may refer to them later."""
+"""Number of latest frames of a line that are kept with their packet numbers, for events that refer to them later."""
 
 
 class TroubleKind(Enum):
@@ -77,8 +79,8 @@ class Trouble:
 
     Attributes:
         kind: the kind of trouble.
-        packet: number of the packet.
-        time: time of the packet, seconds since 1970.
+        packet: number of the packet where it was found, as Wireshark counts: from 1.
+        time: time of that packet, seconds since 1970.
         text: details in words; may be empty.
     """
 
@@ -90,18 +92,19 @@ class Trouble:
 
 @dataclass(frozen=True, slots=True)
 class CapturedExchange:
-    """A request and its reply in a capture, or one without the other, or bytes that are neither.
+    """A request and its reply in a capture; or only one of them; or bytes that are no frame.
 
     Attributes:
         channel: the connection or line.
-        unit: unit identifier; None for bytes whose unit is unknown.
-        time: time of the first frame, seconds since 1970.
-        asked: the frame of the request; None without one.
-        request: the decoded request; None without one, or if its function code is invalid.
-        answered: the frame of the reply; None without one.
-        reply: the decoded reply; None without one, or if it is malformed or of another function.
-        seconds: from request to reply; None if one is missing.
-        troubles: what is wrong with the two.
+        unit: unit identifier of the request, or of a reply without request; None for bytes whose unit is unknown.
+        time: time of the first frame or of the bytes, seconds since 1970.
+        asked: the frame of the request; None if there is none.
+        request: the decoded request, a `MalformedRequest` if it is malformed; None without request or if its function
+            code is not 1…127.
+        answered: the frame of the reply; None if there is none.
+        reply: the decoded reply; None without reply, or if it is malformed or of another function.
+        seconds: response time, from request to reply; None if one of them is missing.
+        troubles: what is wrong with the exchange; empty if nothing is.
         is_open: whether the request still waited for its reply when the capture ended.
         is_broadcast: whether the request is a broadcast, which no unit answers.
     """
@@ -129,7 +132,7 @@ class Exchanges:
 
     Args:
         reply_window: seconds after which a reply is reported as late.
-        slow: seconds after which a reply is reported as slow.
+        slow: seconds after which a reply that is not late is reported as slow.
     """
 
     def __init__(self, reply_window: float = 3.0, slow: float = 1.0) -> None:
@@ -138,7 +141,7 @@ class Exchanges:
         self._matchers: dict[int, _NetworkMatcher | _LineMatcher] = {}
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
-        """Process the next event of the capture, and yield the exchanges that it completes; often none.
+        """Process the next event of the capture, and yield the exchanges that are now complete; often none.
 
         Call it for each event in order, and use up each iterator before the next event.
         """
@@ -155,7 +158,7 @@ class Exchanges:
             yield self._judged(exchange)
 
     def _judged(self, exchange: CapturedExchange) -> CapturedExchange:
-        """Return an exchange with further troubles for a late or slow reply and for an exception."""
+        """Return the exchange, with added troubles if its reply is late, slow or an exception."""
         answered, seconds = exchange.answered, exchange.seconds
         if answered is None:
             return exchange
@@ -175,9 +178,9 @@ class Exchanges:
 
 
 def _place(request: AnyRequest | None) -> str:
-    """Return in words the first range of items that a request touches, such as ``, 2 from 4x101 on``.
+    """Return the first range of items that a request reads or writes as text to append: ``, 2 from 4x101 on``.
 
-    Empty for none.
+    Empty if the request has no items, or is None or malformed.
     """
     if not isinstance(request, Request):
         return ""
@@ -197,9 +200,9 @@ def _decoded(asked: CapturedFrame) -> tuple[AnyRequest | None, list[Trouble]]:
 
 
 def _reply_to(request: AnyRequest | None, answered: CapturedFrame) -> tuple[Message | None, list[Trouble]]:
-    """Decode a reply. Returns the message, and no trouble.
+    """Decode a reply with the help of its request, and return the message and an empty list.
 
-    If the reply is malformed or of another function, returns None and a trouble.
+    If the reply is malformed or does not fit the request, return None and a list with one trouble.
     """
     try:
         reply = STANDARD.decode_reply(answered.pdu)
@@ -223,13 +226,13 @@ def _unmatched(answered: CapturedFrame, text: str) -> CapturedExchange:
 
 @dataclass(slots=True)
 class _Waiting:
-    """A request that waits for its reply.
+    """A request of a capture that waits for its reply.
 
     Attributes:
         asked: the frame of the request.
-        request: the decoded request; None if its function code is invalid.
+        request: the decoded request; None if its function code is not 1…127.
         troubles: what is wrong with the request.
-        lacks_bytes: whether the capture lacks bytes in which the reply may have been.
+        lacks_bytes: whether the capture lacks bytes that may have been the reply.
     """
 
     asked: CapturedFrame
@@ -238,7 +241,7 @@ class _Waiting:
     lacks_bytes: bool = False
 
     def exchange(self, *more: Trouble, is_open: bool = False) -> CapturedExchange:
-        """Return an exchange with this request, without a reply, and with further troubles.
+        """Return an exchange that has this request and no reply; ``more`` are added to the troubles of the request.
 
         ``is_open``: the request still waits for its reply when the capture ends.
         """
@@ -249,9 +252,9 @@ class _Waiting:
         )
 
     def unanswered(self, why: str = "") -> CapturedExchange:
-        """Return an exchange with this request, and the trouble that its reply is missing.
+        """Return an exchange that has this request and no reply, with a trouble that says so.
 
-        ``why`` is added to the text.
+        ``why`` is appended to the text of the trouble.
         """
         kind, text = TroubleKind.NO_REPLY, f"to {function_name(self.asked.pdu[0])}{_place(self.request)}{why}"
         if self.lacks_bytes:
@@ -259,7 +262,7 @@ class _Waiting:
         return self.exchange(Trouble(kind, self.asked.packet, self.asked.time, text))
 
     def answered_by(self, answered: CapturedFrame) -> CapturedExchange:
-        """Return the exchange of this request with its reply, and troubles if the two do not fit."""
+        """Return the exchange of this request and its reply, with troubles if the reply does not fit the request."""
         asked = self.asked
         packet, time = answered.packet, answered.time
         troubles = list(self.troubles)
@@ -280,7 +283,7 @@ class _Waiting:
 
 
 class _NetworkMatcher:
-    """Finds the replies of one connection or UDP conversation, where the direction of each frame is known."""
+    """Joins requests and replies of one TCP connection or UDP conversation, where the capture shows their direction."""
 
     def __init__(self, reply_window: float) -> None:
         self._window = reply_window
@@ -288,7 +291,7 @@ class _NetworkMatcher:
         self._size = 0
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
-        """Yield the exchanges that the next event of the connection completes."""
+        """Process the next event of the connection, and yield the exchanges that are now complete."""
         if isinstance(event, ChannelEnd):
             yield from self._end(event)
         elif isinstance(event, FaultyBytes):
@@ -356,7 +359,7 @@ class _NetworkMatcher:
 
 
 class _LineMatcher:
-    """Finds the replies of one serial line, where `Pairing` tells requests from replies."""
+    """Joins requests and replies of one serial line, where `Pairing` has to find out which frame is which."""
 
     def __init__(self, reply_window: float) -> None:
         self._pairing = Pairing(reply_window)
@@ -364,7 +367,7 @@ class _LineMatcher:
         self._now = 0.0
 
     def take(self, event: TrafficEvent) -> Iterator[CapturedExchange]:
-        """Yield the exchanges that the next event of the line completes."""
+        """Process the next event of the line, and yield the exchanges that are now complete."""
         if isinstance(event, ChannelEnd):
             asked = self._pairing.deadline()
             for heard in self._pairing.tick(max(event.time, self._now)):

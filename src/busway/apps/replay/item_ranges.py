@@ -1,4 +1,4 @@
-"""The items of a table that requests touched, as ranges that do not overlap.
+"""The items of one table that requests have read or written, as ranges that do not overlap.
 
 Knows numbers; knows no request.
 """
@@ -8,9 +8,9 @@ from collections.abc import Iterator
 
 
 class ItemRanges:
-    """A set of registers or bits of one table, kept as sorted ranges; ranges that touch each other are joined.
+    """A set of registers or bits of one table, kept as sorted ranges; ranges that touch or overlap are joined.
 
-    Iterating gives the ranges, and the length is their number.
+    Iterating gives the ranges as (first, end); ``len`` is the number of ranges, not of items.
     """
 
     __slots__ = ("_ends", "_firsts")
@@ -29,7 +29,7 @@ class ItemRanges:
         self._ends[low:high] = [end]
 
     def __iter__(self) -> Iterator[tuple[int, int]]:
-        """Return an iterator over the ranges in order; each is first offset, and offset after the last."""
+        """Return an iterator over the ranges, ascending: 0-based offset of the first item, and that after the last."""
         return zip(self._firsts, self._ends, strict=True)
 
     def __len__(self) -> int:

@@ -1,16 +1,18 @@
-"""What the units of a capture hold and refuse, and the simulation file that answers as they did.
+"""What the units of a capture hold and refuse, and a simulation file that answers as they did.
 
 Knows exchanges and simulation files; writes no file.
 
-1. Each item has the value that was seen first, read or written, so that the requests of the capture, sent again in
-   their order, get the replies of the capture; or the one that was seen last.
-2. Items that were never read or written do not exist: they are refused with 02. Any other exception of the device, and
-   one for items that do exist, becomes a fault of the file, for this function and the items that it never returned.
-3. Units that never answered are left out. If the capture shows requests to such units that had no reply, the file asks
-   for silence, else the simulator answers 0B for them.
-4. What a file cannot say is a remark: functions that hold no items, values that changed by themselves, requests that
-   were answered and refused.
-5. Limits: `MOST_ITEMS` and `MOST_REQUESTS` of all units together; a remark says when they were reached.
+1. Each item has the first value that was read or written in the capture, so that the requests of the capture, sent
+   again in their order, get the same replies. If the caller asks for it, each item has the last value instead.
+2. Items that were never read or written do not exist: the simulator refuses them with 02. A function that a unit always
+   refused with 01 does not exist. All other exceptions of the device become faults of the file, for their function and
+   for the items that this function never returned or accepted.
+3. Units that never answered are left out. If the capture has requests to them without a reply, and none was answered by
+   a gateway for them, the file makes the simulator silent for units that it does not have; else it answers them with
+   0B.
+4. What a file cannot express becomes a remark: functions without items, values that changed by themselves, requests
+   that were both answered and refused.
+5. At most `MOST_ITEMS` and `MOST_REQUESTS` of all units together are recorded; a remark tells if there were more.
 """
 
 from collections import Counter
@@ -48,7 +50,7 @@ from .item_ranges import ItemRanges
 MOST_ITEMS: Final = 1_000_000
 MOST_REQUESTS: Final = 100_000
 _MOST_TIMES: Final = 10_000
-"""Response times from which the median of a unit is computed: the first so many."""
+"""Number of response times, the first ones, from which the median of a unit is computed."""
 _NOT_THERE: Final = frozenset((ExceptionCode.GATEWAY_PATH_UNAVAILABLE, ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND))
 _KEPT: Final = frozenset(
     (
@@ -62,10 +64,10 @@ _KEPT: Final = frozenset(
         FunctionCode.ENCAPSULATED_INTERFACE,
     )
 )
-"""Functions that the simulator answers from the contents of the file."""
+"""Function codes that the simulator answers from the contents of the file; the answers of others are not recorded."""
 
 _INDIVIDUAL: Final = 0x80
-"""Bit of a conformity level: single objects can be asked for, too. The simulator always offers that."""
+"""Bit of a conformity level (function 43/14) that means: single objects can be read. The simulator always has it."""
 
 _Asked = tuple[int, tuple[Span, ...]]
 
@@ -76,9 +78,9 @@ class RecordedFile:
 
     Attributes:
         text: the text of the file.
-        server: address and port, or line, of the server that the file simulates.
+        server: the server that the file simulates: address and port, or name of a serial line.
         units: numbers of the units in the file.
-        remarks: where the simulation differs from the capture, one sentence each.
+        remarks: differences between the simulation and the devices of the capture, one sentence each.
     """
 
     text: str
@@ -95,7 +97,10 @@ class RecordedDevices:
         self._limits = _Limits()
 
     def add(self, exchange: CapturedExchange) -> None:
-        """Record the values, exceptions and response time of one exchange; broadcasts and lone replies are ignored."""
+        """Record the values, the exception and the response time of one exchange.
+
+        Broadcasts, replies without a request and bytes of an unknown unit are ignored.
+        """
         if exchange.unit is None or exchange.asked is None or exchange.is_broadcast:
             return
         units = self._servers.setdefault(exchange.channel.server_text, {})
@@ -108,12 +113,13 @@ class RecordedDevices:
         """Return a simulation file that answers as one server of the capture did.
 
         Args:
-            server: address of the server, with or without its port, or name of a line; None for the only one.
-            last: True: items have the value that was seen last in the capture; False: the one seen first.
+            server: address of the server, with or without its port, or name of a serial line; None if only one server
+                answered.
+            last: True: items have their last value in the capture; False: their first.
             delays: whether replies are delayed by the median response time of their unit.
 
         Raises:
-            ConfigError: no unit of the server answered; or several servers fit, which the message names.
+            ConfigError: no unit of the server answered; or several servers are possible, which the message lists.
         """
         name, units = self._chosen(server)
         there = [unit for _, unit in sorted(units.items()) if unit.is_there]
@@ -151,7 +157,7 @@ class RecordedDevices:
 
 
 def _host(name: str) -> str:
-    """Return a server's address without its port, and without the brackets of an IPv6 address."""
+    """Return the host of a server's address ``HOST:PORT``, without the brackets of an IPv6 address."""
     return name.rpartition(":")[0].strip("[]")
 
 
@@ -162,11 +168,11 @@ def _listed(names: Sequence[str] | dict[str, Any]) -> str:
 
 @dataclass(slots=True)
 class _Limits:
-    """Counts the items and requests that are recorded, of all units together, against the limits.
+    """Counts the items and requests that are recorded for all units together, and refuses those beyond the limits.
 
     Attributes:
-        items: items recorded so far.
-        requests: different requests recorded so far.
+        items: number of items recorded so far.
+        requests: number of different requests recorded so far.
         is_reached: whether something was not recorded because of a limit.
     """
 
@@ -175,7 +181,7 @@ class _Limits:
     is_reached: bool = False
 
     def has_room(self, *, items: int = 0, requests: int = 0) -> bool:
-        """Count further items and requests, and return True; return False, and count none, if that passes a limit."""
+        """Count further items and requests and return True; if they exceed a limit, count nothing and return False."""
         if self.items + items > MOST_ITEMS or self.requests + requests > MOST_REQUESTS:
             self.is_reached = True
             return False
@@ -190,8 +196,8 @@ class _RecordedUnit:
     Attributes:
         number: its unit identifier.
         answered: number of normal replies.
-        unanswered: number of requests without a reply.
-        refusals: how often each exception code was the reply, by function and items of the request.
+        unanswered: number of requests that the unit left without a reply.
+        refusals: how often each exception code was the reply, by function code and items of the request.
     """
 
     def __init__(self, number: int, limits: _Limits) -> None:
@@ -214,11 +220,14 @@ class _RecordedUnit:
 
     @property
     def is_there(self) -> bool:
-        """Whether the unit itself has ever answered; exceptions 0A and 0B come from a gateway and do not count."""
+        """Whether the unit itself ever answered; exceptions 0A and 0B come from a gateway and do not count."""
         return self.answered > 0 or any(code not in _NOT_THERE for codes in self.refusals.values() for code in codes)
 
     def add(self, exchange: CapturedExchange) -> None:
-        """Record one exchange with a request to this unit."""
+        """Record one exchange with a request to this unit.
+
+        Replies that are malformed or of another unit, and requests beyond the end of a table, are ignored.
+        """
         asked, request = exchange.asked, exchange.request
         assert asked is not None
         if exchange.answered is None:
@@ -305,7 +314,10 @@ class _RecordedUnit:
     # The file.
 
     def keys(self, *, last: bool) -> dict[str, Any]:  # what TOML has
-        """Return the keys of the unit in a simulation file; ``last``: with the values seen last, not first."""
+        """Return the contents of the unit's ``[[unit]]`` table in a simulation file.
+
+        ``last``: with the last value of each item in the capture, otherwise with the first.
+        """
         keys: dict[str, Any] = {"unit": self.number}
         if self._objects:
             names = {number: name for name, number in OBJECT_NUMBERS.items()}
@@ -324,7 +336,7 @@ class _RecordedUnit:
         return keys | item_keys({table: items for table, items in tables.items() if items})
 
     def _missing_functions(self) -> set[int]:
-        """Return the functions that were always answered with exception 01: the unit does not have them."""
+        """Return the function codes that the unit always answered with exception 01: it does not have them."""
         refused = {
             function for (function, _), codes in self.refusals.items() if ExceptionCode.ILLEGAL_FUNCTION in codes
         }
@@ -335,9 +347,9 @@ class _RecordedUnit:
         return refused - known
 
     def faults(self, *, delays: bool) -> Iterator[dict[str, Any]]:  # what TOML has
-        """Yield the ``[[fault]]`` sections that make the simulated unit refuse what the unit refused.
+        """Yield the ``[[fault]]`` tables by which the simulated unit refuses what the unit of the capture refused.
 
-        With ``delays`` it yields one more, which delays the replies by the unit's median response time.
+        With ``delays`` one more follows, which delays the replies by the median response time of the unit.
         """
         wanted: dict[tuple[int, int], dict[Table, ItemRanges]] = {}
         for function, code, spans in self._unlike():
@@ -360,9 +372,9 @@ class _RecordedUnit:
             yield {"name": name, "fault_profile": "late", "units": self.number, "parameters": {"delay": delay}}
 
     def _unlike(self) -> Iterator[tuple[int, int, list[Span]]]:
-        """Yield the exceptions that do not follow from the simulated unit's items and functions: they need a fault.
+        """Yield the exceptions that the simulated unit would not give by itself, so that they need a fault.
 
-        Each is the function, the exception code, and those of the refused items that the function never read or wrote.
+        Each is (function code, most frequent exception code, refused items that this function never read or wrote).
         """
         missing = self._missing_functions()
         for (function, spans), codes in self.refusals.items():
@@ -379,7 +391,7 @@ class _RecordedUnit:
         return all(offset in self._first[span.table] for offset in range(span.address, span.address + span.count))
 
     def _never_given(self, function: int, span: Span) -> Iterator[Span]:
-        """Yield the parts of a refused range that this function has not read or written in any other request."""
+        """Yield the parts of a refused range of items that no other request of this function has read or written."""
         at, end = span.address, span.address + span.count
         for first, behind in self._given.get(function, {}).get(span.table, ()):
             if at < first < end:

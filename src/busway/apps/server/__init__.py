@@ -11,9 +11,9 @@
 `service`          A running server and the services around it: policy, audit log, metrics and control socket
 =================  =====================================================================================================
 
-Where it is decided: what a reload can change without a restart: `reload`, and ``at_once`` in `configuration`. What an
-option of the command line overrides: `overrides`. Which keys a configuration has, and what must fit together:
+Where it is decided: what a reload can change without a restart: `reload`, and ``at_once`` in `configuration`. Which
+parts of the file the command line can replace: `overrides`. Which keys a configuration has, and what must fit together:
 `configuration`. Which policy and which allow list apply now: `access_in_force`. What a reload does to open connections
-(a new policy holds from their next request, and hosts that may no longer connect are ended): `reload`. The order of
-start and stop: `service`.
+(a new policy holds from their next request, and connections of hosts that may no longer connect are aborted): `reload`.
+The order of start and stop: `service`.
 """

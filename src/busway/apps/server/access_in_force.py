@@ -26,9 +26,10 @@ class AccessInForce:
 
     Attributes:
         rules: the access rules in force; None without a policy.
-        allow_list: the addresses that may connect to any listener; a listener may have a further list of its own.
-        is_guarded: whether the server has a policy at all, so that it can be replaced; set by `guard`.
-        read_only: URLs of the listeners that are read-only because there is no policy; known once they are bound.
+        allow_list: the hosts that may connect to any listener; a listener may have a further list of its own.
+        is_guarded: whether the server is given a policy, so that it can be replaced later; set by `guard`.
+        read_only: URLs of the listeners that are read-only because there is no policy; set by `replace_policy`, once
+            the listeners are bound.
     """
 
     def __init__(self, configuration: DeclaredServer, overrides: Overrides) -> None:
@@ -58,10 +59,11 @@ class AccessInForce:
         return self.cautious_policy(self.rules)
 
     def cautious_policy(self, rules: AccessRules | None) -> Policy | None:
-        """Return a policy for the time before the listeners are bound: all are taken for reachable by other hosts.
+        """Return a policy for the time until the listeners are bound.
 
         Args:
-            rules: the access rules; None: listeners are read-only, unless writes were allowed on the command line.
+            rules: the access rules, which give the policy. None: all network listeners are read-only, even those that
+                no other host can reach, unless writes were allowed on the command line.
 
         Returns:
             None if the server needs no policy: ``is_guarded`` is False.
@@ -69,9 +71,10 @@ class AccessInForce:
         return self._policy(rules, NETWORK_SCHEMES) if self.is_guarded else None
 
     def replace_policy(self, server: RunningServer, rules: AccessRules | None) -> None:
-        """Give a running server, whose listeners are bound, the policy of other access rules.
+        """Give a running server, whose listeners are bound, the policy of other access rules, from the next request on.
 
-        With ``rules`` None there is no policy, and listeners that other hosts can reach become read-only (rule 1).
+        With ``rules`` None there is no policy: listeners that other hosts can reach become read-only, unless writes
+        were allowed on the command line. Also sets `rules` and `read_only`.
         """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]
@@ -86,7 +89,7 @@ class AccessInForce:
             rules: the new access rules, with the list for all listeners; None without a policy.
 
         Returns:
-            Whether the list of a single listener has changed.
+            True if the list of a single listener has changed; the list for all listeners does not count.
         """
         self.allow_list.lists = self._lists(rules)
         changed = False
@@ -98,9 +101,9 @@ class AccessInForce:
         return changed
 
     def listeners(self, configuration: DeclaredServer) -> list[Listener]:
-        """Return the listeners of a configuration, with address lists that `replace_lists` can replace.
+        """Return the listeners of a configuration, with address lists that `replace_lists` can replace later.
 
-        Listeners of the command line, if there are any, are returned instead; they have no list of their own.
+        If the command line gives listeners, these are returned instead; they have no list of their own.
         """
         if self._overrides.listen:
             return [Listener(url) for url in self._overrides.listen]
@@ -114,10 +117,10 @@ class AccessInForce:
         return found
 
     def _policy(self, rules: AccessRules | None, exposed: Sequence[str]) -> Policy:
-        """Return the policy of the access rules; without rules, one that makes some listeners read-only.
+        """Return the policy of the access rules; without rules, a policy that makes some listeners read-only.
 
-        ``exposed`` has the URLs of these listeners, or beginnings of URLs. If the command line allows writes, no
-        listener is read-only.
+        ``exposed`` has the URLs of the listeners to make read-only, or beginnings of URLs. If the command line allows
+        writes, no listener becomes read-only.
         """
         if rules is not None:
             return rules.policy

@@ -1,7 +1,7 @@
 """The configuration of a server and its clients from one file: every parameter, checked together (clause T33).
 
-Knows what each section is for and which component takes it; knows no network. It reads its file and no other: what
-the file names (certificates, the audit log) is opened by the component that it belongs to.
+Knows what each section is for and which component takes it; knows no network. It reads its file and no other: a
+component that needs a file named there (a certificate, the audit log) opens it. With ``preflight`` they are tried here.
 
 >>> configuration = busway.load_configuration("plant.toml")          # doctest: +SKIP
 >>> async with configuration.serve() as server: ...                  # doctest: +SKIP
@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from ...server.server import Server
 
 ANY_ADDRESS = frozenset({"", "0.0.0.0", "::"})
-"""Hosts of listeners that mean every network interface."""
+"""Hosts in URLs of listeners that mean every network interface."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,11 +56,11 @@ class Configuration:
         tls: TLS options of the listeners that have none of their own; None if ``[security]`` has no certificate.
         access: rules on what may be requested, and on who may connect; None without ``[policy]``.
         audit: path of the audit log; None if there is none.
-        control: path or address of the control socket; None for the default one.
+        control: path or address of the control socket; None for the default one, or if ``[control]`` switches it off.
         links: the links by name.
         warnings: warnings about the file, each with file, line and key.
-        changes: options of listeners that replace the file's.
-        at_once: sections whose changes a reload applies without a restart.
+        changes: options of all listeners, by name, that replace the file's.
+        at_once: names of the sections whose changes a reload applies without a restart.
     """
 
     name: str
@@ -79,13 +79,13 @@ class Configuration:
     def serve(
         self, listen: Iterable[str | Listener] = (), **options: Any
     ) -> "Server":  # Any: as `busway.serve` takes them
-        """Create a server for the units of the file, not started yet, with policy and address lists of the file.
+        """Create a server for the units of the file, with its policy and address lists; the server is not started yet.
 
         Audit log, metrics and control socket of the file are not opened: `busway serve` does that, and a program opens
         those that it wants.
 
         Args:
-            listen: endpoints, or `Listener`s, instead of the file's.
+            listen: endpoints, or `Listener`s, instead of the file's; empty to use the file's.
             options: options of `busway.serve`, instead of the file's.
 
         Raises:
@@ -109,9 +109,9 @@ class Configuration:
         return []
 
     def served(self) -> dict[str, Any]:  # as `busway.serve` takes them
-        """Return options of the file for `busway.serve`: TLS and the options of ``[server]``.
+        """Return options of the file for `busway.serve`: TLS and the options of ``[server]``, with ``changes``.
 
-        Its policy and units are not included.
+        The policy, the address lists and the units of the file are not included.
         """
         chosen = self.file.server.options() | dict(self.changes)
         return chosen if self.tls is None else {**chosen, "tls": self.tls}
@@ -151,7 +151,7 @@ class Configuration:
         return connect(link.url, shared=shared, **link.options)
 
     def _link_to_open(self, name: str) -> NamedLink:
-        """Return the declaration of a link that the caller is about to open, as `link` does, with the same error.
+        """Return the declaration of a link that the caller is about to open. Raises `ConfigError` as `link` does.
 
         First sets the limit of this process's connections, if the file has one (``supported_connections``).
         """
@@ -178,16 +178,15 @@ class Configuration:
 def load_configuration(
     path: str | os.PathLike[str], *, preflight: bool = False, changes: Mapping[str, Any] | None = None
 ) -> Configuration:
-    """Load the configuration of a system from a file: server, listeners, client, security, policy and units.
+    """Load the configuration of a system from a file: server, listeners, links, security, policy and units.
 
     Args:
-        path: the file, in TOML. Every device file is such a file.
-        preflight: whether the files that it names, such as certificates, are opened too, so that what is wrong with
-            them is reported now and not later.
-        changes: options of listeners that replace the file's.
+        path: path of the file, in TOML. Every device file is such a file.
+        preflight: whether to open files that it names, too, such as certificates, so that their errors are found now.
+        changes: options of all listeners, by name, that replace the file's.
 
     Raises:
-        FileError: the file is wrong; ``problems`` has all errors, each with file, line and key.
+        FileError: the file is invalid; ``problems`` has all errors, each with file, line and key.
         ConfigError: the file cannot be read.
     """
     name = os.fspath(path)
@@ -208,10 +207,10 @@ def parse_configuration(
         text: the contents of the file.
         name: path of the file, for errors; paths in the text are relative to its folder. The file is not read.
         preflight, changes: as of `load_configuration`.
-        unit: number of the file's only ``[[unit]]`` if the text does not say it.
+        unit: number of the file's only ``[[unit]]`` if the text has none for it.
 
     Raises:
-        FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
+        FileError: the text is invalid; ``problems`` has all errors, each with file, line and key.
     """
     try:
         source = with_unit(read_source(text, name), unit)
@@ -224,7 +223,10 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """Return the error about an invalid file; for a simulation file, one that names the command to use instead."""
+    """Return the error about an invalid file; if it has a key of simulations alone, an error that names the command.
+
+    The command is the one that reads simulation files.
+    """
     from ...config.files.simulation import is_only_of_simulations
 
     one = next((each for each in error.problems if is_only_of_simulations(each.key or "")), None)
@@ -245,8 +247,8 @@ def put_together(
 ) -> Configuration:
     """Build the configuration of a file whose sections were checked one by one; errors go to a report, none is raised.
 
-    The result may be used only after `ConfigurationReport.end`, which raises the errors. Its ``warnings`` are not set
-    here: the report has them.
+    Use the result only after `ConfigurationReport.end`, which raises the errors. ``warnings`` of the result is empty:
+    the report has the warnings.
 
     Args:
         file: the sections of the file.
@@ -303,7 +305,7 @@ class _Makers:
         self._security = {key: value for key, value in file.security.options().items() if key in offered}
 
     def limits(self) -> ListenerParameters | None:
-        """Return the limits and timeouts for listeners that have none of their own; None if invalid (reported)."""
+        """Return the limits and timeouts for listeners without their own; None if one is invalid, which is reported."""
         return self._limits({}, ("server",))
 
     def tls(self) -> TlsParameters | None:
@@ -322,14 +324,14 @@ class _Makers:
         )
 
     def listener(self, place: Place, endpoint: Endpoint) -> Listener:
-        """Create a listener of the file; what is invalid is reported, and the listener is then not fit for use.
+        """Create a listener of the file. Invalid options are reported; the listener must then not be used.
 
-        If one of its TLS options, of its access lists or of its limits is invalid, the whole group is None. Invalid
-        options in the URL stay in it.
+        An invalid TLS option, access list or limit makes the whole group None: ``tls``, ``access`` or ``limits``.
+        Invalid options in the URL stay in the URL. A listener on all interfaces is reported as a warning.
 
         Args:
-            place: where its URL is in the file: in a ``[[listener]]`` section, or in ``listen``.
-            endpoint: the URL.
+            place: path of its URL in the file, below ``listener`` or ``listen``.
+            endpoint: the URL, parsed.
         """
         if endpoint.host in ANY_ADDRESS and endpoint.carrier != "serial":
             self._check_options.warn(place, f"{endpoint.url} listens on every interface of this host")
@@ -349,7 +351,13 @@ class _Makers:
         return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
     def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
-        """Check the TLS options of a listener, report what is wrong, and return the listener unchanged."""
+        """Check the TLS options of a listener, report errors in them, and return the listener unchanged.
+
+        Args:
+            listener: the listener.
+            place: path of its URL in the file.
+            own: the options of its section; None if it has no section.
+        """
         options = parse_endpoint(listener.endpoint).options
 
         def place_of(key: str | None) -> Place:

@@ -1,6 +1,6 @@
 """Shows the configuration in force, defaults included, as TOML.
 
-Knows parameter classes and TOML; changes nothing.
+Knows the classes of parameters and TOML; changes nothing.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -58,14 +58,14 @@ def _link(link: NamedLink) -> Iterator[str]:
 def values(
     parameters: Any, *, without: frozenset[str] = frozenset()
 ) -> Iterator[str]:  # Any: classes of no common base
-    """Yield a TOML line ``name = value`` for each field of a parameter object, but for the names in ``without``."""
+    """Yield a TOML line ``name = value`` for each field of an object with parameters, except those in ``without``."""
     for field in fields(parameters):
         if field.name not in without:
             yield line(field.name, getattr(parameters, field.name))
 
 
 def line(name: str, value: object) -> str:
-    """Return a key and its value as a TOML line; None as the text that means "none" in files."""
+    """Return a key and its value as a TOML line, without a line end; None becomes the text ``"none"``."""
     return f"{name} = {_written(value)}"
 
 

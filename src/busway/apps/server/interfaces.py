@@ -19,21 +19,21 @@ class RunningServer(Protocol):
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the listeners with their bound addresses and ports."""
+        """URLs of the open listeners, with the ports that they are bound to; empty while stopped."""
 
     @property
     def is_running(self) -> bool:
         """Whether the server was started and is not stopped."""
 
     def status(self) -> Any:  # a dataclass, of its own kind
-        """Return the current status of the server or gateway, as a dataclass of its own kind."""
+        """Return the current status, as a dataclass: `ServerStatus` of a server, `GatewayStatus` of a gateway."""
 
     @property
     def functions(self) -> FunctionTable:
         """The table of function codes, with their messages, that the server decodes."""
 
     def observe(self, observer: RequestObserver) -> None:
-        """Register an observer that is called for each request; to be called before the start."""
+        """Register an observer of requests. Call this before the start."""
 
     def replace_policy(self, policy: Policy) -> None:
         """Use another access policy from the next request on; open connections stay."""
@@ -78,7 +78,7 @@ class DeclaredServer(Protocol):
 
     @property
     def control(self) -> str | None:
-        """Path or address of the control socket; None for the default one."""
+        """Path or address of the control socket; None for the default one, or if the file switches it off."""
 
     @property
     def at_once(self) -> frozenset[str]:
@@ -88,7 +88,7 @@ class DeclaredServer(Protocol):
         """Create the server that the configuration declares; it is not started yet.
 
         Args:
-            listen: endpoints or listeners instead of the file's.
+            listen: endpoints or listeners instead of the file's; empty to use the file's.
             options: options of `busway.serve`, instead of the file's.
         """
 
@@ -96,13 +96,13 @@ class DeclaredServer(Protocol):
         """Apply the configuration to a running server, as far as that is possible without a restart.
 
         Args:
-            running: the server, made by `serve` of an earlier configuration.
-            listen: the listeners that it is to have.
-            policy: the access policy for it; None without one.
+            running: the server, created by `serve` of an earlier configuration.
+            listen: the listeners that the server is to have from now on.
+            policy: the access policy of new listeners; None for the policy of the existing ones.
 
         Returns:
-            What changed, each as a sentence.
+            A text for each change; empty if nothing was changed.
 
         Raises:
-            ModbusError: a part cannot be opened; nothing has changed.
+            ModbusError: a part cannot be opened; the earlier configuration is in force again.
         """

@@ -22,15 +22,16 @@ class Overrides:
 
     Attributes:
         listen: endpoints instead of the file's; empty to use the file's.
-        rules: returns the access rules for a configuration; called again at each reload.
-        addresses: a further list of who may connect, beside that of the file; None for none.
-        allow_writes: whether, without a policy, listeners that the network reaches accept writes.
+        rules: function that returns the access rules for a configuration, None for no policy; called at each reload.
+        addresses: a further list of hosts that may connect; a host must be allowed by this list and the file's. None
+            for no further list.
+        allow_writes: whether, without a policy, listeners that other hosts can reach accept writes.
         audit: path of the audit log; None to use the file's.
         metrics: host and port on which the metrics are offered; None to use the file's.
         control: path or address of the control socket, or ``off``; None to use the file's.
         standard_port: whether the server listens on port 502 beside other ports; None leaves it to the file.
-        can_reload: whether the service can be reloaded, because there are files to be read again.
-        name: name of the program in its status, to tell several programs apart.
+        can_reload: whether `Service.reload` is offered, because there are files that can be read again.
+        name: name of the program in its status, which tells several programs apart.
     """
 
     listen: Sequence[str] = ()

@@ -18,11 +18,11 @@ from ...values.counts import counted
 from .configuration import Configuration
 
 Row = tuple[str, str, str]
-"""One row of an overview: kind, name and description."""
+"""One row of an overview: kind (such as ``listener`` or ``unit``), name and description."""
 
 
 def overview(configuration: Configuration) -> Iterator[Row]:
-    """Yield rows for listeners, policy, server, links and units of a configuration, in this order."""
+    """Yield rows of text for listeners, policy, server, links and units of a configuration, in this order."""
     file = configuration.file
     for listener in configuration.listeners:
         yield "listener", str(listener.endpoint), "; ".join(_listener(listener, configuration.limits))

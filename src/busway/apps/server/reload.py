@@ -2,12 +2,12 @@
 
 Knows what differs between two configurations, and what can be replaced; knows no request.
 
-1. A mistake in a file that is read again changes nothing: everything stays as it was. The files are read and checked in
-   a thread, so that the server answers meanwhile, and then applied in the event loop.
+1. If a file that is read again has an error, everything stays as it was. The files are read and checked in a thread, so
+   that the server answers meanwhile, and then applied in the event loop.
 2. Policy and address lists are replaced at once, and connections of hosts that may no longer connect end; certificates
-   hold from the next connection on; the audit log is reopened. Other differences are named: they take effect at the
-   next start, but for the sections in ``at_once`` of the configuration. Those of a gateway are in
-   `busway.apps.gateway.configuration`, and `Gateway.change` applies them.
+   hold from the next connection on; the audit log is reopened. Changes of other sections are named: they take effect at
+   the next start. Sections in ``at_once`` of the configuration are applied at once, too: `Gateway.change` does that for
+   a gateway, whose ``at_once`` is in `busway.apps.gateway.configuration`.
 """
 
 import asyncio
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 _REPLACEABLE_OF_LISTENERS = frozenset({"allow", "deny", "secure"})
 
 _MANY_RULES: Final = 10_000
-"""Number of rules above which they are excluded from garbage collection: one run takes 10 ms for so many rules."""
+"""With more rules than this, the rules are excluded from garbage collection: one run takes 10 ms for so many rules."""
 
 
 class Reload:
@@ -55,17 +55,18 @@ class Reload:
         self._access = access
 
     async def run(self, server: RunningServer, audit: "AuditLog | None") -> list[str]:
-        """Read the configuration again, apply it, and return a sentence for each change. One call at a time.
+        """Read the configuration again, apply it, and return a sentence for each change.
 
-        If there is no change, the one sentence says so.
+        Returns one sentence that says so if nothing has changed. Call this again only after it has returned.
 
         Args:
             server: the running server.
-            audit: its audit log, which is opened again (for log rotation); None without one.
+            audit: the server's audit log, which is opened again (for log rotation); None without one.
 
         Raises:
-            ConfigError, LinkDown: the files have a mistake, or something that they name cannot be opened; nothing has
-                changed.
+            ConfigError, LinkDown: the files have an error, or a file or port that they name cannot be opened; the
+                earlier configuration is in force. Only if the audit log cannot be opened again, listeners, upstreams
+                and routes of a gateway have changed already.
         """
         with collecting_paused():
             found: list[ReloadedConfiguration] = []  # and not the thread's result, which would live a little longer
@@ -79,7 +80,7 @@ class Reload:
         return done
 
     def exclude_rules_from_gc(self) -> None:
-        """Exclude very many access rules from garbage collection, because each collection would visit them all."""
+        """Exclude more than 10,000 access rules from garbage collection: each collection would visit them all."""
         rules = self._access.rules
         if rules is not None and len(rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
@@ -91,7 +92,7 @@ class Reload:
     async def _apply(
         self, reloaded: "ReloadedConfiguration", server: RunningServer, audit: "AuditLog | None"
     ) -> list[str]:
-        """Apply a reloaded configuration to the running server, and return a sentence for each change, or for none."""
+        """Apply a reloaded configuration to the running server; return a sentence for each change, or one for none."""
         new, rules, access = reloaded.configuration, reloaded.rules, self._access
         followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
         done = []
@@ -130,7 +131,7 @@ class ReloadedConfiguration:
     Attributes:
         configuration: the configuration that was read.
         rules: the access rules that were read; None without a policy.
-        are_other_rules: whether they differ from the rules in force.
+        are_other_rules: whether ``rules`` differs from the access rules in force.
         later: names of changed sections that take effect only at the next start.
         before: the rules of the policy in force.
     """
@@ -142,7 +143,7 @@ class ReloadedConfiguration:
     before: tuple[Rule, ...]
 
     def rule_lists(self) -> list[list[Any]]:
-        """Return copies of all lists of access rules, old and new, so that `let_go` can free large ones in a thread."""
+        """Return copies of all lists of access rules, old and new; `let_go` frees large ones in a thread."""
         policy = self.configuration.file.policy
         read = () if self.rules is None else self.rules.policy.rules
         return [list(self.before), list(read), [] if policy is None else list(policy.rule)]
@@ -151,18 +152,18 @@ class ReloadedConfiguration:
 def read_again(
     old: DeclaredServer, new: DeclaredServer, rules_in_force: AccessRules | None, rules: AccessRules | None
 ) -> ReloadedConfiguration:
-    """Check a configuration that was read again, prepare its rules, and compare it with the running one.
+    """Check a configuration that was read again, prepare its rules, and compare it with that of the start.
 
-    Applies nothing. With many rules that takes long, so call it in a thread.
+    Applies nothing. With many rules this takes long, so call it in a thread.
 
     Args:
         old: the configuration with which the server was started.
         new: the configuration that was read again.
         rules_in_force: the access rules until now; None without a policy.
-        rules: the access rules that were read again, or of the command line; None without a policy.
+        rules: the access rules that were read again, from the file or as the command line says; None without a policy.
 
     Raises:
-        ConfigError: a certificate cannot be used.
+        ConfigError: a certificate of a listener cannot be used.
     """
     for listener in new.listeners:
         try_certificates(listener)
@@ -173,7 +174,10 @@ def read_again(
 
 
 def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
-    """Return the names of the sections in which two configurations differ and which need a restart."""
+    """Return the names of the sections that differ in two configurations and need a restart.
+
+    Address lists of listeners do not count, because a reload replaces them.
+    """
     found = []
     for name in type(old.file).model_fields:
         before, after = getattr(old.file, name), getattr(new.file, name)

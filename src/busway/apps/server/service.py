@@ -24,17 +24,17 @@ class Service:
     """A server with its policy, audit log, metrics and control socket; ``async with`` starts and stops all of them.
 
     Args:
-        read: reads the configuration; called at once, and again by `reload`.
+        read: reads and checks the configuration; called by the constructor, and again by `reload`.
         overrides: command-line options that replace parts of the configuration.
 
     Attributes:
         configuration: the configuration with which the service was started.
         server: the server; set when the ``async with`` block is entered.
-        metrics: URL of the metrics; empty if none are offered.
+        metrics: URL of the metrics, set when the block is entered; empty if none are offered.
 
     Raises:
-        ConfigError, LinkDown: a component cannot be built or opened; then nothing runs. Raised here or when the block
-            is entered.
+        ConfigError, LinkDown: a component cannot be built or opened; then nothing runs. Raised by the constructor, or
+            when the ``async with`` block is entered.
     """
 
     server: RunningServer
@@ -51,7 +51,7 @@ class Service:
 
     @property
     def read_only(self) -> tuple[str, ...]:
-        """URLs of the listeners that are read-only because there is no policy."""
+        """URLs of the listeners that are read-only because there is no policy and other hosts can reach them."""
         return self._access.read_only
 
     async def __aenter__(self) -> Self:
@@ -109,13 +109,13 @@ class Service:
     async def reload(self) -> list[str]:
         """Read the configuration again, apply what can change without a restart, and return a sentence for each change.
 
-        If there is no change, the one sentence says so.
-
-        To be called in the event loop of the server, which goes on answering meanwhile.
+        Returns one sentence that says so if nothing has changed. Call this in the event loop of the server, which goes
+        on answering meanwhile; a second call waits for the first.
 
         Raises:
-            ConfigError, LinkDown: the files have a mistake, or something that they name cannot be opened; nothing has
-                changed.
+            ConfigError, LinkDown: the files have an error, or a file or port that they name cannot be opened; the
+                earlier configuration is in force. Only if the audit log cannot be opened again, listeners, upstreams
+                and routes of a gateway have changed already.
         """
         async with self._reloading:
             return await self._reload.run(self.server, self._audit)

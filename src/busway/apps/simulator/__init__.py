@@ -6,17 +6,17 @@
 `device_text`      Writes units as the text of a device file; reading that text gives the same units
 `engine`           The engine of a simulation: which points change at each moment, in which order, and to which values
 `added_faults`     Adds faults to a simulation from `[[fault]]` sections and command-line words
-`fault_times`      Tells when the faults of a simulation begin and end by their schedules
+`fault_times`      Reports when the faults of a simulation begin and end by their schedules
 `includes`         Loads a simulation file with all files that it includes; every error names its line in its own file
 `plant`            The plant of the demonstration, as three devices: a tank with pump and consumers, a meter
 `points`           Named points of a served device for the program that serves it
 `recorded_tables`  Declares items that were read from a device, with their values, as the keys of a unit
 `register_map`     Imports register maps in CSV, as manuals and spreadsheets have them, as points of a unit
-`registers`        Where a point is in the memory of its device, and how its values are encoded there
+`registers`        The place of a point in the memory of its device, and the encoding of its values there
 `simulated`        Data of a running simulation: a simulated point, its unit, and a change of its value
 `simulation`       A running simulation: units whose points follow their behaviours
 `state`            Saves the values of a simulation in a JSON file, so that it continues after a restart
-`write_watch`      Tells a simulation which of its points a Modbus client has written
+`write_watch`      Reports to a simulation which of its points a Modbus client has written
 `behaviours`       Behaviours, which make simulated values change
 =================  =====================================================================================================
 

@@ -2,7 +2,7 @@
 
 Knows the schema and the fault profiles; reads no file.
 
-1. An error has the path of the key in its section, which the reader of the file turns into a line.
+1. An error names the key by its path in the file, from which the line is found.
 """
 
 from collections.abc import Collection, Iterable, Iterator
@@ -23,9 +23,10 @@ from ...options.endpoints import parse_endpoint
 def fault_problems(
     sections: Iterable[FaultSection], source: Source, fault_profiles: FaultProfileTable = FAULT_PROFILES
 ) -> list[ConfigError]:
-    """Return the errors in ``[[fault]]`` sections that the schema of the file cannot find, each with line and key.
+    """Return the errors in ``[[fault]]`` sections that the schema of the file cannot find.
 
-    These are unknown fault profiles, invalid parameters, and names that are used twice.
+    These are unknown fault profiles, invalid parameters, and names that are used twice. Each error has file, line and
+    key; the list is empty if there are none.
 
     Args:
         sections: all sections ``fault`` of the file, in order.
@@ -62,14 +63,14 @@ def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) 
 def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
     """Add the faults that a file's ``[[fault]]`` sections declare to a simulation, and return their names.
 
-    A fault without a name gets that of its fault profile, with a number if the name is taken.
+    A fault without a name gets the name of its fault profile, with a number if that name is taken: ``late-2``.
 
     Args:
         board: the faults of the simulation.
         sections: the sections.
 
     Raises:
-        ConfigError: a fault is invalid; those before it stay added. `fault_problems` reports these errors beforehand.
+        ConfigError: a fault is invalid; those before it stay added. `fault_problems` finds such errors beforehand.
     """
     ordered = list(sections)
     named = [one.name for one in ordered if one.name]
@@ -124,21 +125,22 @@ MET_ON: Final = {
     frozenset({Carrier.SERIAL}): "RTU and ASCII, on a line or over a network",
     frozenset({Carrier.CONNECTION}): "connections over TCP or TLS",
 }
-"""The transports on which a fault strikes that does not strike everywhere."""
+"""For a fault that does not strike on all transports: the name of the transports on which it strikes."""
 
 
 def why_it_never_strikes(status: FaultStatus, endpoints: Iterable[str], units: Collection[int]) -> str:
-    """Return why no listener or unit of a simulation fits a fault, as a sentence; empty if both fit.
+    """Return a sentence on why a fault cannot strike: no listener, or no unit, of the simulation fits it.
 
-    Function codes, addresses, probability and schedule are not looked at: they may still keep it from striking.
+    Empty if a listener and a unit fit. Function codes, addresses, probability and schedule of the fault are not
+    regarded: because of them the fault may never strike all the same.
 
     Args:
         status: the fault.
-        endpoints: URLs of the listeners.
-        units: the units of the simulation. 0, for broadcasts, is always among those that a request can have.
+        endpoints: URLs of the listeners; if there are none, any listener fits.
+        units: the units of the simulation. A fault for unit 0 (broadcasts) always fits.
 
     Raises:
-        ConfigError: an endpoint is none.
+        ConfigError: a URL is invalid.
     """
     carriers = status.carriers
     chosen = status.selection.units
@@ -153,9 +155,9 @@ def why_it_never_strikes(status: FaultStatus, endpoints: Iterable[str], units: C
 
 
 def fault_details(status: FaultStatus) -> str:
-    """Return a fault's parameters and its limits as ``--fault`` takes them: ``delay=2, from=14``.
+    """Return the parameters, filters and schedule of a fault as text, in words of ``--fault``: ``delay=2, from=14``.
 
-    Left out are parameters without a value, limits that the fault does not have, and item ranges.
+    Left out are parameters without a value, filters and times that the fault does not have, and address ranges.
     """
     selection, schedule = status.selection, status.selection.schedule
     told: dict[str, object] = {name: value for name, value in status.parameters.items() if value is not None}
@@ -174,7 +176,7 @@ def fault_details(status: FaultStatus) -> str:
 
 
 def _runs(numbers: Collection[int]) -> str:
-    """Return numbers as text, with consecutive ones as a range: ``1-3+7``."""
+    """Return numbers as text, with consecutive numbers as a range: ``1-3+7`` for 1, 2, 3 and 7."""
     runs: list[list[int]] = []
     for one in sorted(numbers):
         if runs and one == runs[-1][1] + 1:

@@ -5,8 +5,8 @@ file.
 
 1. An expression names a point of its own unit, or ``UNIT/NAME`` of another. A name without a point, a point that is no
    number, and a point that depends on itself at the same moment are errors at the line of the expression.
-2. A counter and a lag use the values that other points had at the moment before, so a circle of dependencies through
-   them is no error.
+2. A counter and a lag use the values that other points had at the moment before, so points may depend on each other in
+   a circle if one of them is a counter or a lag.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -40,7 +40,7 @@ class BuiltUnits:
     Attributes:
         units: the units by number.
         points: the points of all units by ``UNIT/NAME``.
-        driven: the points that have a behaviour, each after those that its formula needs.
+        driven: the points that have a behaviour, each after the points that its formula needs.
     """
 
     units: Mapping[int, SimulatedUnit]
@@ -92,8 +92,8 @@ class _Plan:
 
     Attributes:
         section: the behaviour's section in the file.
-        problem: returns an error about a key of that section, from the path of the key and a message.
-        expressions: the parsed expressions of the section, by key.
+        problem: returns an error about a key of that section; takes the path of the key in the section and a message.
+        expressions: the parsed expressions of the section, by key of the section.
         recording: the recording of a replay; None for other behaviours.
     """
 
@@ -107,7 +107,7 @@ def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
     """Return the shared parts of each declared behaviour, by ``id()`` of the section of its point.
 
     Raises:
-        FileError: expressions or recordings are invalid, with all problems.
+        FileError: an expression or a recording is invalid; the error has all problems.
     """
     problems: list[ConfigError] = []
     plans: dict[int, _Plan] = {}
@@ -162,8 +162,10 @@ def _needed(
 ) -> dict[SimulatedPoint, list[SimulatedPoint]]:
     """For each point with a formula, return the points whose values the formula needs at the same moment.
 
+    The expressions of counters and lags are checked, too, but not returned.
+
     Raises:
-        FileError: an expression names a point that does not exist or is no number, with all problems.
+        FileError: an expression names a point that does not exist or is no number; the error has all problems.
     """
     problems: list[ConfigError] = []
     found: dict[SimulatedPoint, list[SimulatedPoint]] = {}
@@ -186,12 +188,12 @@ def _needed(
 
 
 def find_point(units: Mapping[int, SimulatedUnit], unit: int, name: str) -> SimulatedPoint | None:
-    """Return the point that a formula of a unit means by a name; None if there is no such point.
+    """Return the point that a name in a formula refers to; None if there is no such point.
 
     Args:
         units: all units by number.
         unit: number of the unit with the formula.
-        name: name of a point of that unit, or ``UNIT/NAME``.
+        name: name of a point of that unit, or ``UNIT/NAME`` for a point of any unit.
     """
     own = units[unit].points.get(name)
     if own is not None:
@@ -219,7 +221,7 @@ def _in_order(
 ) -> dict[SimulatedPoint, int]:
     """Return the points with behaviours in an order in which formulas can be computed, each with its rank.
 
-    The rank says how many changes of unit there are on the way of values to the point's formula (`Driven.rank`).
+    The rank is that of `Driven.rank`: how many times a value passes to a formula of another unit before.
 
     Args:
         planned: the points with behaviours.

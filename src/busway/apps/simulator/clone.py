@@ -1,14 +1,14 @@
 """Clones a device: reads a live device and makes a simulation file that imitates it.
 
-Knows how a device is read and what is made of it; knows no connection, no file and no command line. It never writes
-to the device.
+Knows how a device is read, and how the result is declared; knows no connection, no file and no command line. It never
+writes to the device.
 
 1. With a register map each of its points is read once, and the file has the points with the values that were read.
 2. Without one the tables are read in blocks. A block that is refused is divided until it is known of each item whether
    it exists. If a whole block is refused, single items in it are tried first (`STRIDE`), so that empty tables cost
    little. ``thorough`` divides every block.
-3. A value is kept in its unit of measure if writing it gives the same registers again, and as registers otherwise:
-   the clone answers what the device did.
+3. A value is recorded in its unit of measure if writing it gives the same registers again, and as registers otherwise:
+   the clone gives the same replies as the device.
 4. If a device is watched for a while, numbers that changed get a behaviour: a whole number that only grew becomes a
    counter with the observed rate, any other number a random walk within the observed range. Bits and numbers with names
    stay constant.
@@ -37,9 +37,9 @@ Answer = TypeVar("Answer")
 Progress = Callable[[str], None]
 
 RANGES: Final = (range(10_000), range(40_000, 41_000))
-"""Offsets that are looked at without a map: where most devices have all they have, and where SunSpec begins."""
+"""Addresses, counted from 0, that are read without a map: most devices have no others, and SunSpec begins at 40000."""
 STRIDE: Final = 10
-"""In a block that is refused as a whole, every so many items one is tried by itself: maps like round numbers."""
+"""In a block that the device refuses as a whole, every tenth item is read by itself: maps prefer round numbers."""
 _HOLES: Final = frozenset(
     (
         ExceptionCode.ILLEGAL_DATA_ADDRESS,
@@ -47,10 +47,10 @@ _HOLES: Final = frozenset(
         ExceptionCode.SERVER_DEVICE_FAILURE,
     )
 )
-"""Exception codes of devices for a range that they do not have, or not as a whole; 03 and 04 against the
+"""Exception codes of devices for a range that they do not have, or have only in part. Codes 03 and 04 contradict the
 specification (Application Protocol V1.1b3 §7)."""
 _UNNAMED_UNITS: Final = (0, 255)
-"""Units that address a device on TCP without naming one."""
+"""Unit identifiers that name no particular unit on TCP; a clone gets unit 1 then."""
 _LEVELS: Final = ("extended", "regular", "basic")
 
 
@@ -60,7 +60,7 @@ class Clone:
 
     Attributes:
         section: the unit with its points or tables, to be written into a device file.
-        remarks: parts of the device that could not be recorded as they are, and why, one sentence each.
+        remarks: a sentence for each part of the device that could not be recorded as it is, with the reason.
     """
 
     section: SimulatedUnitSection
@@ -75,7 +75,7 @@ def clone_points(
     Args:
         unit: the unit of the live device.
         points: the points to read.
-        progress: called with a line of text about the progress, now and then.
+        progress: called now and then with a line of text about the progress.
 
     Raises:
         ModbusError: the device did not answer, or refused every point; the error names the point.
@@ -115,12 +115,13 @@ def clone_tables(
 
     Args:
         unit: the unit of the live device.
-        ranges: ranges of offsets to read, 0…65535.
-        thorough: whether refused blocks are searched item by item even if none of the items tried in them exists.
-        progress: called with a line of text about the progress, now and then.
+        ranges: ranges of addresses to read in each table, within 0…65535.
+        thorough: whether each block that the device refuses is searched item by item. Otherwise this is done only if
+            one of every `STRIDE` items, tried first, exists.
+        progress: called now and then with a line of text about the progress.
 
     Raises:
-        ModbusError: the device did not answer, or has nothing in these ranges; the error names table and offsets.
+        ModbusError: the device did not answer, or has no item in these ranges; the error names table and addresses.
     """
     keys = _identity(unit, progress)
     remarks: list[str] = []
@@ -153,13 +154,13 @@ def watch_points(
 
     Args:
         unit: the unit of the live device.
-        clone: the clone, just made by `clone_points`.
+        clone: the clone, just made by `clone_points`; it is not changed.
         moments: times of the reads in seconds since `clone_points`, ascending. The iterable itself waits for each time
             before it yields it.
-        progress: called with a line of text about the progress, now and then.
+        progress: called with a line of text at the end.
 
     Raises:
-        ModbusError: the device did not answer, or no longer has a point; the error names the point.
+        ModbusError: the device did not answer, or refuses a point now; the error names the point.
     """
     watched = [_Watched(point, point.value) for point in clone.section.point if point.is_number]
     watched = [each for each in watched if not each.point.enumeration]
@@ -186,7 +187,7 @@ class _Watched:
 
     Args:
         point: the point that has the number.
-        value: the number at 0 s.
+        value: the number at time 0, in the unit of measure.
     """
 
     def __init__(self, point: SimulatedPointSection, value: float) -> None:
@@ -202,7 +203,7 @@ class _Watched:
         return self._low < self._high
 
     def see(self, value: float, time: float) -> None:
-        """Record the watched number's value at a time in seconds; NaN is ignored."""
+        """Record the watched number's value at a time, in seconds since the first value; NaN is ignored."""
         if value != value:  # not a number
             return
         self._step = max(self._step, abs(value - self._last))
@@ -212,9 +213,9 @@ class _Watched:
         self._moments += 1
 
     def learnt(self) -> SimulatedPointSection:
-        """Return the point with a behaviour that fits the observed changes; unchanged if there were none.
+        """Return the point with a behaviour that fits the observed changes; the point itself if there were none.
 
-        A whole number that never fell gets a counter; any other number a random walk. The range of the point is
+        A whole number that never fell gets a counter, any other number a random walk. The range of the point is
         extended to the values that were seen.
         """
         if not self.has_changed or self._time <= 0:
@@ -248,9 +249,10 @@ class _Recorder:
         self._named: set[tuple[Table, int, int]] = set()
 
     def record(self, point: SimulatedPointSection, remarks: list[str]) -> list[SimulatedPointSection]:
-        """Read a point and return it with the value that was read.
+        """Read a point from the device, and return a list with this point, which has the value that was read.
 
-        If its registers hold no valid value of its type, a point for each register is returned, and a remark is added.
+        If its registers hold no valid value of its type, the list has a point for each register instead, and a remark
+        is added to ``remarks``. Raises `ModbusError` if the device refuses the read or does not answer.
         """
         place, form = point.place, point.form
         if form is None:
@@ -274,7 +276,10 @@ class _Recorder:
         return bool(self._shared[key] >> place.bit & 1)
 
     def unnamed_bits(self) -> Iterator[SimulatedPointSection]:
-        """Yield points for set bits without a name, so that the cloned register has the same value."""
+        """Yield a point for each set bit that no recorded point has, so that the cloned register has the same value.
+
+        Only registers of which points take single bits are regarded.
+        """
         for (table, offset), value in self._shared.items():
             for bit in range(16):
                 if value >> bit & 1 and (table, offset, bit) not in self._named:
@@ -287,8 +292,8 @@ def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> 
 
     Args:
         point: the point.
-        form: its value type.
-        data: the content of its registers.
+        form: the value type of the point.
+        data: the content of the point's registers, two bytes for each.
 
     Raises:
         BadReply: the registers hold no valid value of the type.
@@ -324,12 +329,12 @@ def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
 
 
 def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
-    """Return a point of type ``uint16`` for one register of a point whose own value is not valid in its type.
+    """Return a point of type ``uint16`` for one register of a point whose registers hold no valid value of its type.
 
     Args:
-        point: that point.
-        index: number of the register in it, from 0.
-        value: content of the register.
+        point: the point that has the register.
+        index: number of the register in the point, from 0.
+        value: content of the register, 0…65535.
     """
     place = Address(point.place.table, point.place.offset + index)
     keys = {"name": f"{point.name} register {index + 1}", "address": format_address(place), "value": value}
@@ -344,10 +349,10 @@ class _Scanner:
     Args:
         unit: the unit of the live device.
         table: the table.
-        thorough: whether refused blocks are searched item by item even if none of the items tried in them exists.
+        thorough: whether each refused block is searched item by item, even if none of the items tried first exists.
 
     Attributes:
-        offered: whether the device has the function that reads the table.
+        offered: False once the device has refused the function that reads the table (exception 01).
         refusal: the last exception reply of the device; None if there was none.
     """
 
@@ -360,7 +365,7 @@ class _Scanner:
         self.refusal: ExceptionReply | None = None
 
     def items(self, part: range) -> dict[int, int]:
-        """Return the values of the items that exist in a range, by offset."""
+        """Return the values of the items that exist in a range of addresses, by address; bits are 0 or 1."""
         size = MAX_READ_BITS if self._table.holds_bits else MAX_READ_REGISTERS
         found: dict[int, int] = {}
         for first in range(part.start, part.stop, size):
@@ -378,7 +383,7 @@ class _Scanner:
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
         """Read into ``found`` the existing items of a range that the device has refused as a whole.
 
-        The range is halved, and refused halves are halved again.
+        The range is halved, and refused halves are halved again, down to single items.
         """
         if count == 1:
             return
@@ -388,9 +393,10 @@ class _Scanner:
                 self._divide(start, size, found)
 
     def _take(self, first: int, count: int, found: dict[int, int]) -> bool:
-        """Read a range of the live device into ``found``, and return whether the device has all its items.
+        """Read a range of the live device into ``found``, and return True if the device has all items of the range.
 
-        False also if the device does not have the function; then ``offered`` is False.
+        Returns False if the device refuses the range as missing. If it does not have the function that reads the table,
+        returns False and sets ``offered`` to False.
 
         Raises:
             ModbusError: the device did not answer, or refused the range for another reason; the error names the range.
@@ -414,7 +420,10 @@ class _Scanner:
 
 
 def _identity(unit: BlockingUnit, progress: Progress) -> dict[str, Any]:
-    """Return the keys that declare a unit in a device file: its number and its identification data."""
+    """Read a unit's identification and server id; return the keys that declare them, and the number of the unit.
+
+    Data that the device does not have are left out.
+    """
     keys: dict[str, Any] = {"unit": 1 if unit.number in _UNNAMED_UNITS else unit.number}
     objects = _objects(unit)
     if objects:

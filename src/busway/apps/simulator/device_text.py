@@ -2,8 +2,8 @@
 
 Knows how TOML is written and the keys of a unit; writes no file.
 
-1. Keys that were not set for a unit are left out of its text, so that the file shows the decisions.
-2. A point is written with one line per key, as people do; with ``compact``, each point is one line.
+1. Keys that were not set for a unit are left out of its text, so that the file shows only what was decided.
+2. A point is written with one line for each key, as people do; with ``compact``, each point is one line.
 """
 
 import json
@@ -25,9 +25,9 @@ def device_text(
 
     Args:
         units: the units (`UnitSection`).
-        listen: URLs where the file is to be served; empty for the default.
-        remarks: comment lines at the top of the file.
-        compact: whether each point takes one line only.
+        listen: URLs to listen on when the file is served; empty for the default.
+        remarks: comment lines at the top of the file, without ``#``.
+        compact: whether each point is written on one line.
     """
     lines = [f"# {_on_one_line(line)}".rstrip() for line in remarks]
     lines += [""] if lines else []
@@ -62,7 +62,7 @@ def _unit_lines(unit: BaseModel, compact: bool) -> list[str]:
 
 
 def _key_lines(key: str, value: Any) -> list[str]:
-    """Return the TOML lines of a key: one, or for a list of tables one for each table."""
+    """Return the TOML lines of a key: one line, or for a list of tables a line for each table, between brackets."""
     if isinstance(value, list) and value and all(isinstance(each, dict) for each in value):
         return [f"{_key(key)} = [", *(f"    {written(each)}," for each in value), "]"]
     return [f"{_key(key)} = {written(value)}"]
@@ -91,12 +91,12 @@ def _plain(key: str, value: Any) -> Any:
 
 
 def _bytes(data: bytes, *, running: bool) -> Any:
-    """Return bytes as a file has them: a text if they are printable UTF-8, else a table with hexadecimal digits.
+    """Return bytes in the form of a file: a text if they are printable UTF-8, else a table with hexadecimal digits.
 
     Args:
         data: the bytes.
-        running: whether they are a server id: the run indicator ``FF`` at its end is left out of a text, which gets one
-            when the file is read.
+        running: whether the bytes are a server id, whose last byte is the run indicator. A text is returned only if
+            that is ``FF``, and without it: reading a text adds it again.
     """
     body = data.removesuffix(_RUNNING) if running else data
     if body != data or not running:

@@ -1,13 +1,13 @@
 """The engine of a simulation: which points change at each moment, in which order, and to which values.
 
-Knows points, behaviours and the memory of devices; knows no clock: times are seconds of the simulation, handed in.
+Knows points, behaviours and the memory of devices; knows no clock: times are arguments, in seconds of the simulation.
 
-1. A point changes at whole multiples of its ``every``, computed as such: no step is late because one before it was.
-2. At one moment a formula is computed after the points that it needs, in whatever units they are. Behaviours that
+1. A point changes at whole multiples of its ``every``: the number of the step times ``every``, so delays do not add up.
+2. At one moment a formula is computed after the points that it needs, also points of other units. Behaviours that
    observe other points over time (`Observer`) read them after that.
-3. The points of a unit that change at one moment become visible together.
-4. A point that was set by hand stays as it is until it is released.
-5. After each unit the engine asks its caller whether to stop for now, so that requests are answered meanwhile.
+3. The points of a unit that change at one moment become visible to clients together.
+4. A point that was set by hand keeps its value until it is released.
+5. After each unit the engine asks its caller whether to stop for now, so that requests can be answered meanwhile.
 """
 
 import heapq
@@ -23,7 +23,7 @@ from .behaviours.behaviour import Behaviour, Observer
 from .simulated import SIMULATION, SimulatedPoint
 
 _LAST: Final = 1 << 30
-"""The rank of observers, which come after all points of a moment."""
+"""The rank of observers, which are called after all points have their values of a moment."""
 
 
 @dataclass(slots=True, eq=False)
@@ -34,9 +34,9 @@ class Driven:
         point: the point.
         behaviour: the behaviour that the point follows.
         every: seconds between two changes.
-        rank: how often a value must pass to a formula of another unit before this point's formula can be computed; 0
-            without such a formula. Lower ranks are computed first.
-        order: position among all points, after those that the point's formula needs.
+        rank: how many times, on the way to this point's formula, the value of a point is used by a formula in another
+            unit; 0 without such a formula. Lower ranks are computed first.
+        order: position among all points with behaviours; after the points that this point's formula needs.
     """
 
     point: SimulatedPoint
@@ -53,8 +53,8 @@ class _Group:
     Attributes:
         device: the device that has the points.
         every: seconds between two moments.
-        driven: the points in their order.
-        step: number of the next moment: it comes at ``step`` × ``every`` seconds.
+        driven: the points of the group.
+        step: number of the next moment, which comes at ``step`` × ``every`` seconds of the simulation.
     """
 
     device: Device
@@ -72,7 +72,8 @@ class _Release:
 
     Attributes:
         point: the point.
-        held: number of the setting by hand that ends; if the point was set again since, the entry has no effect.
+        held: value of ``point.held`` at the setting by hand that ends; if the point was set again since then, this
+            entry has no effect.
     """
 
     point: SimulatedPoint
@@ -80,7 +81,7 @@ class _Release:
 
 
 class _Batch:
-    """The points of one unit that change at the same moment; what is needed to write them is looked up once, for speed.
+    """The points of one unit that change at the same moment, prepared so that new values are written fast.
 
     Args:
         groups: the groups of points, all of one unit.
@@ -105,9 +106,9 @@ class _Batch:
         ]
 
     def run(self, time: float) -> list[SimulatedPoint]:
-        """Give these points the values of their behaviours at a time, and return the points whose value has changed.
+        """Give the points the values of their behaviours at a time, and return the points whose value has changed.
 
-        Points that were set by hand keep their values.
+        Points that were set by hand keep their values, and so do points whose behaviour has no value that fits.
         """
         changed: list[SimulatedPoint] = []
         changes = changed.append
@@ -143,17 +144,17 @@ class _Batch:
 class Engine:
     """Gives all simulated points with behaviours new values, each at its own moments.
 
-    All times are seconds of the simulation since its beginning. A point is set by hand if the program, a person or a
-    Modbus client has set it.
+    All times are seconds of the simulation since its beginning. A point counts as set by hand if the program, a person
+    or a Modbus client has set it.
 
     Args:
         driven: the points with their behaviours.
-        changed: called with the points of a unit that have a new value, and the time.
+        changed: called with the points of a unit that have got a new value at a moment, and the time of the moment.
 
     Attributes:
-        changes: number of new values so far.
-        left_out: number of moments of groups of points that were left out so far, because the program could not keep
-            up.
+        changes: number of new values that points have got so far.
+        left_out: number of moments left out so far because the program could not keep up, added up over all groups of
+            points (points of one unit with the same ``every``).
     """
 
     def __init__(self, driven: Iterable[Driven], changed: Callable[[list[SimulatedPoint], float], None]) -> None:
@@ -171,7 +172,7 @@ class Engine:
             self._push(group.due(), rank, units.setdefault(id(group.device), len(units)), group)
 
     def deadline(self) -> float | None:
-        """Return when the engine has to run next, in seconds of the simulation; None if no point has a behaviour."""
+        """Return when `run` is to be called next, in seconds of the simulation; None if no point has a behaviour."""
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
@@ -193,16 +194,16 @@ class Engine:
         return driven.behaviour.state(math.floor(time / driven.every + _ROUNDING) * driven.every)
 
     def run(self, until: float, *, skip: bool = False, pause: Callable[[], bool] = lambda: False) -> bool:
-        """Give the points their new values at all moments up to a time.
+        """Give the points their new values at all moments up to a time, that time included.
 
         Args:
             until: the time, in seconds of the simulation.
-            skip: whether points that have missed several moments get the value of the last one only: for a program that
-                was stopped for a while, or cannot keep up.
-            pause: called after each unit; returns whether to leave the rest for a later call.
+            skip: whether points that have missed several moments get the value of the last of these only: for a program
+                that was stopped for a while, or cannot keep up.
+            pause: called after each unit; returns True to leave the rest for a later call.
 
         Returns:
-            Whether all moments up to ``until`` are done.
+            True if all moments up to ``until`` are done; False if ``pause`` has left some.
         """
         if skip:
             self._leave_out(until)
@@ -225,9 +226,10 @@ class Engine:
         return not self._heap or self._heap[0][0] > until
 
     def _leave_out(self, until: float) -> None:
-        """Skip the moments before ``until`` that were missed.
+        """Skip the moments before ``until`` that were missed, and count them.
 
-        Each group of points goes on with the last of its moments.
+        Each group of points goes on with its last moment that is not after ``until``. Does nothing if the next group
+        has missed no moment.
         """
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
@@ -265,10 +267,10 @@ class Engine:
             self._changed(changed, time)
 
     def hold(self, point: SimulatedPoint, time: float) -> None:
-        """Keep a point at a value that was set by hand, until `release` or, if set, for ``resume_after`` seconds.
+        """Keep a point at a value set by hand, until `release` or for its behaviour's ``resume_after`` seconds.
 
-        The behaviour continues from this value if it depends on its last one. Does nothing for a point without a
-        behaviour. From any thread.
+        With ``resume_after`` 0 the point is not kept; with None only `release` ends it. A behaviour that depends on its
+        last value continues from this one. Does nothing for a point without a behaviour. May be called in any thread.
 
         Args:
             point: the point, which has the new value already.
@@ -287,9 +289,10 @@ class Engine:
             self._push(time + section.resume_after, -1, 0, _Release(point, point.held))
 
     def release(self, point: SimulatedPoint, time: float) -> None:
-        """Let a point that was set by hand follow its behaviour again, from its next moment on. From any thread.
+        """Let a point that was set by hand follow its behaviour again, from its next moment on.
 
-        A behaviour that depends on its last value continues from the point's present one.
+        A behaviour that depends on its last value continues from the present value of the point. Does nothing for other
+        points. May be called in any thread.
 
         Args:
             point: the point.
@@ -301,13 +304,13 @@ class Engine:
             point.held = 0
 
     def begin(self, time: float, kept: Mapping[str, float]) -> None:
-        """Set the engine to a time other than 0, to continue a saved simulation; to be called before the first `run`.
+        """Set the engine to a time other than 0, to continue a saved simulation. Call this before the first `run`.
 
         The next `run` gives each point the value of its last moment up to that time.
 
         Args:
             time: seconds of the simulation.
-            kept: the saved state of each behaviour, by the key of its point.
+            kept: the saved states of behaviours, each by the key of its point, ``UNIT/NAME``.
         """
         self._heap, old = [], self._heap
         for _, rank, unit, _, task in old:
@@ -328,7 +331,7 @@ class Engine:
 
 
 _ROUNDING: Final = 1e-9
-"""Largest error of a quotient of two times."""
+"""Added to a quotient of two times before it is rounded down, as its error is smaller."""
 
 
 def _go_on(behaviour: Behaviour, point: SimulatedPoint, time: float) -> None:
@@ -343,9 +346,9 @@ def is_observer(behaviour: Any) -> TypeGuard[Observer]:  # of any class
 
 
 def _groups(driven: Iterable[Driven]) -> list[tuple[_Group, int]]:
-    """Return the points in groups, each with its rank; the points of a group have the same unit, period and rank.
+    """Return the points in groups, each with its rank; the points of a group have the same unit, ``every`` and rank.
 
-    Points whose behaviours observe others are also in groups of the rank `_LAST`.
+    Points whose behaviours observe others are also in a group with the rank `_LAST`.
     """
     found: dict[tuple[int, float, int], _Group] = {}
     for each in driven:

@@ -1,10 +1,10 @@
-"""Tells when the faults of a simulation begin and end by their schedules.
+"""Reports when the faults of a simulation begin and end by their schedules.
 
 Knows faults and the event loop whose clock times them; prints nothing.
 
-1. The schedule of a fault counts from here on, and not from the first request: the moments that are told are those at
-   which it changes requests.
-2. A fault without a schedule is not told; neither is one that is switched off or removed.
+1. The schedule of a fault begins when this module first looks at it, and not at the first request: a fault is reported
+   at the moments from which it changes requests, or changes none.
+2. A fault without a schedule is not reported; neither is a fault that is switched off or removed.
 """
 
 import asyncio
@@ -21,8 +21,8 @@ async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault
     as ended.
 
     Args:
-        board: the faults, also those that are added or switched later.
-        tell: called in the event loop.
+        board: the faults; faults that are added or switched later are reported, too.
+        tell: called with the fault, and True or False, in the event loop.
     """
     loop = asyncio.get_running_loop()
     changed = asyncio.Event()

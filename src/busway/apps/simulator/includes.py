@@ -1,19 +1,19 @@
 """Loads a simulation file with all files that it includes; every error names its line in its own file.
 
-Knows files by their names, includes and parameters; what stands in a file is known by its schema
-(`busway.config.files.simulation`). It builds nothing (`busway.apps.simulator.builder` does).
+Knows names of files, includes and parameters; the schema (`busway.config.files.simulation`) knows the contents of a
+file, and `busway.apps.simulator.builder` builds devices from them.
 
 1. A text that is ``${name}`` alone becomes the parameter's value, with its type; ``${name}`` inside a longer text
    becomes the text of the value. The braces may hold an expression: ``${base + 10 * index}``.
 2. ``[parameters]`` of a file gives defaults, and ``required`` lists parameters without any; ``with`` of an include sets
-   parameters. ``unit`` is the number of the unit that is being made, ``index`` counts those of one include from 0.
-3. With ``units`` an include makes units of the one ``[[unit]]`` of its file, each with a memory of its own; without,
-   it takes the file's units as they are.
+   parameters. ``unit`` is the number of the unit that is being made, ``index`` counts the units of one include from 0.
+3. With ``units`` an include makes several units from the one ``[[unit]]`` of its file, each with a memory of its own;
+   without ``units`` it adds all units of the file with their own numbers.
 4. A file cannot include itself, nor another file that includes it.
 5. Paths in a file are relative to its folder; ``device:NAME`` is a device of the package. Included files are regular
    ones, and not reached by a link of another user (`busway.safe_files`).
-6. What a few short files can ask for is bounded: `MOST_INCLUDES`, and in `busway.config.parameters` what is put into
-   a text.
+6. Limits prevent that a few short files need much memory: `MOST_INCLUDES`, and the limits of texts with parameters in
+   `busway.config.parameters`.
 """
 
 import os
@@ -41,12 +41,14 @@ from ..server.configuration import Configuration, put_together
 from .added_faults import fault_problems
 
 Reader = Callable[[str], str]
-"""Function that returns the text of a file by its name."""
+"""Function that takes the path of a file and returns its text. Raises `ConfigError` if the file cannot be read."""
 
 MOST_INCLUDES: Final = 1000
-"""Most includes of one simulation, counted each time: twenty files that each include the next twice are a million."""
+"""Most includes of one simulation. A file counts each time that it is included: twenty files that each include the next
+one twice would be a million includes.
+"""
 MOST_LEVELS: Final = 32
-"""Most levels of files that include each other."""
+"""Most levels of included files below the file of the simulation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,7 +83,7 @@ class SimulationDeclaration:
         configuration: listeners, security, policy and the like; its ``file`` has all units.
         file: the sections of the file, with the units of all includes.
         units: the units, each with its place in its own file.
-        state: path of the file in which values are saved; None if they are not.
+        state: path of the file in which the values are saved; None if they are not saved.
     """
 
     configuration: Configuration
@@ -97,8 +99,8 @@ def load_declaration(
 
     Args:
         path: path of the file, in TOML. Every device file and every configuration file is a simulation file too.
-        changes: options of listeners, by name, that override those of the file.
-        unit: number of the file's only ``[[unit]]`` if the file does not say it.
+        changes: options of all listeners, by name, that override those of the file.
+        unit: number of the file's only ``[[unit]]`` if the file has none for it.
 
     Raises:
         ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
@@ -121,7 +123,7 @@ def parse_declaration(
     Args:
         text: content of the file.
         name: name of the file, for errors; paths in the text are relative to its folder.
-        changes: options of listeners, by name, that override the file's.
+        changes: options of all listeners, by name, that override the file's.
         read: returns the text of an included file by its path.
         unit: as of `load_declaration`.
 
@@ -167,7 +169,7 @@ class _Including:
 
     Args:
         read: returns the text of a file by its path.
-        chain: the real paths of the files that include each other down to this one, the outermost first.
+        chain: the real paths of the files from the simulation's own file to this one, each of which includes the next.
         count: counts the included files of the whole simulation.
     """
 
@@ -177,7 +179,7 @@ class _Including:
         self._count = count
 
     def all_of(self, file: ParameterKeys, source: Source) -> Iterator[DeclaredUnit]:
-        """Yield the units that all includes of a file add. Raises `FileError` with all problems of an included file.
+        """Yield the units that all includes of a file add. Raises `FileError` with the problems of one included file.
 
         Args:
             file: the ``[[include]]`` sections of the file.
@@ -219,8 +221,8 @@ class _Including:
         """Yield all units of an included file with their own numbers, and the units of files that it includes.
 
         Args:
-            source: the file.
-            parameters: the parameters for it.
+            source: the included file.
+            parameters: the values of the file's parameters.
             identity: real path of the file.
         """
         filled = replace(source, data=own_units(FilledSource(source, parameters)))
@@ -240,10 +242,10 @@ class _Including:
         ``index``.
 
         Args:
-            source: the file.
-            parameters: the parameters for it.
+            source: the included file.
+            parameters: the values of the file's parameters.
             numbers: the numbers of the units.
-            asked: file and path of the key ``units``, for errors.
+            asked: the including file and the path of its key ``units``, for errors.
         """
         sections = source.data.get("unit")
         if not isinstance(sections, list) or len(sections) != 1 or "include" in source.data:
@@ -267,12 +269,12 @@ def _checked_unit(source: Source, index: int) -> DeclaredUnit:
 
 
 def _included(error: ConfigError, name: str, where: str) -> ConfigError:
-    """Return an error of an included file with a note which file includes it; an error of another file unchanged.
+    """Return an error of an included file with a note that names the including file; other errors unchanged.
 
     Args:
         error: the error.
-        name: the included file.
-        where: including file and line.
+        name: name of the included file.
+        where: name and line of the including file.
     """
     if error.file != name:
         return error
@@ -284,9 +286,9 @@ def _identity(name: str) -> str:
 
 
 def _refuse_repeated(file: SimulationFile, units: Sequence[DeclaredUnit], source: Source) -> None:
-    """Raise `FileError` for unit numbers that are declared twice, by several files, and for too many devices.
+    """Raise `FileError` if two files declare the same unit number, or if there are too many devices.
 
-    The ``unit_policy`` ``any`` permits one device only. Within one file the schema checks unit numbers.
+    With the ``unit_policy`` ``any`` there must be only one device. Within one file the schema checks unit numbers.
     """
     owners: dict[int, DeclaredUnit] = {}
     problems: list[ConfigError] = []

@@ -1,6 +1,6 @@
 """The plant of the demonstration, as three devices: a tank with pump and consumers, a meter, and a thermometer.
 
-Knows its physics as functions of state and time, and its points; knows no clock and no connection.
+Knows the physics of the plant as functions of state and time, and its points; knows no clock and no connection.
 
 1. A second of the demonstration is a minute of the plant, so that a level can be seen to move.
 2. The pump keeps the level around ``tank.target`` while ``pump.enabled`` is on. Clients can write both by Modbus.
@@ -88,26 +88,26 @@ type = "int16"
 scale = 0.1
 unit_of_measure = "°C"
 """
-"""The text of the plant's device file; `busway serve` takes files like it."""
+"""The text of the plant's device file, in the form of files for `busway serve`."""
 
 TANK: Final = 1
 METER: Final = 2
 THERMOMETER: Final = 3
-"""Unit identifiers of the three devices."""
+"""Unit identifier of the thermometer; `TANK` and `METER` are those of the other two devices."""
 HASTE: Final = 60.0
 """Seconds of the plant in one second of the clock."""
 TANK_AREA: Final = 1.5
 """Area of the tank in square metres."""
 TANK_HEIGHT: Final = 4.0
-"""Height of the tank in metres: the level cannot rise above."""
+"""Height of the tank in metres: the level cannot rise above it."""
 PUMP_FLOW: Final = 36.0
 """Flow of the running pump into an empty tank, cubic metres per hour."""
 PUMP_SPEED: Final = 1450
 """Speed of the running pump, revolutions per minute."""
 PUMP_POWER: Final = 4000
-"""Rated power of the pump in watts; depending on the level of the tank it takes 0.9 to 1.02 of that."""
+"""Rated power of the pump in watts; depending on the level of the tank, the pump takes 0.9 to 1.02 times that."""
 IDLE_POWER: Final = 35
-"""Power of the controls in watts."""
+"""Power in watts that the controls take all the time, also while the pump stands."""
 BAND: Final = 0.3
 """Metres below the target at which the pump starts, and above it at which it stops."""
 _LONGEST_STEP: Final = 0.2
@@ -135,7 +135,7 @@ class PlantState:
         time: seconds of the clock since the plant began.
         level: level of the tank, in metres.
         is_pumping: whether the pump runs.
-        volume: litres that the pump has delivered; starts again from 0 after 2³².
+        volume: litres that the pump has delivered, plus 1000 at the start; starts again from 0 at 2³².
     """
 
     time: float = 0.0
@@ -172,9 +172,9 @@ def _step(state: PlantState, controls: Controls, seconds: float) -> PlantState:
 
 
 def _pumps(state: PlantState, controls: Controls) -> bool:
-    """Whether the pump runs from now on: it starts `BAND` below the target level, and stops `BAND` above it.
+    """Whether the pump runs from now on: it starts at `BAND` metres below the target level, and stops `BAND` above it.
 
-    Between the two levels it stays on or off as it was. It never runs while it is not enabled.
+    Between the two levels the pump goes on running or standing. It never runs while it is not enabled.
     """
     if not controls.pump_enabled or state.level >= controls.target + BAND:
         return False
@@ -197,7 +197,7 @@ def temperature(time: float) -> float:
 
 
 def power(state: PlantState) -> int:
-    """Return the electrical power of the plant in watts."""
+    """Return the electrical power of the plant in watts: the controls, and the pump while it runs."""
     return IDLE_POWER + (round(PUMP_POWER * (0.9 + 0.03 * state.level)) if state.is_pumping else 0)
 
 
@@ -207,7 +207,7 @@ class Plant:
     Attributes:
         devices: the devices to serve, by unit.
         points: by unit, the named points of its device.
-        state: the present state of the plant.
+        state: the present state of the plant; replaced by `tick`.
     """
 
     def __init__(self) -> None:

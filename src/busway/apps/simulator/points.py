@@ -14,7 +14,7 @@ from ...values.refusal import shown
 
 
 class Points:
-    """The named points of a device, read and set by name: ``points["tank.level"] = 1.5``; from any thread.
+    """The named points of a device, read and set by name: ``points["tank.level"] = 1.5``. May be used in any thread.
 
     Args:
         device: the device that has the points.
@@ -49,7 +49,7 @@ class Points:
         self._device.write(section.place, raw if section.form is None else [raw], section.form)
 
     def update(self) -> AbstractContextManager[None]:
-        """Return a context manager that groups changes of the device: clients see all of them at once, or none."""
+        """Return a context manager that groups changes of the device: clients see all of these changes, or none."""
         return self._device.update()
 
     def _section(self, name: str) -> PointSection:

@@ -2,8 +2,8 @@
 
 Knows tables and the keys of a unit; knows no device.
 
-1. A table whose items follow each other is one declaration. Where there are holes, each item is a point, so that
-   everything else is refused, as on the device.
+1. A table whose items have consecutive addresses is declared as a whole. In a table with holes, each item is declared
+   as a point, so that requests for the holes are refused, as the device did.
 """
 
 from collections.abc import Iterator, Mapping
@@ -18,7 +18,7 @@ def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # A
     """Return the keys of a ``[[unit]]`` section that declare items with their values.
 
     Args:
-        tables: for each table, the values of its items by offset.
+        tables: for each table, the values of its items (bits: 0 or 1) by address, counted from 0.
     """
     keys: dict[str, Any] = {}
     points: list[dict[str, Any]] = []
@@ -36,7 +36,7 @@ def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # A
 
 
 def _runs(items: Mapping[int, int]) -> Iterator[tuple[int, list[int]]]:
-    """Yield the items in groups of consecutive offsets: the first offset, and the values."""
+    """Yield the items in groups of consecutive addresses: the first address of each group, and its values."""
     for _, group in groupby(enumerate(sorted(items)), lambda pair: pair[1] - pair[0]):
         offsets = [offset for _, offset in group]
         yield offsets[0], [items[offset] for offset in offsets]
@@ -47,7 +47,7 @@ def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
 
     Args:
         table: the table.
-        first: offset of the first item.
+        first: address of the first item, counted from 0.
         values: the values of all items.
     """
     said = len(values)
@@ -58,6 +58,6 @@ def _table_keys(table: Table, first: int, values: list[int]) -> dict[str, Any]:
 
 
 def _unnamed(table: Table, offset: int, value: int) -> dict[str, Any]:
-    """Return the keys of a point for an item without a name; its address becomes its name."""
+    """Return the keys of a point for one item; its address, such as ``4x101``, becomes its name."""
     address = format_address(Address(table, offset))
     return {"name": address, "address": address, "value": bool(value) if table.holds_bits else value}

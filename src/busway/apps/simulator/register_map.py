@@ -1,6 +1,6 @@
 """Imports register maps in CSV, as manuals and spreadsheets have them, as points of a unit.
 
-Knows the columns and how their cells are written; what a point may be is known by the schema of device files.
+Knows the columns and the notation of their cells; the schema of device files checks the points.
 
 ::
 
@@ -16,7 +16,7 @@ Rules:
    with or without a byte order mark, UTF-16 with one, or else Latin-1.
 3. A file is read as a whole; each error is reported with file, line and column.
 4. If commas do not separate cells, a number may have a decimal comma.
-5. Nothing is guessed: an empty cell is the default of its key, and a cell that cannot be read is refused.
+5. Nothing is guessed: for an empty cell the key has its default, and a cell that cannot be read is refused.
    `read_what_fits` leaves out rows and columns that cannot be read, and returns the errors in them.
 """
 
@@ -59,7 +59,7 @@ class Column:
 
     Attributes:
         name: header of the column.
-        key: key of a point that gets the cell's value; empty if the cell only helps to read another.
+        key: key of a point that gets the cell's value; empty if the cell only helps to read another cell of the row.
         says: meaning of the cells, for the documentation.
         also: other headers with the same meaning.
     """
@@ -100,7 +100,7 @@ _NAME_OF_KEY: Final = {column.key: column.name for column in COLUMNS if column.k
 
 
 def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSection]:
-    """Return the points that the register map in a CSV file describes, in its order.
+    """Return the points that the register map in a CSV file describes, in the order of its rows.
 
     Args:
         path: path of the file.
@@ -114,18 +114,18 @@ def read_register_map(path: str | os.PathLike[str]) -> list[SimulatedPointSectio
 
 
 def read_what_fits(path: str) -> tuple[list[tuple[int, dict[str, Any]]], list[ConfigError]]:
-    """Read those rows of a CSV file that can be read as keys of points, and report the rest.
+    """Read those rows of a CSV file that can be read as keys of points, and return the errors in the others.
 
     Args:
-        path: the file. Unknown columns are left out of all rows.
+        path: path of the file. Unknown columns are left out of all rows.
 
     Returns:
-        For each row its line number and its keys, not yet checked; and what could not be read, each with line and
-        column.
+        Two lists: line number and keys of each row that could be read, the keys not yet checked by the schema; and the
+        errors, each with file, line and column.
 
     Raises:
-        FileError: the columns for name and address are missing, or doubled, each with file and line.
-        ConfigError: it cannot be read.
+        FileError: there is no header line with columns for name and address, or a column is there twice.
+        ConfigError: the file cannot be read.
     """
     reader = _Reader(path, _decoded(_read(path)), skips_columns=True)
     rows = reader.rows()
@@ -154,14 +154,15 @@ def _read(name: str) -> bytes:
 
 
 def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSection]:
-    """Return the points that a register map in CSV describes, in its order.
+    """Return the points that a register map in CSV describes, in the order of its rows.
 
     Args:
-        data: content of the file.
+        data: content of the file, as bytes or decoded.
         name: name of the file, for errors.
 
     Raises:
-        FileError: the register map is invalid; the error has all problems, each with file, line and column.
+        FileError: the register map is invalid or has no point; the error has all problems, each with file, line and
+            column.
     """
     text = data if isinstance(data, str) else _decoded(data)
     reader = _Reader(name, text)
@@ -215,7 +216,7 @@ class _Reader:
     Attributes:
         name: name of the file, for errors.
         text: content of the file.
-        skips_columns: whether unknown columns are left out, and the rows read all the same.
+        skips_columns: whether unknown columns are left out; if False, no row is read from a map with unknown columns.
         problems: the errors so far.
     """
 
@@ -227,7 +228,7 @@ class _Reader:
     def rows(self) -> list[_Row]:
         """Return the rows of the register map below its header line, without empty lines and comments.
 
-        Rows with too many cells are left out; there are none without a valid header line. Adds errors to `problems`.
+        Rows with too many cells are left out. Without a valid header line, returns no rows. Adds errors to `problems`.
         """
         begin, header = self._header_line()
         if header is None:
@@ -259,7 +260,7 @@ class _Reader:
         return 1, None
 
     def _records(self, delimiter: str, begin: int) -> Iterator[tuple[int, list[str]]]:
-        """Yield the CSV records from a line on, each with the number of its first line."""
+        """Yield the CSV records from line ``begin`` on, each with the number of its first line; ends at invalid CSV."""
         body = "\n".join(self.text.splitlines()[begin - 1 :])
         reader = csv.reader(io.StringIO(body, newline=""), delimiter=delimiter, strict=True)
         line = begin
@@ -271,9 +272,10 @@ class _Reader:
             self._complain(f"is no CSV: {error}", line)
 
     def _columns(self, cells: list[str], line: int) -> list[Column | None] | None:
-        """Return the columns that the cells of the header line name; None if one is wrong or missing.
+        """Return the column for each cell of the header line; None for a cell whose column is not read.
 
-        A cell whose column is not read gives None in the list.
+        Returns None instead of a list if a needed column is missing, or one is there twice or unknown; unknown columns
+        are permitted with `skips_columns`. Adds errors to `problems`.
         """
         columns: list[Column | None] = []
         is_usable = True
@@ -310,14 +312,14 @@ def _decoded(data: bytes) -> str:
 
 
 def _known_in(header: str, delimiter: str) -> int:
-    """Return how many known column names a header line has if it is split by this delimiter."""
+    """Return the number of known column names in a header line if it is split by this delimiter."""
     return sum(" ".join(cell.strip(' "').lower().split()) in _BY_HEADER for cell in header.split(delimiter))
 
 
 def _column_of(key: str | None) -> str | None:
     """Return the register map column for the path of a point's key: ``point[3].unit_of_measure`` → ``unit``.
 
-    The name of the key itself if no column gives it; None without a key.
+    Returns the name of the key itself if no column gives the key; None if there is no key.
     """
     last = re.sub(r"\[\d+\]$", "", (key or "").rpartition("]")[2].lstrip(".").partition("[")[0].partition(".")[0])
     return _NAME_OF_KEY.get(last, last or None)
@@ -326,7 +328,7 @@ def _column_of(key: str | None) -> str | None:
 def _keys_of(row: _Row) -> tuple[dict[str, Any], list[tuple[str, str]]]:
     """Return the keys for a `SimulatedPointSection` that a row of a register map gives, and the errors in the row.
 
-    Each error is a column and a message.
+    Each error is a pair of column and message. Keys whose cells are empty or invalid are left out.
     """
     cells = row.cells
     keys: dict[str, Any] = {}
@@ -371,7 +373,10 @@ def _table(text: str) -> Table:
 
 
 def _place(text: str, table: Table | None) -> Address:
-    """Parse an address that names its table, or a plain number, which belongs to ``table``."""
+    """Parse an address that names its table, or a plain number, which is an offset in ``table``.
+
+    Raises `InvalidRequest` if the text is neither, or names another table than ``table``.
+    """
     place = parse_address(text, table=table)
     try:
         return parse_address(text)
@@ -387,7 +392,7 @@ def _number(text: str, row: _Row) -> float:
 
 
 def _with_point(text: str, row: _Row) -> str:
-    """Return the text of a number with a decimal point, also if the register map uses decimal commas."""
+    """Return the text of a number with a decimal point instead of a decimal comma, if the map may have such commas."""
     return text.replace(",", ".") if row.decimal_comma and text.count(",") == 1 and "." not in text else text
 
 
@@ -430,11 +435,11 @@ def _value(text: str, row: _Row, keys: Mapping[str, Any], *, is_bit: bool) -> An
         text: the cell: a name of the enumeration, on or off, a number in the unit of measure, or the notation of the
             type.
         row: the row of the cell.
-        keys: the keys of the point so far.
+        keys: the keys of the point so far: its enumeration, type, order and scale decide how the cell is read.
         is_bit: whether the point is one bit.
 
     Raises:
-        ValueError, InvalidRequest: the cell cannot be read so.
+        ValueError, InvalidRequest: the cell cannot be read as such a value.
     """
     if text in keys.get("enumeration", {}):
         return text

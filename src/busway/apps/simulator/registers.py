@@ -1,10 +1,10 @@
-"""Where a point is in the memory of its device, and how its values are encoded there.
+"""The place of a point in the memory of its device, and the encoding of its values there.
 
 Knows sections of points and runs of items; knows no behaviour and no time.
 
-1. Every value of a behaviour becomes one that the registers can hold: whole numbers are rounded, and a value outside
-   the range of the point or of its type becomes the nearest end of that range. NaN, such as from a formula that divides
-   by zero, leaves whole numbers as they are; a float shows it.
+1. Every value of a behaviour is changed to a value that the registers can hold: for whole numbers it is rounded, and a
+   value outside the range of the point or of its type becomes the nearest end of that range. If it is NaN, as from a
+   formula that divides by zero, a float becomes NaN, and a point of another type keeps its value.
 2. The encoding is prepared once for each point: at each moment a number is packed by one call of a compiled ``struct``.
 """
 
@@ -23,12 +23,12 @@ from ...values import ValueType
 Put = Callable[[bytearray, int, Any], object]
 """Function that writes a number of the point's type, or a ``bool``, into the memory of a device.
 
-Its arguments: the memory, the offset in bytes (for bits: in bits), the number.
+Its arguments: the memory, the offset of the point in it in bytes (for one bit: in bits), and the number.
 """
 Quantise = Callable[[float], Any]
-"""Function that returns the number in the registers for a value in the unit of measure.
+"""Function that takes a value in the unit of measure, and returns the nearest number that the registers can hold.
 
-None if the value is NaN and the type cannot hold that.
+Returns None if the value is NaN and the type cannot hold NaN.
 """
 
 _LETTERS: Final = {
@@ -47,7 +47,7 @@ _LARGEST: Final = {"float16": 65504.0, "float32": 3.4028234663852886e38, "float6
 
 @dataclass(frozen=True, slots=True)
 class PointForm:
-    """How a point's value is encoded in registers, computed once for all units that have the point.
+    """The encoding of a point's value in registers, computed once for all units that have the point.
 
     Attributes:
         section: the declaration of the point in its file.
@@ -58,7 +58,7 @@ class PointForm:
         size: number of items that the point takes.
         put: writes a number, as the registers hold it, into the memory of a device.
         quantise: returns the number in the registers for a value in the unit of measure.
-        factors: factor and offset: the number in the registers times the first, plus the second, is the value.
+        factors: scale and offset: value in the unit of measure = number in the registers × scale + offset.
     """
 
     section: SimulatedPointSection
@@ -74,11 +74,11 @@ class PointForm:
 
 @dataclass(frozen=True, slots=True)
 class Place:
-    """Where a point is in the memory of one device.
+    """The place of a point in the memory of one device.
 
     Attributes:
-        memory: the block of items that has the point.
-        offset: offset of the point in the block, in bytes (for bits: in bits).
+        memory: the block of memory that has the point.
+        offset: offset of the point in the block, in bytes (for one bit: in bits).
     """
 
     memory: RegisterRun | BitRun
@@ -86,7 +86,7 @@ class Place:
 
 
 def form_of(section: SimulatedPointSection) -> PointForm:
-    """Return how a declared point's value is encoded in registers."""
+    """Return the encoding of a declared point's value in registers."""
     place, form = section.place, section.form
     return PointForm(
         section,
@@ -107,7 +107,7 @@ def _factors(section: SimulatedPointSection) -> tuple[float, float]:
 
 
 def place_of(form: PointForm, device: Device) -> Place:
-    """Return where a point is in the memory of a device that has its items."""
+    """Return the place of a point in the memory of a device, which must have the items of the point."""
     run = device.find_run(form.table, form.address, form.size)
     assert run is not None  # the device was built of these declarations
     position = form.address - run.first
@@ -126,7 +126,7 @@ def _put_bit(data: bytearray, offset: int, on: bool) -> None:
 
 
 def _putter(form: ValueType[Any]) -> Put:
-    """Return a function that writes a number of a value type into memory, a fast one for the common byte orders."""
+    """Return a function that writes a number of a value type into memory; a faster one for common byte orders."""
     letter = _LETTERS.get(form.name)
     if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
         return struct.Struct(f">{letter}").pack_into
@@ -178,7 +178,7 @@ def _quantiser(section: SimulatedPointSection, form: ValueType[Any]) -> Quantise
 
 
 _ROUNDING: Final = 1e-9
-"""Largest error of a division whose operands are rounded to binary fractions."""
+"""Error that a division may have because its operands are rounded to binary fractions."""
 
 
 def _whole_quantiser(scale: float, offset: float, least: int, most: int) -> Quantise:
@@ -226,9 +226,10 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
 
 
 def largest_of(form: PointForm) -> float | None:
-    """Return the value at which a counter in this point starts from 0 again; None for bits and floats.
+    """Return the value at which a counter in this point starts from 0 again, in its unit of measure.
 
-    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers.
+    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers (if
+    the point has no offset). None for bits and floats: never.
     """
     if form.form is None or form.form.name.startswith("float"):
         return None

@@ -1,7 +1,7 @@
 """Data of a running simulation: a simulated point, its unit, and a change of its value.
 
-Knows the device that holds the point; knows no behaviour beyond its name, and no clock: times are seconds of the
-simulation since its beginning.
+Knows the device that holds the point, and of its behaviour only the declaration; knows no clock: times are seconds of
+the simulation since its beginning.
 
 1. The value of a point is always read from its registers: ``value`` is what a client would read.
 """
@@ -23,7 +23,7 @@ from ...values.refusal import shown
 from .registers import PointForm, place_of
 
 SIMULATION: Final = "simulation"
-"""Name of the writer of values that come from a behaviour, or from the file."""
+"""Name of the writer (`SimulatedPoint.last_writer`) of values that come from a behaviour, or from the file."""
 
 
 class SimulatedPoint:
@@ -39,11 +39,13 @@ class SimulatedPoint:
         unit: number of the unit.
         device: the device that has the point.
         form: how the point's value is encoded.
-        memory: the block of items that holds the value.
-        offset: where the value begins in that block, in bytes (one bit: in bits).
-        held: number of the latest setting by hand or by a Modbus client; 0 while the point follows its behaviour.
-        number: the value as formulas see it; NaN if it is no number.
-        stored: the value as the registers hold it: a number of the type, or ``bool``; None if they are invalid in it.
+        memory: the block of the device's memory that holds the value.
+        offset: where the value begins in that block, in bytes (for one bit: in bits).
+        held: number of the latest setting by hand or by a Modbus client, 1 or more, while the point keeps that value; 0
+            while it follows its behaviour.
+        number: the value in the unit of measure, as formulas use it; NaN if it is no number.
+        stored: the value before scaling, as the registers hold it: a value of the type, or ``bool``; None if the
+            registers hold no valid value of the type.
         changed_at: when the value changed last, in seconds of the simulation.
         last_writer: ``simulation``, ``api``, or the address of a Modbus client.
     """
@@ -119,17 +121,17 @@ class SimulatedPoint:
 
     @property
     def scale(self) -> float:
-        """The factor from the number in the registers to the value in the unit of measure."""
+        """The factor by which the number in the registers is multiplied to give the value in the unit of measure."""
         return self.form.section.scale
 
     @property
     def unit_of_measure(self) -> str:
-        """Unit of measure of the point, such as ``V`` or ``°C``."""
+        """Unit of measure of the point, such as ``V`` or ``°C``; empty if the file gives none."""
         return self.form.section.unit_of_measure
 
     @property
     def description(self) -> str:
-        """Description of the point in words, from its file."""
+        """Description of the point in words, from its file; empty if it has none."""
         return self.form.section.description
 
     @property
@@ -149,7 +151,7 @@ class SimulatedPoint:
 
     @property
     def enumeration(self) -> Mapping[str, int]:
-        """The names of the point's values, with the number of each; empty if they have none."""
+        """Numbers by name, for points whose values have names; empty for other points."""
         return self.form.section.enumeration
 
     @property
@@ -165,7 +167,7 @@ class SimulatedPoint:
 
     @property
     def value(self) -> Any:  # what its type says
-        """The value of the point in its unit of measure, as a client reads it; None if its type cannot decode it."""
+        """The value in the unit of measure, read from the registers now; None if they hold no valid value."""
         try:
             return self.section.physical(self._decoded())
         except BadReply:
@@ -185,7 +187,7 @@ class SimulatedPoint:
         return (self.device.peek(self.table, self.address, self.form.size) or b"").hex(" ", 2).upper()
 
     def look(self) -> None:
-        """Update ``stored`` and ``number`` from the point's registers; to be called after these were written."""
+        """Update ``stored`` and ``number`` from the point's registers. Call this after the registers were written."""
         try:
             self.stored = self._decoded()
         except BadReply:
@@ -201,12 +203,12 @@ class SimulatedPoint:
         return form.decode(self.memory.data[offset : offset + 2 * form.registers])[0]
 
     def put(self, value: Any) -> None:  # what its type says
-        """Set the point's registers to a value in its unit of measure, or to the name of a value.
+        """Set the point's registers to a value in its unit of measure, or to a value given by its name.
 
-        The point goes on following its behaviour; `Simulation.set` holds it.
+        The point goes on following its behaviour; `Simulation.set` makes it keep the value.
 
         Raises:
-            InvalidRequest: the value does not fit the type, the range or the names.
+            InvalidRequest: the value does not fit the type or the range, or is no name of a value.
         """
         try:
             put_value(self.device, self.section, value)
@@ -225,7 +227,7 @@ class SimulatedUnit:
     Attributes:
         unit: number of the unit, 0…255.
         name: name of the unit; empty if the file gives none.
-        description: description of the unit, from the file.
+        description: description of the unit, from the file; empty if the file gives none.
         device: the device to serve.
         points: the points by their name in the unit, in the order of the file.
     """

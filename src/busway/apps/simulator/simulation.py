@@ -1,13 +1,13 @@
 """A running simulation: units whose points follow their behaviours, and can be set by people and programs.
 
-Knows files of simulations, the engine and a clock; knows no page. Faults are played by the fault switchboard.
+Knows files of simulations, the engine and a clock; knows no page. The fault switchboard applies faults to requests.
 
 >>> simulation = Simulation("plant.toml")                                    # doctest: +SKIP
 >>> async with simulation.running("tcp://127.0.0.1:5020"): ...               # doctest: +SKIP
 
 1. Values are functions of the simulation's time, which begins at 0 and goes on where it stopped if values are kept.
    The same file, seed and times give the same values.
-2. Without a clock nothing happens by itself: `tick` moves on to the time it is given.
+2. Without a clock nothing happens by itself: the program calls `tick` with the time.
 3. A point that was set by hand, or written by Modbus, does not follow its behaviour until it is released, by
    `release` or after the ``resume_after`` seconds of its behaviour.
 4. A program that cannot keep up leaves moments out, so that it does not fall behind more and more.
@@ -46,7 +46,7 @@ if TYPE_CHECKING:
 _log = logging.getLogger("busway.apps.simulator")
 
 SLICE: Final = 0.002
-"""Seconds after which the engine lets requests be answered before it goes on."""
+"""Seconds for which the engine computes values in one go; then requests are answered before it goes on."""
 
 Watcher = Callable[[list[PointChanged]], object]
 
@@ -55,17 +55,17 @@ class SimulationTimer(Protocol):
     """Interface of a call scheduled with the simulation's clock."""
 
     def cancel(self) -> None:
-        """Cancel the call: the function is not called any more."""
+        """Cancel the scheduled call: the function is not called any more."""
 
 
 class SimulationClock(Protocol):
-    """Interface of a clock that also calls functions at a time; `busway.testing.FakeClock` is one."""
+    """Interface of a clock that also calls functions at given times, as `busway.testing.FakeClock` does."""
 
     def now(self) -> float:
         """Return the current time of the clock in seconds, monotonic."""
 
     def call_at(self, when: float, callback: Callable[[], object]) -> SimulationTimer:
-        """Call ``callback`` once, when ``now()`` has reached ``when``."""
+        """Schedule one call of ``callback``, when ``now()`` has reached ``when`` (seconds); return its timer."""
 
 
 class _LoopClock:
@@ -82,8 +82,8 @@ class Simulation:
 
     Args:
         file: path of a simulation file; or the result of `busway.apps.simulator.includes.parse_declaration`.
-        clock: the clock; None for that of the event loop, from the moment on that the simulation runs in one.
-        seed: seed of all random numbers; None to use the file's, which is 0 if it says nothing.
+        clock: the clock. None: the clock of the event loop while `running` or `driven` lasts, and no clock otherwise.
+        seed: seed of all random numbers; None to use the file's, which is 0 by default.
         speed: seconds of the simulation in one second of the clock, above 0.
 
     Raises:
@@ -95,10 +95,10 @@ class Simulation:
         seed: seed of all random numbers.
         units: the units by number.
         points: all points by ``UNIT/NAME``.
-        board: switches the faults by name; they are played by every server that `serve` creates.
+        board: the faults by name, to add, switch and remove them; every server that `serve` creates applies them.
         speed: seconds of the simulation in one second of the clock.
         is_paused: whether the simulated time stands still.
-        warnings: saved values that could not be restored, a sentence each.
+        warnings: a sentence for each saved value that could not be restored.
     """
 
     def __init__(
@@ -151,7 +151,7 @@ class Simulation:
 
     @property
     def left_out(self) -> int:
-        """The number of moments that were skipped because the program was too slow; points did not change then."""
+        """The number of moments at which points did not get their values because the program was too slow."""
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:
@@ -162,9 +162,9 @@ class Simulation:
         return point
 
     def set(self, key: str, value: Any, who: str = "api") -> None:  # Any: what the point's type says
-        """Set a point by hand: it holds the value until it is released. From any thread.
+        """Set a point by hand: it keeps the value until `release`, or for its behaviour's ``resume_after`` seconds.
 
-        Points that Modbus clients may only read can be set too.
+        May be called in any thread. Points that Modbus clients may only read can be set, too.
 
         Args:
             key: ``UNIT/NAME``.
@@ -172,7 +172,8 @@ class Simulation:
             who: name of the writer, for `SimulatedPoint.last_writer` and the functions of `watch`.
 
         Raises:
-            InvalidRequest: there is no such point, or the value does not fit its type, its range or its names.
+            InvalidRequest: there is no such point, or the value does not fit its type or range, or is no name of a
+                value.
         """
         point = self.point(key)
         with point.device.lock:
@@ -183,7 +184,7 @@ class Simulation:
     def release(self, key: str) -> None:
         """Let a point that was set by hand or by Modbus follow its behaviour again, from its next moment on.
 
-        May be called from any thread.
+        Does nothing for a point that was not set, or has no behaviour. May be called in any thread.
 
         Raises:
             InvalidRequest: there is no such point.
@@ -193,10 +194,10 @@ class Simulation:
             self._engine.release(point, self.time)
 
     def watch(self, callback: Watcher) -> Callable[[], None]:
-        """Register a function to be called with each group of changed values.
+        """Register a function to be called with each group of new values.
 
         Args:
-            callback: gets the changes, in the thread that made them; its errors are logged.
+            callback: called with the list of changes, in the thread that made them; its errors are logged.
 
         Returns:
             A function that unregisters ``callback``.
@@ -210,7 +211,7 @@ class Simulation:
 
     @property
     def faults(self) -> "Faults":
-        """The faults of the simulated devices, which the servers play; `board` finds them by name."""
+        """The faults that servers apply to requests for the simulated devices; `board` finds them by name."""
         return self.board.faults
 
     # ---- time
@@ -219,7 +220,8 @@ class Simulation:
         """Compute the values of all points at each moment up to a time; no moment is left out.
 
         Args:
-            now: the time of the clock in seconds, monotonic. Without a clock, the first call gives the beginning.
+            now: the time of the clock in seconds, monotonic. Without a clock, the first call, and the first call after
+                `pause`, `resume` or `change_speed`, lets no time pass: simulated time goes on from there.
         """
         if self._origin is None:
             self._origin = (now, self._time)
@@ -227,9 +229,9 @@ class Simulation:
         self._engine.run(self._time)
 
     def deadline(self) -> float | None:
-        """Return when the next points change, in seconds of the clock.
+        """Return when the next points are to change, in seconds of the clock.
 
-        None if no point changes, while the simulation is paused, and without a clock before the first `tick`.
+        None if no point has a behaviour, while the simulation is paused, and without a clock before the first `tick`.
         """
         due = self._engine.deadline()
         if due is None or self._origin is None:
@@ -240,13 +242,13 @@ class Simulation:
         return began + (due - time) / self.speed
 
     def change_speed(self, speed: float) -> None:
-        """Change the speed of the simulated time from now on; to be called in the thread of the running event loop.
+        """Change the speed of the simulated time from now on. Call this in the thread of the event loop, if one runs.
 
         Args:
             speed: seconds of the simulation in one second of the clock, above 0.
 
         Raises:
-            ConfigError: the speed is not above 0, or infinite.
+            ConfigError: the speed is 0, negative, infinite or NaN.
         """
         _check_speed(speed)
         self._count_from_here()
@@ -254,16 +256,19 @@ class Simulation:
         self._arm_if_running()
 
     def pause(self) -> None:
-        """Stop the simulated time: points keep their values and can still be set.
+        """Stop the simulated time: points keep their values and can still be set; requests are still answered.
 
-        To be called in the thread of the running event loop.
+        Call this in the thread of the event loop, if one runs.
         """
         self._count_from_here()
         self.is_paused = True
         self._arm_if_running()
 
     def resume(self) -> None:
-        """Continue the simulated time from where it stopped; to be called in the thread of the running event loop."""
+        """Continue the simulated time from where `pause` stopped it.
+
+        Call this in the thread of the event loop, if one runs.
+        """
         self._count_from_here()
         self.is_paused = False
         self._arm_if_running()
@@ -273,9 +278,9 @@ class Simulation:
             self._arm()
 
     def _count_from_here(self) -> None:
-        """Restart the measurement of simulated time at this moment, after a pause or a change of speed.
+        """Count simulated time from this moment on, because its speed is about to change or it is to stop or go on.
 
-        Without a clock, it restarts at the next `tick`.
+        Without a clock, it is counted from the next `tick` on.
         """
         if self._clock is None:
             self._origin = None
@@ -314,7 +319,7 @@ class Simulation:
 
     @property
     def control(self) -> str | None:
-        """The path or address of the control socket; None for the default one."""
+        """The path or address of the control socket; None for the default one, or if the file switches it off."""
         return self.declaration.configuration.control
 
     @property
@@ -326,11 +331,11 @@ class Simulation:
         """Create a server for the units, with the faults and observers of the simulation; it is not started yet.
 
         Args:
-            listen: URLs or listeners instead of the file's.
+            listen: URLs or listeners instead of the file's; empty to use the file's.
             options: options of `busway.serve`, instead of the file's.
 
         Raises:
-            ConfigError: an invalid option.
+            ConfigError: an option is invalid, or the file has no unit.
         """
         server = self.declaration.configuration.serve(
             listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
@@ -357,7 +362,7 @@ class Simulation:
 
     @property
     def server(self) -> "Server":
-        """The running server of the simulation. Raises `ConfigError` if there is none."""
+        """The server that `driven` was given, while it lasts. Raises `ConfigError` if the simulation does not run."""
         if self._server is None:
             raise ConfigError("the simulation does not run", key="server")
         return self._server
@@ -369,7 +374,7 @@ class Simulation:
         To be used as ``async with simulation.running("tcp://127.0.0.1:0"): …``.
 
         Args:
-            listen: URLs to listen on, instead of the file's.
+            listen: URLs to listen on, instead of the file's; none to use the file's.
 
         Raises:
             ConfigError: a listener cannot be used as configured.
@@ -382,10 +387,12 @@ class Simulation:
 
     @asynccontextmanager
     async def driven(self, server: Any) -> AsyncIterator[Self]:  # Any: what `serve` gave, or a `Service` started
-        """Run the behaviours of the points while the context lasts, and save the state at the end if the file says so.
+        """Run the behaviours of the points while the context lasts; starts and stops no server.
+
+        If the file names a file for the state (``keep``), the state is saved regularly and at the end.
 
         Args:
-            server: the server that serves the units, as `server` returns it; its creator starts and stops it.
+            server: the server that serves the units, for the property `server`; its creator starts and stops it.
         """
         self._server = server
         self._loop, self._thread = asyncio.get_running_loop(), threading.get_ident()
@@ -419,7 +426,7 @@ class Simulation:
             self.keep()
 
     def _arm(self) -> None:
-        """Set the timer to the time at which the next points change, if there are any."""
+        """Set the timer to the time at which the next points change; without such a time, only cancel the timer."""
         clock, deadline = self._clock, self.deadline()
         if self._timer is not None:
             self._timer.cancel()
@@ -444,14 +451,17 @@ class Simulation:
     # ---- changes
 
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
-        """Report to the watchers new values that behaviours have given to points. Called by the engine."""
+        """Report new values that behaviours have given to points to the functions of `watch`. Called by the engine."""
         if self._watchers:
             self._tell(
                 [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
             )
 
     def _written(self, points: Sequence[SimulatedPoint], peer: str) -> None:
-        """Hold and report points that a Modbus client has written. Called with the device's lock held."""
+        """Hold points that a Modbus client has written, and report them to the functions of `watch`.
+
+        Called with the device's lock held.
+        """
         for point in points:
             point.look()
         self._tell(self._held(points, peer))
@@ -492,7 +502,10 @@ class Simulation:
     # ---- values over restarts
 
     def _begin(self) -> None:
-        """Give all points their first values; if the file names a saved state and there is one, the saved values."""
+        """Give all points their first values, or their saved values if the file names a state file that exists.
+
+        Values that cannot be restored become warnings. Raises `ConfigError` if the state file is no such file.
+        """
         path = self.declaration.state
         kept = None
         if path is not None:
@@ -528,7 +541,7 @@ class Simulation:
             self._engine.hold(point, self._time)
 
     def keep(self) -> None:
-        """Save the state of the simulation now, if its file names a file for that (``keep``). Failures are logged."""
+        """Save the state of the simulation now, if its file names a state file (``keep``). Failures are logged."""
         if self.declaration.state is not None:
             self._save(self.declaration.state, self._snapshot())
 

@@ -2,10 +2,10 @@
 
 Knows the file; knows no device.
 
-1. A state is written to another file, which then takes the name in one step: a reader sees all of it, or the one
-   before.
+1. A state is written to a new file, which then takes the name of the old file in one step: a reader sees the whole new
+   state or the whole old state.
 2. A state that cannot be read is renamed, never overwritten, and an error says so; the simulation begins anew.
-3. A file that is no state is refused and stays as it is. So is one that a link of another user leads to.
+3. A file that is no state is refused and stays as it is. So is a file that is reached by a link of another user.
 4. Only its owner may read the file (0600): it holds values that clients wrote.
 """
 
@@ -21,7 +21,7 @@ from ...safe_files import check_replaceable, read_safely, write_whole
 _KIND: Final = "busway simulation state"
 _VERSION: Final = 1
 _LARGEST: Final = 256 << 20
-"""Most bytes of a state file: a hundred thousand units have 100 MB."""
+"""Largest size of a state file in bytes: the state of a hundred thousand units takes 100 MB."""
 ASIDE: Final = ".broken"
 """Ending that is appended to the name of a state file that cannot be read."""
 
@@ -33,7 +33,7 @@ class KeptPoint:
     Attributes:
         value: the value in the unit of measure; None if only the state of the behaviour is saved.
         is_held: whether the point was set by hand or by a Modbus client, and does not follow its behaviour.
-        behaviour: the value from which the behaviour continues; None if it depends only on the time.
+        behaviour: the value from which the behaviour continues; None if it needs none, or the point is held.
     """
 
     value: Any = None  # what the point's type says
@@ -93,8 +93,8 @@ def load_state(path: str) -> KeptState | None:
     """Return the state of a simulation saved in a file; None if there is no file.
 
     Raises:
-        ConfigError: the file is not a valid state, and was renamed if possible, with ``.broken`` after its name; or the
-            file is refused by `check_state`.
+        ConfigError: the file is no valid state, and was renamed if possible, with ``.broken`` after its name. Or
+            the file is refused by `check_state`, cannot be read, or is too large, and stays as it is.
     """
     place = check_state(path)
     if not os.path.lexists(place):
@@ -108,7 +108,10 @@ def load_state(path: str) -> KeptState | None:
 
 
 def _put_aside(place: str) -> str:
-    """Rename an invalid state file to ``NAME.broken``, and return in words, for a message, where the values are now."""
+    """Rename an invalid state file to ``NAME.broken``; return the end of a message that says where the values are now.
+
+    The message says so if the file could not be renamed.
+    """
     aside = f"{place}{ASIDE}"
     try:
         os.replace(place, check_state(aside))

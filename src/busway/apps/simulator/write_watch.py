@@ -1,7 +1,7 @@
-"""Tells a simulation which of its points a Modbus client has written.
+"""Reports to a simulation which of its points a Modbus client has written.
 
-Knows points and the hooks of devices; knows no behaviour. Values that do not fit a point are refused before
-(`busway.config.device_writes`).
+Knows points and the hooks of devices; knows no behaviour. Values that do not fit a point were refused before, by
+`busway.config.device_writes`.
 """
 
 from collections.abc import Callable, Sequence
@@ -17,11 +17,11 @@ Told = Callable[[Sequence[SimulatedPoint], str], None]
 
 
 def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -> None:
-    """Have a function called after each Modbus write that touches points of a device, from now on.
+    """Register a function that is called after each Modbus write that touches points of a device, from now on.
 
     Args:
         device: the device.
-        points: the points to watch; those that clients cannot write have no effect.
+        points: the points to watch; points that clients cannot write may be among them.
         told: called with the points that were written and the address of the client.
     """
     for table in Table:

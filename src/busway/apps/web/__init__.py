@@ -6,7 +6,7 @@
 `access`               Access control of a web page: host, origin, caller and size of every request
 `connections`          Limits the connections of a page: their number, and the times for requests and messages
 `operations`           The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
-`messages`             What requests and responses of all pages have in common: base classes, errors, values as JSON
+`messages`             Base classes for requests and responses of all pages, errors, and values as JSON
 `viewers`              The WebSockets of open pages: how a viewer is accepted, served and closed
 `simulation_page`      The web page of a simulation: its module, and the page that shows it
 `simulation_messages`  Requests and responses of a simulation's HTTP API, as data classes
@@ -19,7 +19,7 @@
 `collector_commands`   Commands and the configuration over the HTTP API of a collector's page
 `collector_stream`     `/stream` of a collector's page: a WebSocket with changed values, alarms and commands
 `collector_log`        The latest log messages of a collector, for its page: records of all loggers of busway
-`live_values`          Last committed values of all points, and what changed since a tick, for all viewers
+`live_values`          Last committed values of all points, and the changes since a tick, for all viewers
 `fleet_page`           The fleet on the page of one of its collectors, and over HTTP
 `page`                 HTML, style and scripts: the shell, and the modules `simulation`, `collector` and `fleet`
 `simulation_faults`    Faults of a simulation as its HTTP API shows and changes them
@@ -33,7 +33,7 @@
 
 Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections there may
 be, and how long each may wait: `connections`. Which tokens are valid: `page_tokens`. How an error is answered:
-`operations`. What a viewer of a collector is sent, and when: `live_values`, `collector_stream`; of a simulation:
-`simulation_stream`. In which time a viewer must take a message, and that its token still holds: `viewers`. What a page
-consists of: `application`. What a command from the page needs: `collector_commands`.
+`operations`. Which changes a viewer of a collector is sent, and when: `live_values`, `collector_stream`; a viewer of a
+simulation: `simulation_stream`. How long a viewer may take for a message, and whether its token is still valid:
+`viewers`. Which files and modules a page has: `application`. What a command from the page needs: `collector_commands`.
 """

@@ -9,8 +9,8 @@ Knows headers, roles and sizes; knows no resource. The check wraps the whole app
 3. On other addresses each request to the API carries a token, in ``Authorization: Bearer …``. A browser cannot set this
    header for a WebSocket, so a WebSocket carries the token as its subprotocol ``bearer.…``. A token is never part of a
    URL, because URLs end up in logs. The files of the page hold no secret and need no token.
-4. Tokens are kept as digests. A token that is shown is compared with all of them, in constant time. Tokens are never
-   logged.
+4. Tokens are kept as digests. The digest of a request's token is compared with all of them, in constant time. Tokens
+   are never logged.
 5. A caller has a role: the role of the token; without a token, the role of the subject of the TLS client certificate;
    without either, the role for such callers. Where the page has tokens, a request with a wrong one is refused,
    whatever its certificate.
@@ -45,7 +45,7 @@ Send = Callable[[Message], Awaitable[None]]
 Application = Callable[[Scope, Receive, Send], Awaitable[None]]
 
 BODY_LIMIT: Final = 4 * 1024 * 1024
-"""Most bytes in the body of a request: room for a hundred thousand values."""
+"""Largest number of bytes in the body of a request: room for a hundred thousand values."""
 BEARER_PROTOCOL: Final = "bearer."
 POLICY_VIOLATION: Final = 1008
 """Close code of a WebSocket that is refused (RFC 6455 §7.4.1)."""
@@ -54,14 +54,14 @@ CHANGING: Final = frozenset({"POST", "PUT", "PATCH", "DELETE"})
 CERTIFICATE_SUBJECT: Final = "certificate_subject"
 """Key in the ``state`` of an ASGI scope: its value is the subject of the client's verified certificate (RFC 4514)."""
 _BODY_KINDS: Final = ("application/json", "application/toml")
-"""Media types that a body may have. A page of another origin can send neither before this server has allowed it."""
+"""Media types that a body may have. A page of another origin can send neither unless this server has allowed it."""
 _CALLER: Final = "busway.caller"
 _FIND_CALLER: Final = "busway.find_caller"
 _log = logging.getLogger("busway.apps.web")
 
 
 class Role(IntEnum):
-    """What a caller of a web page may do; each role includes the roles before it."""
+    """The role of a caller of a web page, which says what the caller may do; each role includes the roles before it."""
 
     VIEW = 1
     """See values, history and states."""
@@ -85,7 +85,8 @@ class Caller:
     """The sender of a request to a web page: name and role.
 
     Attributes:
-        name: name of the token, subject of the certificate, or ``loopback``; it is recorded with each change.
+        name: name of the token, subject of the certificate, or ``loopback`` for a caller with neither; it is recorded
+            with each change.
         role: what the caller may do.
     """
 
@@ -98,8 +99,8 @@ class AccessToken:
     """A token that gives a caller access to a web page; only its digest is kept.
 
     Attributes:
-        caller: name and role of the caller that shows this token.
-        digest: SHA-256 of the token.
+        caller: name and role of callers that send this token.
+        digest: SHA-256 of the token, 32 bytes.
     """
 
     caller: Caller
@@ -107,7 +108,7 @@ class AccessToken:
 
     @classmethod
     def of(cls, token: str, name: str, role: Role) -> "AccessToken":
-        """Return the access token with this plain text, for a caller with this name and role."""
+        """Return the access token with this plain text, for callers with this name and role."""
         return cls(Caller(name, role), _digest(token))
 
 
@@ -119,7 +120,7 @@ class PageAccessRules:
         tokens: called for each check; returns the tokens that are valid now, possibly none. None: the page has no
             tokens, and a token in a request is ignored.
         subjects: role by the subject of a client certificate, in the form of RFC 4514: ``CN=anna,O=plant``.
-        without_token: role of callers that show neither a token nor a certificate of ``subjects``; None: they are
+        without_token: role of callers that have neither a token nor a certificate of ``subjects``; None: they are
             refused.
         is_loopback: whether only this host can reach the page; then the header ``Host`` must be a loopback name.
     """
@@ -131,7 +132,10 @@ class PageAccessRules:
 
 
 class Refused(HTTPException):
-    """A request is refused: answered with this HTTP status and sentence (a WebSocket: closed with code 1008)."""
+    """Error: a request is refused, with an HTTP status and a sentence for the response.
+
+    A WebSocket is closed with code 1008 instead.
+    """
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +149,7 @@ class RequiredRole:
     role: Role
 
     async def __call__(self, connection: HTTPConnection) -> Caller:
-        """Return the caller of a request. Raises `Refused` (403) if its role is too low, (401) if it is not known."""
+        """Return the caller of a request. Raises `Refused` (403) if its role is too low, (401) if it is unknown."""
         return _permitted(caller_of(connection.scope), self.role)
 
 
@@ -159,9 +163,9 @@ def require(role: Role) -> RequiredRole:
 
 
 def caller_of(scope: Scope) -> Caller:
-    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` (401) for any other request.
+    """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` (401) for a request without one.
 
-    Requests for the files of the page have no caller, so they count as others.
+    Requests for the files of the page have no caller.
     """
     found = scope.get(_CALLER)
     if not isinstance(found, Caller):
@@ -170,7 +174,10 @@ def caller_of(scope: Scope) -> Caller:
 
 
 def current_caller(scope: Scope) -> Caller | None:
-    """Return the caller of a request accepted earlier, by the tokens valid now; None if it would now be refused."""
+    """Return the caller of a request accepted earlier, by the tokens valid now; None if it would be refused now.
+
+    ``scope`` is the ASGI scope of the request; the caller may have another role than before.
+    """
     found: Caller | None = scope[_FIND_CALLER]()
     return found
 
@@ -187,7 +194,7 @@ class PageAccess:
     Args:
         inner: the ASGI application that gets the accepted requests.
         rules: who may use the page on this address.
-        is_open: called with the path of a request; returns True if the path needs no caller, as for the page's files.
+        is_open: called with the path of a request; returns True if no caller need be known, as for the page's files.
     """
 
     def __init__(self, inner: Application, rules: PageAccessRules, is_open: Callable[[str], bool]) -> None:
@@ -231,9 +238,9 @@ class PageAccess:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
     def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
-        """Return the caller of a request. Raises `Refused` (401).
+        """Return the caller of a request. Raises `Refused` (401) if it needs a token, or if its token is wrong.
 
-        Stores in ``scope`` the function with which `current_caller` finds the caller again later (rule 7).
+        Stores in ``scope`` the function with which `current_caller` finds the caller again later.
         """
         given = _token(scope, headers)
         digest = None if given is None or self._rules.tokens is None else _digest(given)
@@ -251,10 +258,14 @@ class PageAccess:
         raise Refused(401, "the token is wrong")
 
     def _find(self, digest: bytes | None, subject: str) -> Caller | None:
-        """Return the caller by the digest of its token, or without one by its certificate, or the default (rule 5).
+        """Return the caller by its token, or if it has none by its certificate, or else the caller for such requests.
 
         Returns None if the caller is refused: the token is wrong, or callers without token and certificate are refused.
         On a page without tokens a token does not count.
+
+        Args:
+            digest: digest of the token in the request; None without a token.
+            subject: subject of the client's certificate; empty without one.
         """
         if digest is not None and self._rules.tokens is not None:
             found: Caller | None = None

@@ -59,14 +59,14 @@ _HEADERS: Final = (
 
 
 class PageModule(Protocol):
-    """One part of a page: views of the files ``page/NAME.html`` and ``page/NAME.js``, and the routes of its API."""
+    """Interface of a part of a page: its views (``page/NAME.html``, ``page/NAME.js``), and the routes of its API."""
 
     @property
     def name(self) -> str:
-        """The name of its files."""
+        """The name of the module: NAME in the names of its files."""
 
     def add_to(self, application: FastAPI) -> None:
-        """Add its routes to a FastAPI application."""
+        """Add the routes of the module's API to a FastAPI application."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,14 +79,14 @@ class _File:
 
     @classmethod
     def of(cls, content: bytes, kind: str) -> "_File":
-        """Return the file with these bytes and this content type."""
+        """Return a file with these bytes and this content type; its ``ETag`` is computed from the bytes."""
         return cls(content, kind, f'"{hashlib.sha256(content).hexdigest()[:16]}"')
 
 
 def page_resources(title: str, description: str, modules: Sequence[PageModule]) -> FastAPI:
     """Return the HTTP API of a page: the routes of its modules and ``/api/caller``, without files and access rules.
 
-    Unexpected errors of the routes are logged and answered with 500.
+    Unexpected errors of the routes are logged and answered with status 500.
 
     Args:
         title: title of the OpenAPI document.
@@ -111,8 +111,8 @@ def guarded(inner: FastAPI, names: Sequence[str], rules: PageAccessRules) -> App
     Args:
         inner: application with all routes of the API; routes for the files are added to it, and its OpenAPI document is
             completed.
-        names: the names of the page's modules.
-        rules: who may use the page; its files need no token.
+        names: the names of the page's modules, in the order of their views.
+        rules: who may use the API; the files of the page need no token.
     """
     page = {"/": _File.of(_shell(names).encode(), "text/html; charset=utf-8"), **dict(_assets())}
 
@@ -142,13 +142,13 @@ def _shell(names: Sequence[str]) -> str:
 
 
 def _parts_of(html: str) -> dict[str, str]:
-    """Return the parts of a module's HTML file, by name."""
+    """Return the parts of a module's HTML file by name: ``controls``, ``views``, ``dialogs``, as far as it has them."""
     _, *found = re.split(f"<!-- ({'|'.join(_PARTS)}) -->", html)
     return dict(zip(found[::2], found[1::2], strict=True))
 
 
 def _assets() -> Iterator[tuple[str, _File]]:
-    """Yield URL path and content of each file that all pages have: styles, scripts and pictures."""
+    """Yield URL path and file for each file that all pages have: styles, scripts and pictures."""
     for path, one in _below(_folder(), ""):
         kind = next((kind for end, kind in _KINDS.items() if one.name.endswith(end)), None)
         if kind is not None:

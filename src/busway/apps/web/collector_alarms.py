@@ -1,6 +1,6 @@
 """The alarms of a collector and the maintenance of its devices, over HTTP.
 
-Knows a running collector and the shapes of responses. `access` decides who may do what.
+Knows a running collector and the form of responses. `access` decides which caller may do what.
 """
 
 from typing import Annotated, Final

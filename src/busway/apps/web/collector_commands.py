@@ -4,8 +4,8 @@ A command writes a value to a point. Knows a running collector and the roles of 
 
 1. `arm_command` sends nothing to a device. `confirm_command` sends the command once; confirming it again returns the
    first result.
-2. The response says what became of a command, also if it was refused. A request that cannot be a command at all is
-   answered with 422, an unknown point or key with 404.
+2. The response has the result of a command, also if the command was refused. A request that cannot be a command at all
+   is answered with 422, an unknown point or key with 404.
 3. A new configuration is in force when the response comes, or it is refused as a whole, with all its errors. A request
    can name the revision that it was edited from; it is refused if another one is in force by now, so that no change
    of another person is lost.

@@ -51,7 +51,10 @@ class CollectorLog(logging.Handler):
         logger.setLevel(self._level_before)
 
     def emit(self, record: logging.LogRecord) -> None:
-        """Keep a log message for the page. In a program without log handlers, warnings also go to stderr (rule 4)."""
+        """Keep a log message for the page. In a program without log handlers, also write warnings to stderr.
+
+        Called by `logging`, in any thread.
+        """
         if not logging.getLogger().handlers and logging.lastResort and record.levelno >= logging.lastResort.level:
             logging.lastResort.handle(record)
         try:
@@ -74,10 +77,10 @@ class CollectorLog(logging.Handler):
         """Return the kept log messages that match, the newest first, and how many messages are no longer kept.
 
         Args:
-            limit: most messages to return.
-            level: the lowest level wanted.
-            search: words separated by spaces; a message must contain all of them, in upper or lower case. Empty: all
-                messages match.
+            limit: largest number of messages to return.
+            level: the lowest level to return.
+            search: words separated by spaces; source and text of a message must contain all of them, in upper or lower
+                case. Empty: all messages match.
         """
         with self._guard:
             kept, count = list(self._kept), self._count

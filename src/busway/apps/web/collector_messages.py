@@ -1,6 +1,6 @@
 """Responses of the HTTP API of a collector's page, as data classes.
 
-Knows the shapes of responses alone. Times of samples are milliseconds since 1970 UTC. Times of trends are seconds since
+Knows nothing but the form of responses. Times are milliseconds since 1970 UTC, except those of trends: seconds since
 1970 UTC, as the chart of the page needs them.
 """
 

@@ -2,7 +2,7 @@
 
 Knows a running collector, its store and HTTP; asks no device.
 
-1. Only stored samples are shown: values come from commits, history from the store.
+1. Only stored samples are shown: present values come from commits, history from the store.
 2. A trend has at most `MOST_BUCKETS` buckets, and at most `MOST_QUERIES` trends are read from the store at once.
 3. On a loopback address callers without a token may view; on other addresses they are refused. No caller writes without
    a role for it. The tokens are created once, in a file that only its owner can read, by default in the folder
@@ -65,9 +65,9 @@ PERCENTILES: Final = (0.5, 0.9, 0.99)
 MOST_BUCKETS: Final = 2000
 MOST_QUERIES: Final = 2
 MOST_READS: Final = 2000
-"""Most planned reads that ``/api/links`` lists; the others are counted."""
+"""Largest number of planned reads that ``/api/links`` lists; the others are counted."""
 _PLAN_SECONDS: Final = 30.0
-"""Seconds for which ``/api/links`` shows the same read plan; then it is computed anew."""
+"""Seconds for which ``/api/links`` shows the same read plans; then they are computed again."""
 _LONGEST: Final = 366 * 86_400.0
 _MILLION: Final = 1_000_000
 
@@ -84,12 +84,13 @@ class CollectorPage(HostedPage):
 
     Attributes:
         token_path: the file with the page's tokens; created by `start` if it does not exist.
-        title, description, name: of the OpenAPI document, and of the module.
+        title, description: title and description of the OpenAPI document.
+        name: name of the page's module.
         api: the routes that only read.
         commands: the routes for commands and the configuration.
 
     Raises:
-        ConfigError: the address is invalid, or (from `start`) the tokens cannot be read or made.
+        ConfigError: the address is invalid. Raised by `start`: the file of tokens cannot be read or created.
     """
 
     title = "busway collector"
@@ -130,7 +131,7 @@ class CollectorPage(HostedPage):
 
 
 def _tls_of(configuration: CollectorConfiguration) -> TlsParameters | None:
-    """Return the TLS files of the page, by ``[page_access]``; None if it has no certificate, so that HTTP is used."""
+    """Return the TLS files of the page, from ``[page_access]``; None if there is no certificate: HTTP is used."""
     access = configuration.file.page_access
     if access.certificate is None:
         return None
@@ -152,7 +153,7 @@ class CollectorApi:
 
     Args:
         collector: the running collector.
-        is_in_fleet: whether the collector belongs to a fleet; the page then shows it.
+        is_in_fleet: whether the collector belongs to a fleet, which the page then shows, too.
 
     Attributes:
         stream: the WebSockets of the open pages.
@@ -371,7 +372,7 @@ class CollectorApi:
 
 
 def _kind(point: Point) -> Literal["number", "state", "text"]:
-    """Return which kind of value a user types for a point: a number, a state, or a text."""
+    """Return the kind of value that a user enters for a point: a number, a state (on or off), or a text."""
     if point.type.startswith("bit"):
         return "state"
     return "text" if point.type.startswith(("string", "ip", "eui")) else "number"
@@ -382,15 +383,15 @@ def _read(folder: str, point: str, since: int, bucket: float) -> BucketTable:
 
 
 def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: float = math.inf) -> TrendAnswer:
-    """Return the columns of a chart from the buckets of a point.
+    """Return the columns of a chart from the buckets of a point; its times are seconds since 1970 UTC.
 
     Args:
         table: the buckets that have samples.
-        now: end of the chart, nanoseconds since 1970.
-        seconds: length of the chart.
-        longest: between times further apart than this, in seconds, the chart has a gap (nulls).
-        held: seconds. Between times further apart than twice this, the earlier value is repeated ``held`` seconds
-            before the later time, so that the chart shows a step. Infinite: no value is repeated.
+        now: end of the chart, nanoseconds since 1970 UTC.
+        seconds: length of the chart in seconds.
+        longest: seconds. Between two times that are further apart than this, the chart has a gap (nulls).
+        held: seconds. Between two times that are further apart than twice this, the earlier mean is repeated ``held``
+            seconds before the later time, so that the chart shows a step. Infinite: no value is repeated.
     """
     answer = TrendAnswer(
         begin=now / NANOSECONDS - seconds, end=now / NANOSECONDS, time=[], minimum=[], maximum=[], mean=[]
@@ -406,14 +407,14 @@ def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: f
 
 
 def _held_trend(answer: TrendAnswer, last: tuple[Value | None, int, int] | None) -> TrendAnswer:
-    """Extend a chart until the point was read last, with its last value. Changes ``answer`` and returns it.
+    """Extend a chart to the time at which the point was read last, with its last value. Changes and returns ``answer``.
 
     For points of which the store keeps only changes.
 
     Args:
         answer: the chart.
-        last: value, reason code and time (nanoseconds since 1970) of the point's last sample; None without a sample. A
-            value that is bad or no number extends nothing.
+        last: value, reason code and time (nanoseconds since 1970 UTC) of the point's last sample; None without a
+            sample. A value that is bad or no number extends nothing.
     """
     value, reason, time = last or (None, 0, 0)
     if isinstance(value, int | float) and math.isfinite(value) and quality_of(reason) is not Quality.BAD:

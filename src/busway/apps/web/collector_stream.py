@@ -2,16 +2,16 @@
 
 A viewer is one open page. Knows viewers and which points they show; knows no store. Values come from `live_values`.
 
-1. There are at most two ticks a second; each sends what has changed. Changes are searched and encoded once, in a worker
-   thread, for all viewers that saw the same tick. A viewer that is still taking its last message is left out; its next
-   message has all that it missed.
+1. There are at most two ticks a second, and in each the changes are sent. Changes are collected and encoded once, in a
+   worker thread, for all viewers that were sent the same tick last. A viewer that is still taking its last message is
+   left out; its next message has all that it missed.
 2. A viewer says which points it shows, at most `MOST_SHOWN`. The registers of these points are sent to it alone. Those
    that are read rarely are read every `LEASED_PERIOD` seconds, with priority over regular polling, as long as they are
    shown, unless their link has no time for it.
 3. Everything has a limit: the viewers, the points that each shows, the events that wait, the seconds in which a viewer
    must take a message.
 4. A viewer is sent its name and role first. Once its token is removed or has another role, its WebSocket is closed
-   within a tick, and nothing is sent to it after that; the page then connects anew.
+   within a tick, and nothing is sent to it after that; the page then connects again.
 """
 
 import asyncio
@@ -38,10 +38,10 @@ from .messages import Asked, plain_value
 from .viewers import Gone, accept, check, converse, send
 
 TICK: Final = 0.5
-"""Seconds between two ticks: least time between two messages with values to the same viewer."""
+"""Seconds between two ticks: shortest time between two messages with values to the same viewer."""
 MOST_SHOWN: Final = 200
 MOST_EVENTS: Final = 256
-"""Most events that wait to be sent to a viewer. With more, the oldest are dropped; the page can ask for lists anew."""
+"""Most events that may wait to be sent to a viewer; with more, the oldest are dropped. The page can get all by HTTP."""
 LEASED_PERIOD: Final = 1.0
 LEASE_SECONDS: Final = 10.0
 _LEASE_EVERY: Final = 4.0
@@ -62,15 +62,15 @@ class Viewer:
 
     Attributes:
         caller: name and role, as they were when the WebSocket was opened.
-        seen: the tick whose changes were sent last; -1: nothing of the present list of points was sent yet.
-        revision: the revision of the list of points that the viewer was sent; -1 before the first message.
+        seen: the tick up to which changes were sent; -1: no values of the present list of points were sent yet.
+        revision: the revision of the list of points that the viewer was sent last; -1 before the first message.
         shown: positions of the points that the page shows.
         told: by position of a shown point, its registers as sent last.
         alarms: the numbers of active and of unacknowledged alarms, as sent last.
-        events: events that wait to be sent, as JSON texts.
-        message: the message with values that waits to be sent; empty if there is none.
+        events: events that wait to be sent, as JSON texts, the oldest first.
+        message: the message with values that waits to be sent, as a JSON text; empty if there is none.
         is_sending: whether a message with values waits or is being sent; no other is made meanwhile.
-        wake: set to make the sender look for messages and events.
+        wake: set when there is a message or an event to send, and in each tick.
     """
 
     def __init__(self, caller: Caller) -> None:
@@ -94,8 +94,8 @@ class CollectorStream:
         collector: the running collector.
 
     Attributes:
-        values: the last values of its points.
-        revision: number of the list of points; another number after each change of the list and after each start.
+        values: the last values of the collector's points.
+        revision: number of the list of points; it differs after each change of the list and after each start.
         points: device and name of each point, in the order of ``/api/points``.
     """
 
@@ -120,7 +120,7 @@ class CollectorStream:
         return LiveValues(self.points, last.is_behind, last.limits)
 
     def _begin(self) -> None:
-        """Take over the last values of the collector; call it when `values` is told of commits: none is then missed."""
+        """Take over the last values of the collector. Call this once `values` gets commits, so that none is missed."""
         last = self._collector.values
         self.values.begin(last.reads(), last.intervals())
 
@@ -128,9 +128,9 @@ class CollectorStream:
         self.values.update(commit)
 
     def refresh(self) -> LiveValues:
-        """Return the last values of all points, after taking over a configuration that was read again.
+        """Return the last values of all points, after taking over the collector's configuration if that was replaced.
 
-        If the list of points has changed, `points`, `values` and `revision` are new.
+        If the list of points has changed, `points`, `values` and `revision` are new; otherwise only the limits are.
         """
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
@@ -148,8 +148,8 @@ class CollectorStream:
         """Queue an event for all open pages. Call it in the event loop's thread.
 
         Args:
-            kind: the kind of event, such as ``command``; the key of the JSON message.
-            content: the event, the value of that key.
+            kind: the kind of event, such as ``command``: the only key of the JSON message.
+            content: the value of that key.
         """
         if self._viewers:
             text = json.dumps({kind: content}, ensure_ascii=False, separators=(",", ":"))
@@ -173,7 +173,7 @@ class CollectorStream:
         )
 
     def _tell_alarms(self) -> None:
-        """Queue the numbers of active and unacknowledged alarms for each open page that was not sent these yet."""
+        """Queue the numbers of active and unacknowledged alarms for each open page that was sent other numbers last."""
         counts = self._collector.alarms.counts()
         content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
         for viewer in self._viewers:
@@ -183,7 +183,7 @@ class CollectorStream:
                 viewer.wake.set()
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends; closes it at once if there are too many."""
+        """Serve the WebSocket of one open page until it ends; close it at once if there are `MOST_VIEWERS` already."""
         if not await accept(socket, len(self._viewers)):
             return
         viewer = Viewer(caller_of(socket.scope))
@@ -208,7 +208,7 @@ class CollectorStream:
             self._ticker = None
 
     def _take(self, viewer: Viewer, text: str) -> str:
-        """Take over which points a page shows. Returns why its message is refused; empty if it is not.
+        """Store which points a page shows, from its message. Returns why the message is refused; empty if it is not.
 
         Positions beyond the list of points are left out.
         """
@@ -248,9 +248,9 @@ class CollectorStream:
     # What is shown.
 
     def _raw(self, viewer: Viewer) -> dict[int, str]:
-        """Return the registers of shown points that differ from those sent last: hexadecimal text by position.
+        """Return the registers of shown points that differ from those sent last, as hexadecimal text by position.
 
-        They count as sent from now on.
+        Records these registers as sent.
         """
         found: dict[int, str] = {}
         for device, places in self._by_device(viewer.shown).items():
@@ -276,9 +276,10 @@ class CollectorStream:
         return found
 
     def _lease(self) -> None:
-        """Have the collector read rarely read points every second while open pages show them (rule 2).
+        """Make the collector read points that it reads rarely every second, while open pages show them.
 
-        Called each tick; it asks the collector anew every few seconds, and links without time for it are left out.
+        Called in each tick; asks the collector for this again every 4 seconds. Points on links that are too busy are
+        left out.
         """
         now = time.monotonic()
         if now - self._leased_at < _LEASE_EVERY:

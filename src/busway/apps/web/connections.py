@@ -3,8 +3,8 @@
 Knows connections of uvicorn and their limits; knows no request. uvicorn limits neither the number of connections that
 have sent nothing, nor the time in which a head must arrive; this module does.
 
-1. A client has `HEAD_SECONDS` to send the head of a request completely, from the beginning of the connection or, for a
-   further request, from its first byte. Until then it is not known who the client is.
+1. A client has `HEAD_SECONDS` to send the complete head of a request: from the beginning of the connection, or for a
+   further request from its first byte. Until then it is not known who the client is.
 2. There are at most `MOST` connections, WebSockets included. When there is one more, the oldest connection that has not
    sent its request is closed; if all others have sent theirs, the new connection is closed.
 3. The last file descriptors of the process are reserved for Modbus: a connection that was given one of them is closed.
@@ -43,14 +43,17 @@ _log = logging.getLogger("busway.apps.web")
 
 
 class Throttle(logging.Filter):
-    """Log filter that passes equal messages once a minute, and appends how many it has dropped since."""
+    """Log filter that passes each message at most once a minute, and appends how many equal ones it has dropped."""
 
     def __init__(self) -> None:
         super().__init__()
         self._repeats = Repeats()
 
     def filter(self, record: logging.LogRecord) -> bool:
-        """Whether a log message is written now; False: it is dropped as a repetition."""
+        """Return True if a log message is to be written, False if it is dropped as a repetition.
+
+        Appends to the message how many equal messages were dropped before.
+        """
         sentence = record.getMessage()
         repeated = self._repeats.again(sentence, time.monotonic())
         if repeated is None:
@@ -65,7 +68,7 @@ _http_log.addFilter(Throttle())
 
 
 class SharedConnections:
-    """What all HTTP connections of one page share: their limits, and the list of those that have sent no request.
+    """State that all HTTP connections of one page share: their limits, and the connections that have sent no request.
 
     Attributes:
         waiting: keys are the connections that have not sent their request, the oldest first; values are unused.
@@ -84,9 +87,9 @@ class SharedConnections:
         return partial(PageConnection, self) if tls is None else partial(SecuringConnection, self, tls)
 
     def admits(self, transport: asyncio.Transport, connections: "set[Any]") -> bool:
-        """Whether a new connection of the page may stay; otherwise it has been closed.
+        """Apply the limits to a new connection of the page: return True if it stays open, False if it was closed.
 
-        To make room, an older connection that has sent no request may be closed (rule 2).
+        If there are more than `MOST`, closes the oldest connections that have sent no request, to make room.
 
         Args:
             transport: the new connection.
@@ -108,10 +111,10 @@ class SharedConnections:
         return True
 
     def say(self, sentence: str, *arguments: object) -> None:
-        """Log an event of the page as a warning. If it repeats, it is logged once a minute.
+        """Log an event of the page as a warning, at most once a minute for the same event.
 
         Args:
-            sentence: format of the message, which also tells events apart.
+            sentence: format of the message; events with the same format count as the same event.
             arguments: values for the format.
         """
         repeated = self._repeats.again(sentence, time.monotonic())
@@ -122,8 +125,8 @@ class SharedConnections:
 class PageConnection(H11Protocol):
     """An HTTP connection of the page, until it becomes a WebSocket; adds limits to the protocol of uvicorn.
 
-    It is closed if there are too many connections, or if the head of a request takes longer than `HEAD_SECONDS`. With
-    TLS the subject of the client's certificate is put into ``app_state``.
+    The connection is closed if there are too many, or if the head of a request takes longer than `HEAD_SECONDS`. With
+    TLS the subject of the client's certificate is put into ``app_state``, where `access` finds it.
 
     Args:
         shared: state shared with the other connections of the page.
@@ -164,7 +167,7 @@ class PageConnection(H11Protocol):
         super().connection_lost(exc)
 
     def close_unheard(self) -> None:
-        """Close a connection that has not sent its request: its time is over, or a new connection needs its place."""
+        """Close a connection that has not sent its request: it took too long, or makes room for a new connection."""
         self._heard()
         self.connections.discard(self)
         self.transport.abort()
@@ -248,7 +251,7 @@ class SecuringConnection(asyncio.Protocol):
         self._connections.discard(self)
 
     def close_unheard(self) -> None:
-        """Close the connection during its handshake: a new connection needs its place, or the page is being stopped."""
+        """Close the connection during its handshake, to make room for a new one or because the page is stopped."""
         if self._handshake is not None:
             self._handshake.cancel()
         self.connection_lost(None)

@@ -1,8 +1,8 @@
 """The fleet on the page of one of its collectors, and over HTTP.
 
 A zone is a group of collectors that share the links of a plant; a shard is a group of links that one collector owns and
-polls. Shown are owners, epochs (numbers of ownerships), loads, how far sinks are behind, and holes (times without an
-owner). Knows what the coordinator says of the zone, and the shapes of responses; asks no collector.
+polls. The page shows owners, epochs (numbers of ownerships), loads, how far sinks are behind, and holes (times without
+an owner). Knows the zone from its coordinator, and the form of responses; asks no collector.
 """
 
 import asyncio
@@ -19,7 +19,7 @@ from .messages import Answer
 
 MOST_SHARDS: Final = 1100
 NEWEST_SECONDS: Final = 2.0
-"""Seconds for which the number of the newest message of the stream is not asked again, however many pages are open."""
+"""Shortest time in seconds between two requests for the number of the newest message of the stream, for all pages."""
 
 
 class FleetCollectorAnswer(Answer):
@@ -81,9 +81,9 @@ class FleetApi:
     """The route of a collector's page that shows its zone: the collectors that share the links of a plant.
 
     Args:
-        watch: what the coordinator says of the zone, kept up to date.
-        newest: returns the number of the newest message of the zone's stream, None if not known; asked at most every
-            `NEWEST_SECONDS`. None for a zone without a stream.
+        watch: the state of the zone by its coordinator, kept up to date.
+        newest: returns the number of the newest message of the zone's stream, None if it is not known; called at most
+            every `NEWEST_SECONDS`. None for a zone without a stream.
 
     Attributes:
         name: the name of the page's module.
@@ -98,7 +98,7 @@ class FleetApi:
         self._asking = asyncio.Lock()
 
     def add_to(self, application: FastAPI) -> None:
-        """Add the route to a FastAPI application."""
+        """Add the route ``/api/fleet`` to a FastAPI application."""
         application.add_api_route("/api/fleet", self.get_fleet, methods=["GET"], summary="The zone of the fleet")
 
     async def get_fleet(self) -> FleetAnswer:

@@ -2,8 +2,8 @@
 
 Knows sockets and the HTTP server; knows no file and no resource of the page (`application` does).
 
-1. On a loopback address no token is needed. On other addresses a token is created unless the user gives one. It is
-   behind ``#`` in the URL of the page, a part that a browser does not send.
+1. On a loopback address no token is needed. On other addresses a token is created unless the user gives one. The URL
+   for the browser has the token behind ``#``, a part that a browser does not send.
 2. Everything has a limit: connections, bytes of a request and of a message, seconds of an idle connection.
 """
 
@@ -33,7 +33,7 @@ from .page_tokens import SHORTEST_TOKEN, is_token, new_token
 
 KEY: Final = "api"
 _WISH_LIMIT: Final = 256 * 1024
-"""Most bytes of a WebSocket message from a browser."""
+"""Largest number of bytes in a WebSocket message from a browser."""
 _KEEP_ALIVE: Final = 15
 _STOP_SECONDS: Final = 1
 
@@ -51,8 +51,8 @@ class HostedPage(ABC):
     Attributes:
         title, description: title and description of the OpenAPI document of the page's API.
         url: URL of the page, without the token; empty while the page is stopped.
-        token: token that requests must carry, since the last `start`; empty if none is needed, or if a subclass has
-            tokens of its own.
+        token: token that requests must carry; set by `start`. Empty if none is needed, or if a subclass has tokens of
+            its own.
 
     Raises:
         ConfigError: the address is invalid, or the token is too short.
@@ -98,13 +98,13 @@ class HostedPage(ABC):
 
     @property
     def announced_url(self) -> str:
-        """The URL of the page for logs. It has a token that was created here, and no token that the user gave."""
+        """The URL of the page for logs: with a token that `start` created, but without a token that the user gave."""
         return self.url if self._given is not None else self.page_url
 
     def _rules(self, *, local: bool) -> PageAccessRules:
-        """Return who may use the page, and set `token`. A subclass may override it.
+        """Return the rules for who may use the page, and set `token`. Called by `start`; a subclass may override it.
 
-        By default, these are callers with the page's token; all callers if no token was given and the address is a
+        By default, callers with the page's token may use it; all callers may if no token was given and the address is a
         loopback address. Each of them may do everything.
 
         Args:
@@ -121,7 +121,7 @@ class HostedPage(ABC):
 
         Raises:
             LinkDown: the address cannot be bound.
-            ConfigError: the page cannot begin, or its certificate cannot be used.
+            ConfigError: the certificate cannot be used, or a subclass cannot begin, as with invalid tokens.
             MissingExtra: TLS needs a package that is not installed.
         """
         if self._task is not None:
@@ -193,7 +193,7 @@ class _Server(uvicorn.Server):
 
 
 class _HiddenTokens(logging.Filter):
-    """Log filter that hides the values of headers that can carry a token: uvicorn logs all headers at DEBUG."""
+    """Log filter that hides the values of headers that can carry a token; uvicorn logs all headers at level DEBUG."""
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return True, so that every record is logged. In a record of such a header, ``***`` replaces its value."""

@@ -1,18 +1,18 @@
-"""The last committed value of each point, and what changed between two ticks as one JSON text for all viewers.
+"""The last committed value of each point, and the changes since a tick as one JSON text for all viewers.
 
 A tick is a numbered moment at which changes are made visible to viewers. Knows commits and the positions of points in
-the list of points; knows no request and no WebSocket. The thread of the store calls `LiveValues.update`; any other
-thread may call the rest.
+the list of points; knows no request and no WebSocket. The thread of the store calls `LiveValues.update`; any thread may
+call the other methods.
 
-1. A commit costs one entry for each read, with or without viewers. The points in it are looked at once a tick.
+1. A commit costs one entry for each read, with or without viewers. Its points are handled in the next tick.
 2. A viewer that has seen tick 7 gets all changes since tick 7, however many ticks it missed: nothing is queued.
 3. While a device is not read (suspended, without connection, in maintenance), its points have the quality bad, with
    that as the reason, until each point is read again.
 4. While the store cannot be written, all points are bad with that as the reason: what was read since is not known here.
-5. A good value that was not read again when it was due is held, and so uncertain (`..collector.held_values`). This is
-   looked at when the first of them may be.
-6. Points that are neighbours in the list are sent together: points read at the same time as three numbers, changed
-   values as a run.
+5. A good value that was not read again when it was due is held, and so uncertain (`..collector.held_values`). Values
+   are checked for this when the first of them can be due.
+6. Points that are neighbours in the list are sent together: points that were read at the same time as three numbers,
+   points with changed values as one list.
 """
 
 import json
@@ -41,7 +41,7 @@ from ..collector.store.writer import Commit
 from .messages import plain_value
 
 MOST_WAITING: Final = 10_000
-"""Most groups of points whose latest samples wait for the next tick; with more, `LiveValues.update` begins a tick."""
+"""Most groups of points whose latest samples may wait for a tick; with more, `LiveValues.update` begins a tick."""
 _MILLION: Final = 1_000_000
 
 
@@ -50,14 +50,16 @@ class LiveValues:
 
     Args:
         points: device and name of each point, in the order of ``/api/points``.
-        is_behind: whether commits have failed or hung for some seconds (rule 4).
-        limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
+        is_behind: returns whether commits have failed or hung for some seconds; then all points are shown as bad.
+        limits: by device and point, seconds without a new read after which a value is held, that is, uncertain because
+            it may be too old; a point without an entry is never held.
         moment: returns seconds of the monotonic clock.
 
     Attributes:
         tick: number of the last tick; 0 before the first.
         values: the last value of each point; None for a point that was not read yet, or whose last sample has no value.
-        reasons: the reason code of each point's quality, rules 4 and 5 apart; 0 without a reason.
+        reasons: the reason code of each point's quality, not regarding held values and failing commits; 0 without a
+            reason.
         times: when each point was read, milliseconds since 1970 UTC; 0 for a point that was not read yet.
     """
 
@@ -93,17 +95,17 @@ class LiveValues:
         self.set_limits(limits or {})
 
     def set_limits(self, limits: Mapping[tuple[str, str], float]) -> None:
-        """Use other limits from now on: by device and point, seconds after which a value is held (rule 5)."""
+        """Use other limits from now on: by device and point, seconds without a new read after which a value is held."""
         self._limits = [limits.get(key, math.inf) for key in self._places]
         self._shortest = min(self._limits, default=math.inf)
         self._look_at = 0.0
 
     def begin(self, reads: Iterable[tuple[SampleBatch, float]], intervals: Mapping[str, StateInterval]) -> None:
-        """Take over what was stored before the first `update`; what came with an update meanwhile stays.
+        """Take over samples and intervals that were stored before the first `update`; newer ones are not replaced.
 
         Args:
-            reads: the last read of each group of points, each with when it ended, seconds of the monotonic clock.
-            intervals: by device, the latest interval in which it was not read.
+            reads: the last read of each group of points, each with the time of its end, seconds of the monotonic clock.
+            intervals: by device, the latest interval in which the device was not read.
         """
         with self._lock:
             for batch, at in reads:
@@ -115,7 +117,8 @@ class LiveValues:
     def update(self, commit: Commit) -> None:
         """Take over the samples, intervals and corrected times of a commit; the next tick makes them visible.
 
-        Called by the thread of the store for each commit, once it is stored. Begins a tick itself above `MOST_WAITING`.
+        Called by the thread of the store for each commit, once it is stored. Begins a tick itself if more than
+        `MOST_WAITING` groups of points wait.
         """
         with self._lock:
             if commit.correction is not None:
@@ -130,10 +133,10 @@ class LiveValues:
                 self._advance()
 
     def advance(self) -> bool:
-        """Begin a new tick with what was stored since the last tick, and return True.
+        """Begin a new tick with the changes since the last tick, and return True.
 
-        Returns False, without a new tick, if nothing was stored, no value is held anew, and the state of the store
-        (rule 4) is the same.
+        Returns False, without a new tick, if there is no change: no commit has come, no further value is held, and
+        commits fail or succeed as before.
         """
         with self._lock:
             is_quiet = not self._waiting and not self._unapplied and self._is_behind() == self._was_behind
@@ -162,7 +165,7 @@ class LiveValues:
                     self._changed_at[place] = self.tick
 
     def _newly_held(self) -> list[int]:
-        """Return the places of values that are held by now, and were not at the last look."""
+        """Return the positions of points whose value is held now and was not when this was last computed."""
         now = self._moment()
         if now <= self._look_at:
             return []
@@ -173,7 +176,7 @@ class LiveValues:
         return found
 
     def _mend(self, correction: ClockCorrection) -> None:
-        """Correct times from before the clock was right; values that were uncertain for the clock alone become good."""
+        """Correct times from before the clock was set; values that were uncertain only because of it become good."""
         self._waiting = {group: (mended_batch(each, correction), at) for group, (each, at) in self._waiting.items()}
         self._intervals = {device: mended_interval(each, correction) for device, each in self._intervals.items()}
         for place, at in enumerate(self.times):
@@ -185,16 +188,16 @@ class LiveValues:
                     self._changed_at[place] = self.tick + 1
 
     def _shown(self, place: int) -> int:
-        """Return the reason code to show for a point (rules 4 and 5)."""
+        """Return the reason code to show for the point at a position; it regards held values and failing commits."""
         reason = self.reasons[place] or (Reason.HELD if self._held[place] else 0)
         is_old = self._was_behind and self.times[place] and quality_of(reason) is not Quality.BAD
         return Reason.LOST if is_old else reason
 
     def _apply(self, interval: StateInterval) -> None:
-        """Give the points of a device that was not read its reason for that (rule 3).
+        """Give the points of a device the reason of an interval in which the device was not read.
 
-        Points that were read since the interval began, or are bad already, keep their reason, except in a maintenance
-        that still lasts.
+        Points that were read since the interval began, or are bad already, keep their reason; in a maintenance that
+        still lasts, all points get the new reason.
         """
         always = interval.end is None and interval.reason == Reason.MAINTENANCE
         begin = interval.begin // _MILLION
@@ -229,19 +232,23 @@ class LiveValues:
         return found
 
     def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
-        """Return values, reasons to show and times of all points as three new lists, as of now (`advance`)."""
+        """Return values, reason codes to show and times of all points as three new lists, after an `advance`.
+
+        Times are milliseconds since 1970 UTC; 0 for points that were not read yet.
+        """
         self.advance()
         with self._lock:
             reasons = [self._shown(place) for place in range(len(self.reasons))]
             return self.values.copy(), reasons, self.times.copy()
 
     def since(self, seen: int) -> str:
-        """Return all changes since tick ``seen``, as a JSON object without its braces; -1 returns all points.
+        """Return the changes after tick ``seen`` up to the last tick, as a JSON object without its braces.
 
-        The text is encoded once for all open pages that have seen the same tick. It has three keys. ``read``: one flat
-        list, with three numbers for each run of neighbouring points read at the same time: first position, number of
-        points, time. ``changed``: for each run of neighbouring points, a list of first position, values and reasons (a
-        single number if all are equal). ``reasons``: by reason code, quality and text of the reasons in ``changed``.
+        With -1, all points are returned. The text is encoded once for all open pages that have seen the same tick. It
+        has three keys. ``read``: one flat list with three numbers for each run of neighbouring points that were read at
+        the same time: first position, number of points, time in milliseconds since 1970 UTC. ``changed``: for each run
+        of neighbouring points whose value or reason has changed, a list of first position, list of values and list of
+        reason codes (a single number if all are equal). ``reasons``: for each of these codes its quality and its text.
         """
         with self._lock:
             text = self._texts.get(seen)
@@ -265,9 +272,10 @@ class LiveValues:
         return {"read": read, "changed": changed, "reasons": {str(reason): reason_shown(reason) for reason in used}}
 
     def _runs(self, seen: int) -> tuple[list[Any], set[int]]:
-        """Return the points changed since tick ``seen``, as runs of neighbouring points, and the reason codes used.
+        """Return the points changed after tick ``seen``, as runs of neighbouring points, and all reason codes in them.
 
-        A run is a list of first position, values and reasons; a single number replaces reasons that are all equal.
+        A run is a list: first position, list of values, list of reason codes. If all codes of a run are equal, a single
+        number replaces their list.
         """
         runs: list[Any] = []
         used: set[int] = set()

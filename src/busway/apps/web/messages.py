@@ -1,4 +1,4 @@
-"""What the requests and responses of all pages have in common: their base classes, errors, and values as JSON.
+"""Base classes for the requests and responses of all pages, errors, and the form of values in JSON.
 
 A number that JSON cannot represent is sent as a text: ``"NaN"``, ``"Infinity"``, ``"-Infinity"``. An integer that a
 browser cannot hold exactly (beyond ±2**53) is sent as a text, too.
@@ -33,7 +33,7 @@ class Failure(Answer):
 
 
 class CallerAnswer(Answer):
-    """Response: who asks, and what that role may do."""
+    """Response: name and role of the caller."""
 
     name: str
     role: str = Field(description="view, operate or configure; each includes those before it.")
@@ -42,7 +42,8 @@ class CallerAnswer(Answer):
 def plain_value(value: Any) -> Plain:
     """Return a value in a form that JSON can represent (`Plain`).
 
-    NaN, infinities and integers beyond ±2**53 become texts, bytes hexadecimal text.
+    NaN, infinities and integers beyond ±2**53 become texts; bytes become hexadecimal text; values of unknown classes
+    become ``str(value)``.
     """
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value

@@ -22,7 +22,7 @@ from ...version import __version__
 from .messages import Failure
 
 _MOST_PROBLEMS: Final = 5
-"""Most problems of one body that are named in the response; the others are counted."""
+"""Largest number of problems of one body that the response names; the others are counted."""
 _NO_JSON: Final = "the body is no JSON"
 _RESPONSES: Final[dict[int | str, dict[str, Any]]] = {
     401: {"model": Failure, "description": "The token is missing or wrong."},
@@ -59,9 +59,9 @@ def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHa
 
 
 def secure_document(application: FastAPI) -> None:
-    """Add to the OpenAPI document that a token may be needed. FastAPI does not know it, as `access` checks tokens.
+    """Add to the OpenAPI document that a token may be needed; FastAPI cannot know that, because `access` checks tokens.
 
-    To be called after the last route was added: the document is made by this call, and kept.
+    Call this after the last route was added: it makes the document, which then stays the same.
     """
     document = application.openapi()
     document["components"]["securitySchemes"] = {"token": _TOKEN}
@@ -73,7 +73,7 @@ def failed(status: int, sentence: str) -> Response:
 
     Args:
         status: the HTTP status.
-        sentence: what is wrong. Lone surrogates from a client's text, which UTF-8 cannot encode, are escaped.
+        sentence: the error. Lone surrogates from a client's text, which UTF-8 cannot encode, are escaped.
     """
     sentence = sentence.encode("utf-8", "backslashreplace").decode()
     return Response(Failure(error=sentence).model_dump_json(), status, media_type="application/json")
@@ -104,7 +104,7 @@ async def _not_possible(request: Request, error: ModbusError) -> Response:
 
 
 def _place(path: tuple[int | str, ...]) -> str:
-    """Return the key that a validation error of FastAPI is about, such as ``schedule.after``; else ``the body``.
+    """Return the key of a validation error of FastAPI, such as ``schedule.after``; ``the body`` if it has no key.
 
     Args:
         path: the location in the error; its first item (``body``, ``query``, …) is left out.

@@ -1,5 +1,4 @@
-"""The file with the access tokens of a page: created at the first start, readable by its owner alone, read anew when it
-changes.
+"""The file with the access tokens of a page: created at the first start, for its owner alone, read again after changes.
 
 Knows the file and its lines; knows no request.
 
@@ -32,7 +31,7 @@ from .access import ROLES, AccessToken, Role
 TOKEN_FILE: Final = "page-tokens"
 """Name of the file in the folder of the store."""
 SHORTEST_TOKEN: Final = 16
-"""Least number of characters of a token that a user chooses."""
+"""Smallest number of characters in a token that a user chooses."""
 MOST_TOKENS: Final = 100
 _TOKEN_BYTES: Final = 24
 _LONGEST_FILE: Final = 64 * 1024
@@ -52,7 +51,7 @@ def is_token(text: str) -> bool:
 
 
 class KeptTokens:
-    """The access tokens of a web page, read from a file and read anew when the file changes.
+    """The access tokens of a web page, read from a file, and read again after the file has changed.
 
     Args:
         path: the file. If it does not exist, it is created with a new token for each role.
@@ -68,9 +67,9 @@ class KeptTokens:
         self._tokens = read_tokens(path)
 
     def current(self) -> tuple[AccessToken, ...]:
-        """Return the access tokens that are valid now; never raises.
+        """Return the access tokens that are valid now, after reading the file again if it has changed; never raises.
 
-        If the file has become invalid, these are the tokens known before that are still in it (rule 3).
+        If the file has become invalid, only tokens that were valid before and are still in the file are returned.
         """
         state = self._look()
         if state != self._state:
@@ -83,7 +82,7 @@ class KeptTokens:
         return self._tokens
 
     def _left(self) -> tuple[AccessToken, ...]:
-        """Return the tokens known before that an invalid file still has; empty if it cannot be read (rule 3)."""
+        """Return the tokens that were valid before and are still in an invalid file; empty if it cannot be read."""
         try:
             text = read_safely(self.path, most=_LONGEST_FILE).decode("utf-8", "replace")
         except ConfigError:
@@ -104,8 +103,8 @@ def read_tokens(path: Path) -> tuple[AccessToken, ...]:
     """Return the access tokens in a file, in the order of its lines.
 
     Raises:
-        ConfigError: the file cannot be read, other users can read it, a line is invalid, or it has no token or too many
-            (more than `MOST_TOKENS`).
+        ConfigError: the file cannot be read, other users can read it, a line is invalid, or the file has no token or
+            more than `MOST_TOKENS`.
     """
     text = read_safely(path, most=_LONGEST_FILE).decode("utf-8", "replace")
     if os.name != "nt" and path.stat().st_mode & (stat.S_IRWXG | stat.S_IRWXO):

@@ -65,8 +65,9 @@ class Api:
         subject: the simulation.
         traffic: the latest Modbus frames of the simulation.
         name: name of the simulation.
-        order: the points of the simulation; a position in this list is the number of the point in ``/stream``.
-        places: by key (``UNIT/NAME``), the position of the point in ``order``.
+        order: the points of the simulation, in the order of the file; the position of a point is its number in
+            ``/stream``.
+        places: by key of a point (``UNIT/NAME``), its position in ``order``.
     """
 
     subject: PageSubject
@@ -347,7 +348,7 @@ class Api:
     # Traffic.
 
     async def list_traffic(self, query: Annotated[TrafficQuery, Query()]) -> TrafficMessage:
-        """Return the latest Modbus frames, or those after a number; and how many after it are no longer kept."""
+        """Return the latest Modbus frames, or the latest after a number; and how many frames after it are left out."""
         tail = self.traffic
         after = 0 if query.after is None else query.after
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]

@@ -20,7 +20,7 @@ def all_faults(board: Board) -> list[FaultAnswer]:
 
 
 def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
-    """Return all fault profiles of which faults can be added to a simulation."""
+    """Return all fault profiles from which faults can be created for a simulation."""
     return [_fault_profile(one) for one in board.fault_profiles.values()]
 
 
@@ -70,7 +70,7 @@ def _addresses(first: int | None, last: int | None) -> range | None:
 
 
 def _selection(selection: Selection) -> dict[str, Any]:  # Any: values of several types
-    """Return the filters and the schedule of a fault as JSON, without the keys that have their defaults."""
+    """Return the filters and the schedule of a fault as a JSON object; keys that have their default are left out."""
     shown: dict[str, Any] = {}
     if selection.units is not None:
         shown["units"] = sorted(selection.units)

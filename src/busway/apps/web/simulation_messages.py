@@ -1,7 +1,8 @@
 """Requests and responses of a simulation's HTTP API, as data classes.
 
-Durations are in seconds, times in seconds since 1970. Knows the shapes of messages; knows no simulation. Requests are
-strict: an unknown key is refused. Responses may gain keys in later versions.
+Durations are in seconds, times in seconds since 1970 UTC unless a field is described as a time of the simulation. Knows
+the form of messages; knows no simulation. A request with an unknown key is refused. Responses may gain keys in later
+versions.
 """
 
 from collections.abc import Mapping

@@ -36,12 +36,13 @@ class ControlPage(HostedPage):
 
     Attributes:
         traffic: the latest Modbus frames of the simulation; recorded while the page is served.
-        title, description, name: of the OpenAPI document, and of the module.
+        title, description: title and description of the OpenAPI document.
+        name: name of the page's module.
         api: the HTTP API of the simulation.
         streams: the WebSockets of the open pages.
 
     Raises:
-        ConfigError: the address is invalid, the token is too short, or (from `start`) traffic is already recorded.
+        ConfigError: the address is invalid, or the token is too short. Raised by `start`: traffic is recorded already.
     """
 
     title = "busway simulator"

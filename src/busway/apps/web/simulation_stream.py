@@ -2,8 +2,8 @@
 
 A viewer is one open page. Knows viewers and what they subscribed to; knows no page.
 
-1. A viewer sends what it wants (`Wish`), as often as it likes. It is first sent the present state of what it wants. So
-   after a lost connection it asks again, and misses nothing.
+1. A viewer sends what it wants to follow (`Wish`), as often as it likes, and is first sent the present state of that.
+   So after a lost connection it asks again, and misses nothing.
 2. A viewer is sent at most ten messages a second. A point that changed several times is sent once, with its present
    value.
 3. Modbus frames come from the latest ones that are kept (`simulation_traffic`). Frames that come faster than a viewer
@@ -27,7 +27,7 @@ from .simulation_api import Api
 from .viewers import Gone, accept, converse, send
 
 INTERVAL: Final = 0.1
-"""Least seconds between two messages to one viewer."""
+"""Shortest time in seconds between two messages to one viewer."""
 STATUS_INTERVAL: Final = 1.0
 POINTS_AT_ONCE: Final = 4000
 """Most points in one message; the others come with the next message."""
@@ -44,9 +44,10 @@ class Wish(Asked):
     """Message from an open page: what it wants to be sent from now on; a key that is left out stays unchanged.
 
     Attributes:
-        points: their numbers, as ``/api/points`` gives them, or ``all``.
-        traffic: whether frames are wanted.
-        after: number of the last frame that the viewer has.
+        points: numbers of the points to follow (``index`` in ``/api/points``), or ``all``.
+        traffic: whether Modbus frames are wanted.
+        after: number of the last frame that the page has; only later frames are sent. Without it, the latest 50 frames
+            are sent first when frames are switched on.
     """
 
     points: Literal["all"] | Annotated[list[Index], Field(max_length=MOST_POINTS)] | None = None
@@ -74,7 +75,7 @@ class SimulationViewer:
         self.skipped: int = 0
 
     def wish(self, wish: Wish) -> str:
-        """Apply a message in which the page says what it wants. Returns why it is refused; empty if it is not.
+        """Apply a message with what the page wants to be sent. Returns why the message is refused; empty if it is not.
 
         A refused message changes nothing.
         """
@@ -105,10 +106,10 @@ class SimulationViewer:
     # What happens, told by the hub.
 
     def changed(self, indices: Sequence[int]) -> None:
-        """Queue changed points to be sent to the page, as far as it follows them.
+        """Queue changed points to be sent to the page; points that the page does not follow are left out.
 
         Args:
-            indices: numbers of the points, as ``/api/points`` gives them.
+            indices: numbers of the points (``index`` in ``/api/points``).
         """
         if self._wants_all:
             self._changed.update(dict.fromkeys(indices))
@@ -119,21 +120,21 @@ class SimulationViewer:
             self._wake.set()
 
     def passed(self) -> None:
-        """Note that a Modbus frame was recorded, so that it is sent to the page if it wants frames."""
+        """Note that a Modbus frame was recorded; it is sent to the page if the page wants frames."""
         if self._wants_traffic:
             self._wake.set()
 
     def switched(self) -> None:
-        """Note that a fault was added, removed or switched, so that all faults are sent to the page."""
+        """Note that a fault was added, removed or switched; all faults are then sent to the page."""
         self._has_switched = True
         self._wake.set()
 
     # What is sent.
 
     async def next(self) -> dict[str, Any]:  # Any: JSON
-        """Wait until there is something to send to the page, and return that message, which counts as sent from then.
+        """Wait for the next message to the page, and return it as a JSON object; it counts as sent from then on.
 
-        At the latest after `STATUS_INTERVAL` seconds there is the status.
+        Every `STATUS_INTERVAL` seconds a message has the status, also if nothing has changed.
         """
         while True:
             with contextlib.suppress(TimeoutError):
@@ -203,7 +204,7 @@ class Streams:
         return len(self._viewers)
 
     async def serve(self, socket: WebSocket) -> None:
-        """Serve the WebSocket of one open page until it ends; closes it at once if there are too many."""
+        """Serve the WebSocket of one open page until it ends; close it at once if there are `MOST_VIEWERS` already."""
         if not await accept(socket, len(self._viewers)):
             return
         viewer = SimulationViewer(self._api)

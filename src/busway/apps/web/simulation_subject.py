@@ -1,6 +1,6 @@
 """The interface of a simulation, as its page and HTTP API use it.
 
-Knows the interface alone; `busway.apps.simulator.simulation` implements it.
+Knows nothing but the interface; `busway.apps.simulator.simulation` implements it.
 """
 
 from collections.abc import Callable, Collection, Mapping, Sequence
@@ -81,7 +81,7 @@ class ServedUnits(Protocol):
 
     @property
     def endpoints(self) -> list[str]:
-        """URLs of the server's listeners, with the ports that are really bound."""
+        """URLs of the server's listeners, with the ports that they are bound to."""
 
     def status(self) -> ServerStatus:
         """Return the state of the server: listeners, connections, counters."""
@@ -156,10 +156,14 @@ class PageSubject(Protocol):
         """
 
     def release(self, key: str) -> Any:
-        """Let a point that was set follow its behaviour again. ``key``: ``UNIT/NAME``."""
+        """Let a point that was set follow its behaviour again. ``key`` is ``UNIT/NAME``.
+
+        Raises:
+            InvalidRequest: there is no such point.
+        """
 
     def watch(self, callback: Watcher) -> Any:
-        """Register a function that is called with each list of changes. Returns a function that unregisters it."""
+        """Register a function called with each list of `PointChange`s; returns a function that unregisters it."""
 
     # Time.
 
@@ -172,10 +176,10 @@ class PageSubject(Protocol):
         """Seconds of simulated time since the simulation began."""
 
     def change_speed(self, speed: float) -> None:
-        """Set how many simulated seconds pass in one second."""
+        """Set how many simulated seconds pass in one second of the clock, above 0."""
 
     def pause(self) -> None:
-        """Stop the simulated time."""
+        """Stop the simulated time; points can still be set."""
 
     def resume(self) -> None:
-        """Let the simulated time continue."""
+        """Let the simulated time continue from where `pause` stopped it."""

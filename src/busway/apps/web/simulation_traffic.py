@@ -39,9 +39,10 @@ class Passed:
 
     Attributes:
         number: number of the frame, counted from 1.
-        at: when it was recorded, seconds since 1970.
+        at: when the frame was recorded, seconds since 1970 UTC.
         peer: the other end of the connection, or the name of the line.
-        is_reply: True for a reply, or for damaged bytes that were sent; else False.
+        is_reply: True for a reply, or for damaged bytes that this program sent; False for a request, or for damaged
+            bytes that it received.
         pdu: the PDU, or the damaged bytes.
         unit: unit number; None for damaged bytes.
         transaction: transaction identifier; None for damaged bytes and on lines.
@@ -98,7 +99,7 @@ class Traffic:
             ports are not recorded.
         kept: number of the latest frames that are kept.
         functions: the table of functions with which PDUs are explained.
-        clock: returns seconds since 1970.
+        clock: returns seconds since 1970 UTC.
 
     Attributes:
         last: number of the latest frame; 0 before the first.
@@ -122,9 +123,10 @@ class Traffic:
         self._is_on = False
 
     def start(self) -> None:
-        """Record frames of connections opened from now on; a capture file gets its frames through this object then.
+        """Record frames of connections opened from now on; this object then passes the frames on to a capture file.
 
-        Raises `ConfigError` if it is recording already.
+        Raises:
+            ConfigError: this object is recording already.
         """
         if self._is_on:
             raise ConfigError("the traffic is recorded already", key="traffic")
@@ -133,7 +135,10 @@ class Traffic:
         TRACE.capture_into(self)
 
     def stop(self) -> None:
-        """Record no connections that are opened from now on; open ones are recorded until they end. Frames are kept."""
+        """Record no connection that is opened from now on; open ones are recorded until they end.
+
+        The frames recorded so far stay available.
+        """
         self._is_on = False
         if TRACE.capture is self:
             below = self._before
@@ -144,7 +149,7 @@ class Traffic:
     def watch(self, passed: Callable[[], None]) -> Callable[[], None]:
         """Register a function that is called after each recorded frame. Returns a function that unregisters it.
 
-        It is called in the thread that recorded the frame.
+        The function is called without arguments, in the thread that recorded the frame.
         """
         self._watchers = (*self._watchers, passed)
 
@@ -156,7 +161,7 @@ class Traffic:
     # What was seen.
 
     def after(self, number: int, limit: int) -> list[Passed]:
-        """Return the kept frames with a greater number, the oldest first; only the latest ``limit`` of them."""
+        """Return the latest ``limit`` kept frames whose number is greater than ``number``, the oldest first."""
         found: list[Passed] = []
         for one in reversed(self._tail):
             if one.number <= number or len(found) == limit:
@@ -170,7 +175,7 @@ class Traffic:
         return self._tail[0].number if self._tail else self.last + 1
 
     def shown(self, passed: Passed) -> FrameAnswer:
-        """Return a recorded frame as the page shows it, explained field by field. Explained once, then remembered."""
+        """Return a recorded frame as the page shows it, explained field by field; the same object at each call."""
         if passed.shown is None:
             passed.shown = self._described(passed)
         return passed.shown
@@ -219,11 +224,11 @@ class Traffic:
         Args:
             peer: the other end of the connection, or the name of the line.
             pdu: the PDU, or the damaged bytes.
-            is_reply: whether it is a reply; for damaged bytes, whether they were sent.
+            is_reply: whether it is a reply; for damaged bytes, whether this program sent them.
             unit: unit number; None for damaged bytes.
             transaction: transaction identifier; None for damaged bytes and on lines.
             reason: why the bytes are damaged; empty for a frame.
-            at: seconds since 1970; None for now.
+            at: seconds since 1970 UTC; None for now.
         """
         self.last += 1
         passed = Passed(
@@ -282,7 +287,7 @@ class Traffic:
 
 
 class _Requests:
-    """The unanswered requests of one connection or line, to explain and time its replies."""
+    """The unanswered requests of one connection or line, which are needed to explain replies and to time them."""
 
     __slots__ = ("_asked",)
 
@@ -358,8 +363,8 @@ class _Line:
 
         Args:
             found: the frame or the damaged bytes.
-            at: seconds since 1970; None for now.
-            is_outgoing: whether they were sent by this program; then a frame is a reply.
+            at: seconds since 1970 UTC; None for now.
+            is_outgoing: whether this program sent them; a frame then counts as a reply.
         """
         if self._onward is not None:
             self._onward.heard(found, at=at, is_outgoing=is_outgoing)

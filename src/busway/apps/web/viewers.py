@@ -3,7 +3,7 @@
 A viewer is one open page. Knows WebSockets, the access rules and limits of time; knows no message of a page.
 
 1. A viewer whose token is removed or has another role is sent nothing more, and its WebSocket is closed; the page then
-   connects anew.
+   connects again.
 2. A viewer must take a message within `SEND_SECONDS`, or its WebSocket is closed.
 """
 
@@ -22,17 +22,17 @@ UNSUPPORTED: Final = 1003
 
 
 class Gone(Exception):
-    """A viewer takes nothing more: its WebSocket was closed."""
+    """Error: the WebSocket of a viewer was closed, so it can be sent nothing more."""
 
 
 async def accept(socket: WebSocket, present: int) -> bool:
     """Accept the WebSocket of one more open page, and return True.
 
-    If there are `MOST_VIEWERS` already, close it at once, and return False.
+    If there are `MOST_VIEWERS` already, close the WebSocket at once, and return False.
 
     Args:
         socket: the WebSocket.
-        present: number of viewers that there are.
+        present: number of viewers without the new one.
     """
     if present >= MOST_VIEWERS:
         await socket.close(TRY_AGAIN_LATER, f"there are {MOST_VIEWERS} already")
@@ -48,8 +48,9 @@ async def converse(socket: WebSocket, sending: Coroutine[Any, Any, None], take: 
 
     Args:
         socket: the accepted WebSocket.
-        sending: sends the messages to the viewer until that is `Gone`; it is cancelled at the end.
-        take: called with each text from the viewer; returns why it is refused, or an empty text.
+        sending: coroutine that sends messages to the viewer; run as a task, which is cancelled at the end.
+        take: called with each text from the viewer; returns why the text is refused, or an empty text. A refusal closes
+            the WebSocket.
     """
     sender = asyncio.create_task(sending)
     try:
@@ -74,14 +75,21 @@ async def _receive(socket: WebSocket, take: Callable[[str], str]) -> None:
 
 
 async def check(socket: WebSocket) -> None:
-    """Close the WebSocket of a viewer whose token permits something else now, and raise `Gone` (rule 1)."""
+    """Check that the token of a viewer is still valid, with the same role as when its WebSocket was opened.
+
+    Otherwise close the WebSocket and raise `Gone`.
+    """
     if current_caller(socket.scope) != caller_of(socket.scope):
         await close(socket, POLICY_VIOLATION, "what its token permits has changed")
         raise Gone
 
 
 async def send(socket: WebSocket, text: str) -> None:
-    """Send a text to a viewer (rules 1 and 2). Raises `Gone` once its WebSocket is closed for that."""
+    """Send a text to a viewer, after `check`.
+
+    Raises:
+        Gone: the token has changed, or the viewer did not take the text within `SEND_SECONDS`; the WebSocket is closed.
+    """
     await check(socket)
     try:
         async with asyncio.timeout(SEND_SECONDS):
@@ -92,7 +100,7 @@ async def send(socket: WebSocket, text: str) -> None:
 
 
 async def close(socket: WebSocket, code: int, reason: str) -> None:
-    """Close the WebSocket of a viewer; does nothing if it has ended."""
+    """Close the WebSocket of a viewer with a close code and a reason; does nothing if it has ended already."""
     with contextlib.suppress(RuntimeError):  # it has ended meanwhile
         if socket.application_state is WebSocketState.CONNECTED:
             await socket.close(code, reason)

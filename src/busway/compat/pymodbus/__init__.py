@@ -4,7 +4,7 @@
 `aliases`     The names of pymodbus' modules in all its releases, and which module here has what each of them had
 `calls`       The calls that all clients share, and the conversion of registers
 `client`      The eight clients, each a link of busway
-`constants`   Constants that programs name
+`constants`   The constants of pymodbus that programs name
 `datastore`   The data blocks and contexts that programs fill, share, subclass and change while a server runs
 `device`      What a server says of itself: the identification objects by number and by name
 `exceptions`  The exceptions, and which of them stands for which error of busway

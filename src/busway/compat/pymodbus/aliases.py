@@ -17,7 +17,7 @@ HERE = __name__.rpartition(".")[0]
 OWN = frozenset(
     {"calls", "client", "constants", "datastore", "device", "exceptions", "framer", "payload", "pdu", "server"}
 )
-"""The modules of this package that have pymodbus' names, and `calls`."""
+"""Names of the modules of this package: those with pymodbus' names, and `calls`."""
 MESSAGES = (
     "bit_message",
     "bit_read_message",
@@ -46,7 +46,7 @@ HOMES: dict[str, tuple[str, ...]] = {
 }
 """Names of pymodbus' modules that this package does not have, and the modules here that have their contents."""
 PACKAGES = frozenset(name.partition(".")[0] for name in HOMES if "." in name)
-"""The names of modules that have others below them."""
+"""Names of modules of pymodbus that have modules below them, such as ``client`` of ``client.tcp``."""
 
 
 class AliasFinder(MetaPathFinder, Loader):
@@ -64,7 +64,7 @@ class AliasFinder(MetaPathFinder, Loader):
     ) -> ModuleSpec | None:
         """Return the import specification of a pymodbus module below ``root``; None for other names.
 
-        Called by ``import``.
+        Called by ``import``, which then asks other finders if the result is None.
         """
         root, _, name = fullname.partition(f"{self.root}.")
         if root or not name or name not in OWN | HOMES.keys() or (name in OWN and self.root == HERE):
@@ -89,6 +89,9 @@ class AliasFinder(MetaPathFinder, Loader):
 
 
 def serve_below(root: str) -> None:
-    """Make imports below the package name ``root`` find pymodbus' modules; a second call does nothing."""
+    """Make imports of pymodbus' modules below the package name ``root`` find the modules of this package.
+
+    A second call with the same name does nothing.
+    """
     if not any(isinstance(finder, AliasFinder) and finder.root == root for finder in sys.meta_path):
         sys.meta_path.append(AliasFinder(root)) if root == HERE else sys.meta_path.insert(0, AliasFinder(root))

@@ -42,7 +42,10 @@ BITS_OF_REGISTER = 16
 
 
 class RegisterDataType(enum.Enum):
-    """Types of values in registers: each with its struct code, and the number of registers of one value (0: all)."""
+    """Types of values in registers: each with its struct code, and the number of registers of one value.
+
+    0 registers: all registers together are one value.
+    """
 
     INT16 = ("h", 1)
     UINT16 = ("H", 1)
@@ -59,9 +62,9 @@ class RegisterDataType(enum.Enum):
 class ModbusClientMixin:
     """The calls of all clients. Each returns what ``execute`` returns: a response, or an awaitable of one.
 
-    Arguments of all calls: ``device_id`` (or ``slave``, ``unit``) is the unit, 0…255; ``no_response_expected`` means
-    that a missing reply is no error. Addresses are 0-based. If the device refuses a request, the response's
-    ``isError()`` is True.
+    Arguments of all calls: ``device_id`` (or ``slave``, ``unit``) is the unit, 0…255; with ``no_response_expected`` a
+    missing reply is no error, and the result is None. Addresses are 0-based. If the device refuses a request, the
+    response's ``isError()`` is True. A value that cannot be sent raises ``ValueError``.
     """
 
     DATATYPE: type[RegisterDataType] = RegisterDataType
@@ -70,7 +73,8 @@ class ModbusClientMixin:
         """Send a request, and return the response or an awaitable of it; clients define it.
 
         Args:
-            no_response_expected: whether a missing reply is no error; then None is returned instead of the response.
+            no_response_expected: True: a missing reply is no error, and the result is None, unless the device answers
+                with an exception. False: the response is returned.
             request: a request of `pdu`, or one of a class of the program itself.
         """
         raise NotImplementedError
@@ -136,7 +140,8 @@ class ModbusClientMixin:
     ) -> Any:
         """Write holding registers, then read some, function 23; the response has those read in ``.registers``.
 
-        ``address``, if given, is both the address read from and the address written to.
+        ``values`` are written from ``write_address`` on. ``address``, if given and not 0, replaces ``read_address`` and
+        ``write_address``.
         """
         if address:
             read_address = write_address = address
@@ -150,11 +155,11 @@ class ModbusClientMixin:
         return self._ask(ReadFifoQueueRequest, names, address, device_id)
 
     def read_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
-        """Read parts of files, function 20; the response has them in ``.records``."""
+        """Read parts of files, function 20; the response has their data in ``.records``, in the same order."""
         return self._ask(ReadFileRecordRequest, names, records, device_id)
 
     def write_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
-        """Write parts of files, function 21; for ``names`` and the result see `ModbusClientMixin`."""
+        """Write parts of files, function 21: the ``record_data`` of each record."""
         return self._ask(WriteFileRecordRequest, names, records, device_id)
 
     # --- identification and diagnostics -------------------------------------------------------------------------------
@@ -162,7 +167,10 @@ class ModbusClientMixin:
     def read_device_information(
         self, read_code: int | None = None, object_id: int = 0, device_id: int = 1, **names: Any
     ) -> Any:
-        """Read identification objects, function 43/14; the response has them in ``.information``.
+        """Read identification objects, function 43/14; the response has them in ``.information``, by number.
+
+        ``read_code`` is the level, 1…4 (`DeviceInformation`); None: 1, basic. ``object_id`` is the first object to
+        read.
 
         One request is sent. If the response has ``more_follows``, another call with its ``next_object_id`` continues.
         """
@@ -187,9 +195,10 @@ class ModbusClientMixin:
     report_slave_id = report_device_id
 
     def __getattr__(self, name: str) -> Any:
-        """Return the call ``diag_…`` of a sub-function of function 08, such as ``diag_query_data``.
+        """Return the method ``diag_…`` for a sub-function of function 08, such as ``diag_query_data``.
 
-        The call takes the data, if the sub-function has any, and the unit. Other names raise ``AttributeError``.
+        Its arguments are the data, if the sub-function has any, and ``device_id``; the response has the returned data
+        in ``.message``. Other names raise ``AttributeError``.
         """
         wanted = name.removeprefix("diag_").replace("_slave_", "_device_")  # as before 3.10
         code = SUB_FUNCTIONS.get(wanted) if name.startswith("diag_") else None
@@ -214,17 +223,18 @@ class ModbusClientMixin:
         word_order: str = "big",
         string_encoding: str = "utf-8",
     ) -> Any:
-        """Return the value of registers: a number, a list of numbers if there are several, a text, or bits.
+        """Return the value in registers: a number, a list of numbers if there are several, a text, or a list of bits.
 
         Args:
             registers: the registers, as a response has them.
             data_type: a member of ``DATATYPE``.
-            word_order: ``big`` or ``little``: whether the highest or the lowest register of a value comes first.
+            word_order: ``big``: the highest register of a value comes first; ``little``: the lowest.
             string_encoding: encoding of a text, whose zero bytes at the end are left out.
 
         Raises:
             TypeError: ``data_type`` is no member of ``DATATYPE``.
             ModbusException: the registers are no whole number of values.
+            UnicodeDecodeError: the bytes are no text in that encoding.
         """
         code, width = checked(data_type)
         if len(registers) % (width or 1):
@@ -275,9 +285,9 @@ def checked(data_type: RegisterDataType) -> tuple[str, int]:
 
 
 def in_word_order(registers: Sequence[int], width: int, word_order: str) -> list[int]:
-    """Return registers in ``word_order``: unchanged for ``big``; for ``little`` those of each value are reversed.
+    """Return registers in ``word_order``: for ``little`` those of each value are reversed, otherwise unchanged.
 
-    ``width`` is the number of registers of a value; 0: all are one value.
+    ``width`` is the number of registers of a value; 0: all registers are one value.
     """
     if word_order != "little":
         return list(registers)

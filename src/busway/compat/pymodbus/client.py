@@ -54,8 +54,8 @@ class CommParams:
     """Where a client connects and how long it waits; programs read it as ``client.comm_params``.
 
     Attributes:
-        host, port: host and port; for a serial port ``host`` is its name.
-        timeout_connect: seconds for connecting, and for each reply.
+        host, port: host and port of the server; for a serial port ``host`` is its name, and ``port`` None.
+        timeout_connect: seconds allowed for connecting, and for each reply.
         reconnect_delay: seconds before the first attempt to connect again.
         reconnect_delay_max: has no effect.
         source_address: (address, port): local address of the connection; the port has no effect. None for any.
@@ -75,7 +75,7 @@ class CommParams:
 
     @property
     def timeout(self) -> float:
-        """The same as ``timeout_connect``, under the name of older releases."""
+        """Seconds allowed for connecting, and for each reply: ``timeout_connect`` by its name in older releases."""
         return self.timeout_connect
 
 
@@ -148,7 +148,10 @@ class _Client(ModbusClientMixin):
         return f"{type(self).__name__} {self.comm_params.host}:{self.comm_params.port}"
 
     def register(self, custom_response_class: type[ModbusPDU]) -> None:
-        """Register a class of the program for its function code: responses with that code become objects of the class.
+        """Register a response class of the program for its ``function_code``.
+
+        The reply to a request of the program's own class with that code becomes an object of this class. Requests of
+        standard functions keep their response classes.
 
         Raises:
             MessageRegisterException: it is no subclass of `ModbusPDU`.
@@ -173,9 +176,10 @@ class _Client(ModbusClientMixin):
         return self._traced(False, response)
 
     def _failed(self, request: ModbusPDU, error: ModbusError, silent: bool) -> ModbusPDU | None:
-        """Return the response for an error: an exception response, or None for a missing reply that was expected.
+        """Return an exception response for an error that is one; None if no reply came and ``silent`` is True.
 
         Raises the exception of pymodbus for any other error; `InvalidRequest` and `ConfigError` are raised unchanged.
+        ``silent`` is the argument ``no_response_expected`` of ``execute``.
         """
         if isinstance(error.__cause__, ExceptionReply):  # 0B of a gateway to a write
             error = error.__cause__
@@ -189,9 +193,9 @@ class _Client(ModbusClientMixin):
 
 
 def _request_of(no_response_expected: Any, request: ModbusPDU | None) -> tuple[bool, ModbusPDU]:
-    """Return both arguments of ``execute``, whether it was called with both or, as before release 3.8, with one.
+    """Return the two arguments of ``execute``: ``no_response_expected`` as a bool, and the request.
 
-    Before release 3.8 of pymodbus the request was the only argument.
+    Before release 3.8 of pymodbus the request was the only argument; then ``no_response_expected`` is False.
     """
     if request is None:
         return False, no_response_expected
@@ -199,7 +203,7 @@ def _request_of(no_response_expected: Any, request: ModbusPDU | None) -> tuple[b
 
 
 class ModbusBaseSyncClient(_Client):
-    """Base of the blocking clients; a context manager that connects and closes."""
+    """Base of the blocking clients. As a context manager it connects at the beginning and closes at the end."""
 
     _link: BlockingLink | None = None
 
@@ -210,7 +214,7 @@ class ModbusBaseSyncClient(_Client):
 
     @property
     def socket(self) -> object | None:
-        """An object that is true while the client is connected, else None; the socket itself belongs to busway."""
+        """An object while the client is connected, else None, to test for a connection; it is not the socket itself."""
         return self._link if self.connected else None
 
     def is_socket_open(self) -> bool:
@@ -218,7 +222,7 @@ class ModbusBaseSyncClient(_Client):
         return self.connected
 
     def connect(self) -> bool:
-        """Connect unless the client is connected, and return whether it is now; a failure is logged."""
+        """Connect unless the client is connected, and return whether it is now. A failure is logged, not raised."""
         if self._link is None:
             self._link = connect(self._endpoint, shared=False, **self._options)
         if self._link.is_connected:
@@ -243,7 +247,8 @@ class ModbusBaseSyncClient(_Client):
         """Send a request, connecting first if necessary, and return the response.
 
         Args:
-            no_response_expected: whether a missing reply is no error; then None is returned instead of the response.
+            no_response_expected: True: a missing reply is no error, and the result is None, unless the device answers
+                with an exception. False: the response is returned.
             request: the request. As in older releases, the request may also be the first and only argument.
 
         Raises:
@@ -272,7 +277,7 @@ class ModbusBaseSyncClient(_Client):
 
 
 class ModbusBaseClient(_Client):
-    """Base of the asyncio clients; an asynchronous context manager that connects and closes."""
+    """Base of the asyncio clients. As an asynchronous context manager it connects first and closes at the end."""
 
     _link: AsyncLink | None = None
     _closing: "asyncio.Task[None] | None" = None
@@ -283,7 +288,7 @@ class ModbusBaseClient(_Client):
         return self._link is not None and self._link.is_connected
 
     async def connect(self) -> bool:
-        """Connect unless the client is connected, and return whether it is now; a failure is logged."""
+        """Connect unless the client is connected, and return whether it is now. A failure is logged, not raised."""
         if self._link is None:
             self._link = open_link(self._endpoint, shared=False, **self._options)
         if self._link.is_connected:
@@ -341,8 +346,8 @@ class ModbusBaseClient(_Client):
 def begun(work: Coroutine[Any, Any, None]) -> "asyncio.Task[None] | None":
     """Run a coroutine at once up to its first ``await`` that waits, and the rest in a task; return the task.
 
-    None if the coroutine has ended. So the connection is closed even if a program closes its client and leaves the
-    event loop at once.
+    Return None if the coroutine has ended without waiting. So a connection is closed even if a program closes its
+    client and leaves the event loop at once.
     """
     try:
         awaited = work.send(None)
@@ -495,4 +500,4 @@ class AsyncModbusTlsClient(_Tls, ModbusBaseClient):
 
 
 __path__: list[str] = []
-"""Names of modules below this one are served by `aliases`."""
+"""Empty: it makes this module a package for Python, so that `aliases` can serve names of modules below it."""

@@ -48,7 +48,7 @@ class DeviceInformation(enum.IntEnum):
 
 
 class MoreData(enum.IntEnum):
-    """Whether a response of function 43/14 is continued by another one."""
+    """Values of ``more_follows`` in a response of function 43/14: whether another request would read more objects."""
 
     NOTHING = 0x00
     KEEP_READING = 0xFF

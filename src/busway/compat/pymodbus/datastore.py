@@ -24,7 +24,7 @@ class BaseModbusDataBlock:
     Attributes:
         values: a list, or a dict by address.
         address: address of the first value of a list.
-        default_value: the value with which ``reset`` fills the block.
+        default_value: what ``reset`` restores: one value for all addresses, or in a sparse block a dict by address.
     """
 
     values: Any  # a list in one kind of block, a dict in the other; subclasses of programs bring others
@@ -36,11 +36,11 @@ class BaseModbusDataBlock:
         raise NotImplementedError
 
     def getValues(self, address: int, count: int = 1) -> Any:
-        """Return ``count`` values from ``address`` on, or an exception code."""
+        """Return a list of ``count`` values from ``address`` on, or an exception code to refuse the request with."""
         raise NotImplementedError
 
     def setValues(self, address: int, values: Any) -> Any:
-        """Replace the values from ``address`` on. Returns None, or an exception code."""
+        """Replace the values from ``address`` on. Returns None, or an exception code to refuse the request with."""
         raise NotImplementedError
 
     async def async_getValues(self, address: int, count: int = 1) -> Any:
@@ -59,7 +59,7 @@ class BaseModbusDataBlock:
 
 
 class ModbusSequentialDataBlock(BaseModbusDataBlock):
-    """Data block without gaps.
+    """Data block of consecutive addresses.
 
     Args:
         address: address of the first value.
@@ -81,7 +81,7 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
         self.default_value, self.values, self.address = value, [value] * count, 0
 
     def reset(self) -> None:
-        """Fill the block with its default value."""
+        """Set all values of the block to its default value; the number of values stays."""
         self.values = [self.default_value] * len(self.values)
 
     def validate(self, address: int, count: int = 1) -> bool:
@@ -89,12 +89,18 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
         return self.address <= address and address + count <= self.address + len(self.values)
 
     def getValues(self, address: int, count: int = 1) -> Any:
-        """Return ``count`` values from ``address`` on, as a list."""
+        """Return ``count`` values from ``address`` on, as a list.
+
+        The addresses are not checked here: call `validate` before.
+        """
         start = address - self.address
         return self.values[start : start + count]
 
     def setValues(self, address: int, values: Any) -> Any:
-        """Replace the values from ``address`` on: one value, or a list."""
+        """Replace the values from ``address`` on: one value, or a list.
+
+        The addresses are not checked here: call `validate` before.
+        """
         new = list(values) if isinstance(values, list | tuple) else [values]
         start = address - self.address
         self.values[start : start + len(new)] = new
@@ -129,7 +135,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
             self.values.update(enumerate(several, address))
 
     def reset(self) -> None:
-        """Restore the original values of the block, or those last set with ``use_as_default``."""
+        """Restore the values that the block had when it was created, or when ``use_as_default`` was last given."""
         self.values = dict(self.default_value)
 
     def validate(self, address: int, count: int = 1) -> bool:
@@ -141,7 +147,7 @@ class ModbusSparseDataBlock(BaseModbusDataBlock):
         return [self.values[one] for one in range(address, address + count)]
 
     def setValues(self, address: int, values: Any, use_as_default: bool = False) -> Any:
-        """Replace the values from ``address`` on, or those of a dict by address.
+        """Replace the values from ``address`` on; if ``values`` is a dict, the values at its keys, and not ``address``.
 
         ``use_as_default``: whether `reset` restores the values that the block has after this call.
 
@@ -172,15 +178,15 @@ class ModbusBaseDeviceContext:
         return self._fx_mapper[fx]
 
     def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
-        """Whether all of ``count`` addresses exist; True, unless a subclass overrides this method."""
+        """Return True: all addresses exist. Subclasses override this method to check ``count`` of them."""
         return True
 
     def getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
-        """Return the values that a request reads, or an exception code."""
+        """Return a list of the values that a request reads, or an exception code to refuse the request with."""
         raise NotImplementedError
 
     def setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
-        """Replace the values that a request writes. Returns None, or an exception code."""
+        """Replace the values that a request writes. Returns None, or an exception code to refuse the request with."""
         raise NotImplementedError
 
     async def async_getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
@@ -197,7 +203,7 @@ class ModbusDeviceContext(ModbusBaseDeviceContext):
 
     Args:
         di, co, ir, hr: blocks of the discrete inputs, coils, input registers and holding registers.
-        zero_mode: whether address 0 of a request is address 0 of a block; otherwise it is address 1.
+        zero_mode: True: address 0 of a request is address 0 of a block. False: it is address 1, and so on.
 
     Attributes:
         store: the blocks, by the letter that `decode` returns.
@@ -225,12 +231,12 @@ class ModbusDeviceContext(ModbusBaseDeviceContext):
         return self.store[self.decode(fc_as_hex)], address + (not self.zero_mode)
 
     def reset(self) -> None:
-        """Fill all blocks with their default values."""
+        """Reset all blocks to their default values."""
         for block in self.store.values():
             block.reset()
 
     def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
-        """Whether the block of the function code has all of ``count`` addresses from ``address`` on."""
+        """Whether the block of the function code has all of ``count`` addresses from ``address`` (of a request) on."""
         block, at = self._placed(fc_as_hex, address)
         return bool(block.validate(at, count))
 
@@ -264,7 +270,7 @@ class ModbusServerContext:
     Args:
         devices: one context for all units, or a dict of contexts by unit; unit 0 in a dict answers for all units that
             are not listed.
-        single: whether ``devices`` is one context; a dict is several in any case.
+        single: whether ``devices`` is one context; has no effect if it is a dict.
         slaves: the name of ``devices`` in older releases.
     """
 
@@ -303,4 +309,4 @@ class ModbusServerContext:
 
 
 __path__: list[str] = []
-"""Names of modules below this one are served by `aliases`."""
+"""Empty: it makes this module a package for Python, so that `aliases` can serve names of modules below it."""

@@ -32,7 +32,7 @@ class ModbusDeviceIdentification:
 
     Args:
         info: objects by number.
-        info_name: objects by name.
+        info_name: objects 0…6 by their names in `NAMES`; ``ValueError`` is raised for another name.
     """
 
     VendorName: Any = _named(0)

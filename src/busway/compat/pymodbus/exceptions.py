@@ -27,7 +27,7 @@ class ModbusIOException(ModbusException):
 
     Attributes:
         fcode: function code of the request; None if it is not known.
-        transaction_id: transaction identifier, if the program gave one.
+        transaction_id: transaction identifier that the program gave; 0 if it gave none.
         dev_id: unit of the request; 0 if it is not known.
         message: the message as text.
     """
@@ -81,7 +81,10 @@ class MessageRegisterException(ModbusException):
 
 
 def exception_for(error: ModbusError) -> ModbusException:
-    """Create the exception of pymodbus for an error of busway; the caller raises it from that error."""
+    """Create the exception of pymodbus for an error of busway; the caller raises it from that error.
+
+    It is `ConnectionException` if there was no connection or it ended, otherwise `ModbusIOException`.
+    """
     if isinstance(error, LinkDown) or isinstance(error.__cause__, LinkDown):
         return ConnectionException(str(error))
     return ModbusIOException(str(error), error.function, dev_id=error.unit or 0)

@@ -73,4 +73,4 @@ def framer_type_of(framer: object) -> FramerType:
 
 
 __path__: list[str] = []
-"""Names of modules below this one are served by `aliases`."""
+"""Empty: it makes this module a package for Python, so that `aliases` can serve names of modules below it."""

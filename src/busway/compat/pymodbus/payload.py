@@ -28,6 +28,8 @@ def ordered(data: bytes, byteorder: str, wordorder: str) -> bytes:
 class BinaryPayloadBuilder:
     """Collects values, and returns them as registers, coils or bytes.
 
+    A method ``add_…`` raises ``struct.error`` for a number that does not fit.
+
     Args:
         payload: bytes to begin with.
         byteorder: order of the bytes of each register.
@@ -74,7 +76,7 @@ class BinaryPayloadBuilder:
         return [bool(register >> bit & 1) for register in self.to_registers() for bit in reversed(range(16))]
 
     def add_bits(self, values: Sequence[bool]) -> None:
-        """Add bits, the first as the lowest bit of the first byte."""
+        """Add bits, the first as the lowest bit of the first byte; missing bits of the last byte are 0."""
         self._payload.append(pack_bits([bool(value) for value in values]))
 
     def _add_small(self, kind: str, value: int) -> None:
@@ -128,12 +130,14 @@ class BinaryPayloadBuilder:
         self._add_wide("d", value)
 
     def add_string(self, value: str) -> None:
-        """Add a text in UTF-8, cut off after as many bytes as it has characters."""
+        """Add a text in UTF-8, cut off after as many bytes as it has characters: ASCII texts are added whole."""
         self._payload.append(struct.pack(f"{len(value)}s", value.encode()))
 
 
 class BinaryPayloadDecoder:
-    """Decodes the values in registers or coils one after the other: each call decodes the next bytes.
+    """Decodes the values in registers or coils one after the other: each call of a ``decode_…`` method the next bytes.
+
+    If there are fewer bytes than a number has, the method raises ``struct.error``.
 
     Args:
         payload: the bytes of the values.
@@ -169,6 +173,8 @@ class BinaryPayloadDecoder:
     def fromCoils(cls, coils: Sequence[bool], byteorder: str = Endian.LITTLE, _wordorder: str = Endian.BIG) -> Self:
         """Return a decoder of a list of bits, the first as the highest bit of the first byte.
 
+        If the number of bits is no multiple of 8, zero bits are put before them. ``_wordorder`` has no effect.
+
         Raises:
             ParameterException: ``coils`` is no list.
         """
@@ -197,7 +203,10 @@ class BinaryPayloadDecoder:
         return _unpacked(f">{kind}", ordered(self._next(size), self._byteorder, self._wordorder))
 
     def decode_bits(self, package_len: int = 1) -> list[bool]:
-        """Skip ``package_len`` - 1 bytes, and return the eight bits of the next byte, the lowest first."""
+        """Skip ``package_len`` - 1 bytes, and return the eight bits of the next byte, the lowest first.
+
+        An empty list at the end of the payload.
+        """
         self._pointer += package_len
         byte = self._payload[self._pointer - 1 : self._pointer]
         return unpack_bits(byte, BITS_OF_BYTE * len(byte))
@@ -247,7 +256,7 @@ class BinaryPayloadDecoder:
         return float(self._wide("d", 8))
 
     def decode_string(self, size: int = 1) -> bytes:
-        """Return the next ``size`` bytes as they are."""
+        """Return the next ``size`` bytes as they are; fewer at the end of the payload."""
         return self._next(size)
 
 

@@ -48,7 +48,9 @@ LAST_UNIT = 255
 
 
 def unit_of(names: dict[str, Any], given: int | None = None) -> int:
-    """Return the unit among the keyword arguments of a call (``device_id``, ``slave`` …); else ``given`` or 1.
+    """Return the unit that the keyword arguments ``names`` of a call give (``device_id``, ``slave`` …).
+
+    If they give none, return ``given``, or 1 if that is None.
 
     Raises:
         TypeError: an argument has another name.
@@ -66,9 +68,9 @@ class ModbusPDU:
 
     Attributes:
         function_code, sub_function_code: codes of the function; -1 for no sub-function.
-        dev_id: the unit, 0…255; ``slave_id`` and ``unit_id`` are the same.
+        dev_id: the unit, 0…255; ``slave_id`` and ``unit_id`` return it too.
         transaction_id: kept for the program; it is not sent.
-        address, count: the first item and the number of items; 0 if there are none.
+        address, count: address of the first item and number of items; 0 if there are none.
         registers, bits: the values; empty lists if there are none.
         status: status of a response, for functions that have one.
         exception_code: exception code of an exception response; 0 otherwise.
@@ -114,7 +116,7 @@ class ModbusPDU:
         return self.dev_id
 
     def fill(self, **values: Any) -> None:
-        """Set several attributes of this object, given by name."""
+        """Set several attributes of this object, given as keyword arguments."""
         for name, value in values.items():
             setattr(self, name, value)
 
@@ -149,7 +151,7 @@ class ModbusPDU:
 
         Args:
             reply: the reply.
-            own: classes that the program registered, by function code.
+            own: response classes that the program registered, by function code.
 
         Raises:
             ModbusIOException: no class is registered for the function.
@@ -172,8 +174,8 @@ class ExceptionResult(ModbusPDU):
 
     Attributes:
         original_code: function code of the request.
-        function_code: the same with 0x80 added.
-        exception_code: the reason of the device.
+        function_code: function code of the request with 0x80 added.
+        exception_code: the exception code that the device sent.
     """
 
     def __init__(
@@ -603,7 +605,7 @@ class ReadFileRecordResponse(KnownResponse):
 
 
 class ReadFileRecordRequest(KnownRequest):
-    """Request of function 20: read parts of files."""
+    """Request of function 20: read parts of files, each given by a `FileRecord` with ``record_length``."""
 
     function_code: int = 20
     responds: ClassVar[type[KnownResponse]] = ReadFileRecordResponse
@@ -621,7 +623,7 @@ class ReadFileRecordRequest(KnownRequest):
 
 
 class WriteFileRecordResponse(KnownResponse):
-    """Response of function 21, write file record: repeats the ``records``."""
+    """Response of function 21, write file record: repeats the ``records`` of the request."""
 
     function_code: int = 21
 
@@ -632,7 +634,7 @@ class WriteFileRecordResponse(KnownResponse):
 
 
 class WriteFileRecordRequest(KnownRequest):
-    """Request of function 21: write parts of files."""
+    """Request of function 21: write parts of files, each given by a `FileRecord` with ``record_data``."""
 
     function_code: int = 21
     responds: ClassVar[type[KnownResponse]] = WriteFileRecordResponse
@@ -712,7 +714,10 @@ class ReadExceptionStatusResponse(KnownResponse):
 
 
 class GetCommEventCounterResponse(KnownResponse):
-    """Response of function 11, get comm event counter: ``status``, whether the device is ready, and ``count``."""
+    """Response of function 11, get comm event counter: the counter in ``count``.
+
+    ``status`` is True if the device is ready, False while a program command is running.
+    """
 
     function_code: int = 11
 
@@ -723,7 +728,8 @@ class GetCommEventCounterResponse(KnownResponse):
 class GetCommEventLogResponse(KnownResponse):
     """Response of function 12, get comm event log: the log in ``events``, the newest first, and its counters.
 
-    ``status`` is whether the device is ready; ``event_count`` and ``message_count`` are its counters.
+    ``status`` is True if the device is ready, False while a program command is running; ``event_count`` and
+    ``message_count`` are its counters; ``events`` are numbers 0…255.
     """
 
     function_code: int = 12
@@ -742,7 +748,11 @@ class GetCommEventLogResponse(KnownResponse):
 
 
 class ReportDeviceIdResponse(KnownResponse):
-    """Response of function 17, report server ID: ``identifier``, and ``status``, whether the device runs."""
+    """Response of function 17, report server ID: its bytes in ``identifier``; ``status`` is whether the device runs.
+
+    The last byte of the data is taken as the run indicator, FF if the device runs; ``identifier`` is the rest.
+    ``byte_count`` is the number of bytes with it.
+    """
 
     function_code: int = 17
 
@@ -799,7 +809,7 @@ class ReportDeviceIdRequest(PlainRequest):
 
 
 class DiagnosticResponse(KnownResponse):
-    """Response of function 08, diagnostics: the data in ``message``, as a number, or as bytes for sub-function 00."""
+    """Response of function 08, diagnostics: the data in ``message``, as a number; for sub-function 00 as bytes."""
 
     function_code: int = 8
     message: Any = 0  # a number, or bytes
@@ -811,9 +821,9 @@ class DiagnosticResponse(KnownResponse):
 
 
 class DiagnosticBase(KnownRequest):
-    """Request of function 08: diagnostics with a sub-function and its data, ``message``.
+    """Request of function 08: diagnostics with a sub-function (``sub_function``) and its data, ``message``.
 
-    The data are a number, bytes, or a sequence of numbers.
+    The data are bytes, a number 0…65535, or a sequence of such numbers.
     """
 
     function_code: int = 8
@@ -871,4 +881,4 @@ SUB_FUNCTIONS: dict[str, int] = {
 """The sub-function codes of function 08, by the name after ``diag_`` of pymodbus' calls."""
 
 __path__: list[str] = []
-"""Names of modules below this one are served by `aliases`."""
+"""Empty: it makes this module a package for Python, so that `aliases` can serve names of modules below it."""

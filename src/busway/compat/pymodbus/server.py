@@ -89,15 +89,18 @@ class ContextModel:
         return reading
 
     def check(self, table: Table, address: int, count: int, writes: bool, context: Context | None = None) -> None:
-        """Raise `Refusal` with code 02 for a range that the context does not have."""
+        """Raise `Refusal` with code 02 for a range that the context does not have; return None otherwise."""
         validate = getattr(self._store, "validate", None)
         if address + count > 0x10000 or (validate is not None and not validate(self._code(table), address, count)):
             raise Refusal(ExceptionCode.ILLEGAL_DATA_ADDRESS)
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:
-        """Return the values of a range in wire order.
+        """Return the values of a range, from ``getValues`` of the context, in wire order.
 
-        If the context returns an exception code, raises it as `Refusal`.
+        Bits are packed, eight in a byte; a register has two bytes, the higher first.
+
+        Raises:
+            Refusal: with code 02 if the context does not have the range; with its own code if it returns one.
         """
         self.check(table, address, count, False)
         values = self._store.getValues(self._code(table), address, count)
@@ -111,9 +114,9 @@ class ContextModel:
         return b"".join((int(value) & 0xFFFF).to_bytes(2, "big") for value in found)
 
     def write(self, table: Table, address: int, count: int, data: bytes, context: Context) -> None:
-        """Pass the values of a write to the context.
+        """Pass the values of a write, ``data`` in wire order, to ``setValues`` of the context.
 
-        If the context returns an exception code, raises it as `Refusal`.
+        If the context returns an exception code, it is raised as `Refusal`.
         """
         values: list[int] | list[bool] = (
             unpack_bits(data, count)
@@ -141,7 +144,10 @@ class ContextModel:
         return 0
 
     def server_id(self) -> bytes:
-        """Return the data of function 17: the identification objects joined by ``-``, and the run indicator FF."""
+        """Return the data of function 17: the identification objects joined by ``-``, and the run indicator FF.
+
+        ``busway`` stands for an empty identification; at most 250 bytes come before the run indicator.
+        """
         return (b"-".join(self._identity.values()) or b"busway")[:250] + RUNS
 
     def identification(self) -> Mapping[int, bytes]:
@@ -174,7 +180,7 @@ class ContextResponder:
         return ServedUnit(unit) if unit in self._context else None
 
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
-        """Execute a request on the context of its unit, and return the reply; `SILENCE` if none is to be sent.
+        """Execute a request on the context of its unit, and return the reply; `SILENCE` if no reply is to be sent.
 
         Raises:
             Refusal: the request is answered with this exception code.
@@ -204,7 +210,7 @@ class ContextResponder:
 
 
 class ModbusBaseServer:
-    """Base of the servers: created in an event loop, started by ``serve_forever``, ended by ``shutdown``.
+    """Base of the servers: created in a running event loop, started by ``serve_forever``, ended by ``shutdown``.
 
     Args:
         context: the contexts by unit.
@@ -282,7 +288,7 @@ class ModbusBaseServer:
             await self._server.stop()
 
     async def shutdown(self) -> None:
-        """Stop the server; ``serve_forever`` returns then."""
+        """Stop the server and wait until it has stopped; a waiting ``serve_forever`` returns then."""
         try:
             await self._server.stop()
         finally:
@@ -408,4 +414,4 @@ def ServerStop() -> None:
 
 
 __path__: list[str] = []
-"""Names of modules below this one are served by `aliases`."""
+"""Empty: it makes this module a package for Python, so that `aliases` can serve names of modules below it."""

@@ -18,12 +18,12 @@
 `system`          Keys of configuration files: server, listeners, client, security, policy and units in one file
 ================  ======================================================================================================
 
-Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` makes the
-devices. Imported only where a file is used: it loads pydantic.
+Knows texts; reads no file itself and builds nothing: `busway.config` does both, `busway.config.devices` builds the
+devices. Import this package only where a file is used: it loads pydantic, and raises `MissingExtra` without it.
 
-Where it is decided: how an error in a file is worded, also "is it …?": `schema`. Which keys a section has: the file of
-its kind. Which options are keys: `options`, from their declarations. In which line a key is: `lines`. Which parameters
-a fault has: no file here, but the function of its profile in `busway.faults.profiles`.
+Where it is decided: how an error in a file is worded, also the hint "is it …?": `schema`. Which keys a section has: the
+file of its kind. Which options are keys: `options`, from their declarations. In which line a key is: `lines`. Which
+parameters a fault has: no file here, but the function of its profile in `busway.faults.profiles`.
 """
 
 from ...extras import require

@@ -44,9 +44,9 @@ class BehaviourSection(Section):
     """Keys that behaviours of all kinds have: how often the value changes, how long a written value stays."""
 
     expressions: ClassVar[tuple[str, ...]] = ()
-    """Names of the keys that may hold an expression."""
+    """Names of the keys of this kind whose value can be an expression."""
     begins: ClassVar[bool] = False
-    """Whether the behaviour continues from the point's first value."""
+    """Whether the behaviour starts from the key ``value`` of the point; otherwise a point must not have the key."""
 
     every: Annotated[
         float,
@@ -196,9 +196,10 @@ KINDS: Final[Mapping[str, type[BehaviourSection]]] = {
 
 
 def _as_behaviour(value: object) -> object:
-    """Check a behaviour by the section class of its ``kind``, so that an error names the wrong key itself.
+    """Return a behaviour as an object of the section class of its ``kind``.
 
-    A union of pydantic would report the errors of all kinds.
+    So an error names the wrong key itself; a union of pydantic would report the errors of all kinds. Raises
+    `FileProblems` or `ValueError`.
     """
     if isinstance(value, BehaviourSection):
         return value
@@ -220,7 +221,10 @@ DeclaredBehaviour = Annotated[
 
 
 def described(section: BehaviourSection) -> str:
-    """Return a behaviour with the keys that the file gives, as text: ``sine: amplitude 4, period 60``."""
+    """Return a behaviour as text, with the keys that the file gives: ``sine: amplitude 4, period 60``.
+
+    ``resume_after`` is left out; without other keys the text is the kind alone.
+    """
     own: dict[str, Any] = {  # Any: of the types of the keys
         name: getattr(section, name)
         for name in type(section).model_fields

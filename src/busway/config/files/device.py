@@ -71,7 +71,10 @@ def parse_device_file(text: str, name: str) -> "DeviceFile":
 
 
 def _as_table(value: object) -> object:
-    """Accept a table of a device file written as a number of items, or as a list of values."""
+    """Return a table of a device file as a dictionary of its keys, also if written as a number of items or as a list.
+
+    Raises `ValueError` for anything else.
+    """
     if isinstance(value, int) and not isinstance(value, bool):
         return {"count": value}
     if isinstance(value, list):
@@ -134,7 +137,7 @@ class ServerSection(OptionSection):
     ] = "standard"
 
     def options(self) -> dict[str, Any]:  # of several types
-        """Return the options of `busway.serve` that this section sets."""
+        """Return the options of `busway.serve` that this section sets, by name, ``preset`` included."""
         return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
 
@@ -169,8 +172,8 @@ class TableSection(Section):
         """Yield the errors in the declaration of the table, each as path in the section and sentence.
 
         Args:
-            bits: whether the items are bits.
-            size: number of items that a table can have.
+            bits: True if the items are bits, False if they are registers.
+            size: largest number of items of such a table: its offsets are below.
         """
         if self.end > size:
             yield (), f"offsets are 0…{size - 1}, but {self.first}…{self.end - 1} are declared"
@@ -251,11 +254,11 @@ class GroupSection(WholeSection):
         yield from _repeated("point", "name", [point.name for point in self.point])
 
     def size(self) -> int:
-        """Return the number of points of the group and its inner groups, at all places where they are repeated."""
+        """Return the number of points of the group, inner groups included, with every repetition counted."""
         return (self.count or 1) * (len(self.point) + sum(each.size() for each in self.group))
 
     def names(self) -> Iterator[str]:
-        """Yield the names of the group's points as the file has them, without those of inner groups."""
+        """Yield the names of the group's own points as written in the file, without points of inner groups."""
         return (point.name for point in self.point)
 
     def placed(
@@ -265,10 +268,10 @@ class GroupSection(WholeSection):
 
         Args:
             path: path of the group in the unit's section.
-            prefix: text before the group's name: the names of the groups around it.
+            prefix: text before the group's name: the names of the groups around it, ``string.1.``; empty for none.
             by: number of items to add to the addresses in the file, because a group around it is repeated.
             outer: full names of points around the group, those of the nearest group first.
-            around: what the groups around it add to a point.
+            around: attributes that the groups around it give to a point.
         """
         for index in range(self.count or 1):
             here = f"{prefix}{self.name}." if self.count is None else f"{prefix}{self.name}.{index + 1}."
@@ -287,7 +290,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """Attributes of `busway.points.Point` that a point of a device file gets from the groups around it."""
+    """Attributes that a point of a device file gets from the groups around it; they are those of `Point`."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -299,7 +302,8 @@ class PlacedPoint:
 
     Attributes:
         path: its path in the unit's section of the file.
-        section: its keys in the file; for a point of a group, adjusted to the place of the group.
+        section: its keys in the file; for a point of a group, with full name and the address at this place of the
+            group.
         exists, group: as in `busway.points.Point`.
     """
 
@@ -424,7 +428,7 @@ class UnitSection(WholeSection):
     ] = None
 
     def table(self, table: Table) -> TableSection | None:
-        """Return the declaration of a table of this unit; None if it is not declared."""
+        """Return the declaration of a table of this unit; None if the file does not declare the table."""
         declared: TableSection | None = getattr(self, table.value)
         return declared
 
@@ -435,7 +439,7 @@ class UnitSection(WholeSection):
 
     @cached_property
     def placed(self) -> tuple[PlacedPoint, ...]:
-        """All points of the unit, with final names and addresses.
+        """All points of the unit, with final names and addresses; those written alone come first.
 
         A point of a repeated group occurs once for each repetition.
         """
@@ -454,15 +458,18 @@ class UnitSection(WholeSection):
         return tuple(each for each in self.placed if not each.section.is_computed)
 
     def hole(self, table: Table) -> int | None:
-        """Return the value that is read at addresses between the points of a table; None: such reads are refused."""
+        """Return None: reads at addresses between the points of a table are refused, with exception 02.
+
+        The units of simulation files override it: they can have a value that is read there.
+        """
         return None
 
     def points_in(self, table: Table) -> list[PointSection]:
-        """Return the points of the unit that are in one table."""
+        """Return the points of the unit that are in one table, with final names and addresses."""
         return [each.section for each in self.stored if each.section.table is table]
 
     def described(self) -> list[Point]:
-        """Return the points of the unit as `busway.points.Point` objects, computed ones too."""
+        """Return all points of the unit as `busway.points.Point` objects, computed ones and repetitions included."""
         exponents = {each.section.scale_from for each in self.placed}
         return [
             replace(
@@ -635,7 +642,7 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
 
 
 def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
-    """Yield an error for the first circle of computed points that depend on themselves."""
+    """Yield an error for the first circle of computed points: a point whose formula depends on itself."""
     computed = {each.section.name: each for each in placed if each.section.is_computed}
     done: set[str] = set()
     for first in computed:

@@ -96,7 +96,10 @@ class FaultSection(Section):
         return None if self.functions is None else parse_whole_functions(self.functions, "a fault")
 
     def chosen_addresses(self) -> dict[Table, tuple[ItemRange, ...]] | None:
-        """Return the item ranges that the fault applies to, by table; None for all."""
+        """Return the item ranges that the fault applies to, by table; None for all.
+
+        Each range is its first item, 0-based, and the item after its last.
+        """
         if self.addresses is None:
             return None
         found: dict[Table, list[ItemRange]] = {}
@@ -117,10 +120,12 @@ def parse_fault_words(text: str) -> FaultSection:
     """Parse the argument of ``--fault`` on the command line: ``late``, or ``late:delay=2,units=1-3,for=10``.
 
     Args:
-        text: the fault profile; after a colon, keys of ``[[fault]]`` and its schedule, and parameters of the profile.
+        text: the fault profile; after a colon, keys of ``[[fault]]`` and its schedule, and parameters of the profile,
+            each as ``NAME=VALUE``, separated by commas.
 
     Raises:
-        ConfigError: a key or value is invalid; the error has the key.
+        ConfigError: a key or value is invalid; ``key`` of the error is that key. Whether the fault profile exists, and
+            its parameters, are not checked.
     """
     fault_profile, _, rest = text.partition(":")
     section: dict[str, Any] = {"fault_profile": fault_profile.strip()}  # Any: values of several types

@@ -9,8 +9,8 @@ class FileError(ConfigError):
     """Error: a file cannot be used; has all its problems, each with line and key.
 
     Attributes:
-        problems: what is wrong, each with file, line and key, in the order of the lines. Message, file, line and key of
-            this error are those of the first.
+        problems: what is wrong, each an error with file, line and key, in the order given; at least one. ``message``,
+            ``file``, ``line`` and ``key`` of this error are those of the first.
     """
 
     def __init__(self, problems: Sequence[ConfigError]) -> None:

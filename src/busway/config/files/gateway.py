@@ -37,7 +37,7 @@ NOT_OF_GATEWAYS: Final = {
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether these section names belong to a gateway file: ``route`` or ``gateway``, or listeners but no units."""
+    """Whether a file with these top-level keys is a gateway file: ``route`` or ``gateway``, or listeners, no units."""
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
@@ -71,7 +71,7 @@ class RouteSection(OptionSection):
 
     @property
     def parameters(self) -> RouteParameters:
-        """The options of the route, with defaults for those that the file leaves out."""
+        """All options of the route; those that the file leaves out have their defaults."""
         return self.built(RouteParameters)
 
     @model_validator(mode="after")
@@ -97,17 +97,21 @@ class RouteSection(OptionSection):
                 yield (key,), error.message
 
     def asked_units(self) -> frozenset[int] | None:
-        """Return the units that the route applies to; None for all. Raises `ConfigError`."""
+        """Return the unit numbers that the route applies to; None for all. Raises `ConfigError` if they are wrong."""
         units = self.parameters.units
         return None if units is None else parse_units(units.written)
 
     def asked_functions(self) -> frozenset[int]:
-        """Return the function codes that the route applies to; empty for all. Raises `ConfigError`."""
+        """Return the function codes that the route applies to; empty for all.
+
+        Raises:
+            ConfigError: a code or name is wrong, or names a sub-function.
+        """
         functions = self.parameters.functions
         return frozenset() if functions is None else parse_whole_functions(functions.written, "a route")
 
     def asked_table(self) -> Table | None:
-        """Return the table that numbers without a table mean in the route's addresses; None without one.
+        """Return the table of the key ``table``, in which plain numbers in ``addresses`` lie; None without the key.
 
         Raises:
             ConfigError: there is no such table.
@@ -116,7 +120,11 @@ class RouteSection(OptionSection):
         return None if table is None else parse_table(table)
 
     def asked_addresses(self) -> tuple[Table, int, int] | None:
-        """Return the route's addresses: table, first offset, offset after the last; None: all. Raises `ConfigError`."""
+        """Return the addresses that the route applies to: table, first offset, offset after the last; None for all.
+
+        Raises:
+            ConfigError: the notation is wrong, names more than one range, or is missing beside a ``table``.
+        """
         addresses = self.parameters.addresses
         if addresses is None:
             if self.parameters.table is not None:
@@ -134,7 +142,7 @@ class GatewaySection(OptionSection):
     """``[gateway]``: options of the whole gateway."""
 
     def parameters(self) -> GatewayParameters:
-        """Return the options of the whole gateway, with defaults for those that the file leaves out."""
+        """Return all options of the whole gateway; those that the file leaves out have their defaults."""
         return self.built(GatewayParameters)
 
 

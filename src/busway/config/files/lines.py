@@ -1,8 +1,6 @@
 """Finds the text line of each key in a TOML file, for error messages, because ``tomllib`` does not report it.
 
-Knows the grammar as far as it separates keys from values; judges nothing: the text has passed ``tomllib``.
-
-Written here, because every error of a file names its line and ``tomllib`` gives no positions.
+Knows the grammar as far as it separates keys from values; finds no errors: the text must have passed ``tomllib``.
 
 A path is a tuple of keys and, in arrays, indexes: ``("unit", 0, "point", 3, "type")``.
 """
@@ -25,9 +23,9 @@ def key_lines(text: str) -> dict[Path, int]:
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """Return the line of a path in the file; if the path is not there, the line of its longest beginning that is there.
+    """Return the 1-based line of a path; if the file does not have it, the line of the nearest table or list around it.
 
-    1 if the file has no part of it.
+    1 if the file has none of these.
     """
     while path and path not in lines:
         path = path[:-1]
@@ -46,7 +44,7 @@ class _Reader:
         self._at = 0
         self._line = 1
         self._tables: dict[Path, int] = {}
-        """Arrays of tables, and how many elements each has so far."""
+        """By path of each array of tables, the number of its elements so far."""
         self.lines: dict[Path, int] = {}
 
     def read_document(self) -> None:
@@ -92,7 +90,7 @@ class _Reader:
         self._read_value(path)
 
     def _read_key(self) -> list[str]:
-        """Read a TOML key with dots and return its parts."""
+        """Read a TOML key, such as ``server.port``, and return its parts."""
         keys = []
         while True:
             self._skip(_SPACE)

@@ -85,7 +85,7 @@ def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
 
 _EVERYWHERE: Final = {"localhost": "127.0.0.1"}
 _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
-"""Hosts that mean all addresses of this machine, with a text that each of these addresses contains."""
+"""Hosts that mean all addresses of this machine, each with a text that is in every address that it includes."""
 
 
 def _covers(one: str, other: str) -> bool:

@@ -43,10 +43,10 @@ class OptionSection(Section):
     kinds: ClassVar[tuple[type[Any], ...]] = ()  # parameter classes, which share no base
     """The parameter classes whose options are keys of the section."""
     checked_later: ClassVar[tuple[type[Any], ...]] = ()
-    """Those of ``kinds`` that check their options only when the section is combined with others."""
+    """Those of ``kinds`` whose options are checked together later, when the section is combined with others."""
 
     def options(self) -> dict[str, Any]:  # of several types
-        """Return the options that this section sets, by name."""
+        """Return the options of ``kinds`` that this section sets, by name; not those that it leaves out."""
         return self.options_of(*self.kinds)
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
@@ -55,9 +55,10 @@ class OptionSection(Section):
         return {name: value for name, value in self if name in known and name in self.model_fields_set}
 
     def built(self, kind: type[Parameters]) -> Parameters:
-        """Return an object of a parameter class with the options that this section sets.
+        """Return an object of a parameter class with the options that this section sets; the others have defaults.
 
-        They were checked when it was read.
+        Raises `ConfigError` for an invalid option only if the class is in ``checked_later``: others were checked when
+        the section was read.
         """
         return build_parameters(kind, self.options_of(kind))
 
@@ -70,7 +71,7 @@ class OptionSection(Section):
 
 
 def build(kind: type[Any], options: Mapping[str, Any]) -> None:
-    """Check options together by creating an object of their parameter class, which is not kept.
+    """Check whether options are valid together, by creating an object of their parameter class; returns nothing.
 
     Raises:
         FileProblems: an option is invalid; the problem has its key.
@@ -123,7 +124,7 @@ def _plain(kind: Any) -> Any:  # both are types as annotations have them
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
-    """Return a validator for an option that takes numbers or words: one error message lists all that it takes."""
+    """Return a validator for an option whose value is a number or one of some words; its error lists them all."""
 
     def report(value: object) -> object:
         if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):

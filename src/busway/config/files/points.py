@@ -39,7 +39,7 @@ from .schema import NO_LIST, NO_TABLE, FileProblems, Section, faults_in
 Result = TypeVar("Result")
 Finite = Annotated[float, Field(allow_inf_nan=False)]
 MOST_REPEATED: Final = 10_000
-"""Most points that the groups of one unit may have together, repeated ones included."""
+"""Most points that the groups of one unit can have together; each repetition of a group counts its points again."""
 
 _NUMBERS: Final = ("int", "uint", "float", "bcd", "field")
 _FIELD: Final = re.compile(r"(?P<register>.+)\.(?P<low>\d{1,2})-(?P<high>\d{1,2})")
@@ -47,7 +47,7 @@ _OF_A_READ: Final = (
     "address", "type", "order", "value", "scale", "offset", "scale_from", "linear", "invalid", "enumeration", "flags",
     "minimum", "maximum", "access", "rollover", "overlaps", "write",
 )  # fmt: skip
-"""Keys that a computed point cannot have."""
+"""Keys of points with an address; a computed point cannot have them."""
 _DEADBAND: Final = re.compile(r"(\d+(?:\.\d+)?)\s*%")
 
 
@@ -71,7 +71,7 @@ def _conversion(
 
 
 def checked(key: str, make: Callable[[], Result]) -> Result:
-    """Return the result of ``make``, which checks the value of a key.
+    """Call ``make``, which checks the value of a key, and return its result.
 
     Raises:
         FileProblems: ``make`` has raised `InvalidRequest` or `ConfigError`; its message is reported at ``key``.
@@ -119,7 +119,10 @@ class WriteSection(Section):
 
     @property
     def place(self) -> Literal["none", "read-back"] | Address:
-        """How a write is verified: not at all, by reading the point back, or by reading another address."""
+        """How a write is verified: ``none``, by reading the point back, or by reading another address.
+
+        An address is returned parsed; a text that is none raises `InvalidRequest`.
+        """
         if self.verify == "none":
             return "none"
         return "read-back" if self.verify == "read-back" else parse_address(self.verify)
@@ -137,7 +140,10 @@ def _as_report(value: object) -> object:
 
 
 def _as_deadband(value: object) -> object:
-    """Accept a deadband such as ``0.5`` in the unit of measure, or ``"1 %"``."""
+    """Return a deadband unchanged if it is a number of at least 0 or a percentage: ``0.5``, ``"1 %"``.
+
+    Raises `ValueError` for anything else.
+    """
     if isinstance(value, str) and not _DEADBAND.fullmatch(value.strip()):
         raise ValueError(f'must be a number, or percent such as "1 %", not {shown(value)}')
     if not isinstance(value, str) and (isinstance(value, bool) or not isinstance(value, int | float) or not value >= 0):
@@ -213,7 +219,8 @@ class AlarmSection(Section):
         """Return the section as an `AlarmRule` of `busway.points`.
 
         Args:
-            names, flags: ``enumeration`` and ``flags`` of the point, which give the states their numbers.
+            names: ``enumeration`` of the point: the number of each named state.
+            flags: ``flags`` of the point: the bit of each named flag.
         """
         states = tuple(("on" if each else "off") if isinstance(each, bool) else each for each in self.states)
         numbers = frozenset(int(each) if isinstance(each, bool) else names.get(each, 0) for each in self.states)
@@ -231,14 +238,18 @@ class AlarmSection(Section):
 
 
 STAND_IN: Final = "0"
-"""Formula of a point that stands in for an invalid one, while the points around it are checked."""
+"""Formula of a point that replaces an invalid one, while the other points of its section are checked."""
 
 
 class WholeSection(Section):
     """Base of file sections that report all errors at once: of single keys, and of keys that do not go together."""
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors of keys of this section that do not go together, each as path and sentence."""
+        """Yield the errors of keys of this section that do not go together, each as path and sentence.
+
+        Called when each key by itself is valid, or has been replaced by a valid value. Subclasses override it; here it
+        yields nothing.
+        """
         yield from ()
 
     @model_validator(mode="wrap")
@@ -260,7 +271,8 @@ class WholeSection(Section):
     ) -> Iterator[tuple[Path, str]]:
         """Yield the errors of keys that do not go together, although other keys of the section are invalid.
 
-        For this check the invalid keys, whose paths are in ``found``, are replaced by valid values (`stand_ins`).
+        For this check the invalid keys, whose paths are in ``found``, are left out or replaced by valid values
+        (`stand_ins`). Errors at the invalid keys themselves are not yielded again.
         """
         broken = {path[:2] if len(path) > 1 and isinstance(path[1], int) else path[:1] for path, _ in found if path}
         if not isinstance(data, dict) or not broken:
@@ -380,12 +392,15 @@ class PointSection(WholeSection):
 
     @cached_property
     def expression(self) -> Expression:
-        """The parsed formula of a computed point; only for computed points."""
+        """The parsed formula of a computed point. Raises `ConfigError` for an invalid one, and without a formula."""
         return parse_expression(self.formula)
 
     @cached_property
     def place(self) -> Address:
-        """The address of the point in its table."""
+        """The address of the point in its table; of a bit field, the address of its register.
+
+        Raises `InvalidRequest` for a computed point and for a text that is no address.
+        """
         return parse_address(self._bits[0])
 
     @cached_property
@@ -399,14 +414,17 @@ class PointSection(WholeSection):
 
     @cached_property
     def table(self) -> Table:
-        """The table that the point is in."""
+        """The table that the point is in; not for a computed point, which raises `InvalidRequest`."""
         table = self.place.table
         assert table is not None  # a text that names no table is refused
         return table
 
     @cached_property
     def form(self) -> ValueType[Any] | None:
-        """The value type of the point's registers; None for a single bit."""
+        """The value type of the point's registers; None for a coil, a discrete input or one bit of a register.
+
+        Raises `InvalidRequest` for an unknown type or order, and for a computed point.
+        """
         if self.table.holds_bits or self.place.bit is not None:
             return None
         _, low, high = self._bits
@@ -418,12 +436,15 @@ class PointSection(WholeSection):
 
     @cached_property
     def size(self) -> int:
-        """Number of registers or bits that the point occupies."""
+        """Number of registers that the point occupies, also partly; 1 for a coil or discrete input."""
         return 1 if self.form is None else self.form.registers
 
     @cached_property
     def taken_bits(self) -> range:
-        """The bits that the point occupies in each of its registers, 0 the least significant."""
+        """The bits that the point occupies in each of its registers, 0 the least significant.
+
+        0…15 for whole registers, and for a coil or discrete input, which has no bits of its own.
+        """
         if self.place.bit is not None:
             return range(self.place.bit, self.place.bit + 1)
         kind = "" if self.form is None else self.form.name
@@ -434,17 +455,23 @@ class PointSection(WholeSection):
 
     @property
     def is_number(self) -> bool:
-        """Whether the value type is one of integers, floats, BCD or bit fields; False for a computed point."""
+        """Whether the value type is one of integers, floats, BCD or bit fields; False for a text or a single bit.
+
+        Only for a point with an address: a computed one raises `InvalidRequest`.
+        """
         return self.form is not None and self.form.name.startswith(_NUMBERS)
 
     @property
     def is_whole(self) -> bool:
-        """Whether the value type is one of integers, BCD or bit fields; False for a computed point."""
+        """Whether the value type is one of integers, BCD or bit fields, without a fraction; False for all others.
+
+        Only for a point with an address: a computed one raises `InvalidRequest`.
+        """
         return self.is_number and self.form is not None and not self.form.name.startswith("float")
 
     @property
     def is_writable(self) -> bool:
-        """Whether Modbus may write the point."""
+        """Whether Modbus can write the point: it is in a writable table and its ``access`` is not ``read``."""
         return not self.is_computed and self.table.is_writable and self.access != "read"
 
     @cached_property
@@ -463,7 +490,10 @@ class PointSection(WholeSection):
 
     @cached_property
     def described(self) -> Point:
-        """The point as a `busway.points.Point`; `UnitSection.described` adds what depends on the unit."""
+        """The point as a `busway.points.Point`, without what depends on its unit: groups, poll class of the unit.
+
+        `UnitSection.described` adds that.
+        """
         common: dict[str, Any] = {  # Any: arguments of different types
             "unit_of_measure": self.unit_of_measure,
             "poll_class": self.poll_class,
@@ -515,8 +545,12 @@ class PointSection(WholeSection):
     def raw(self, value: Any) -> Any:
         """Return the raw number for a value in the unit of measure, or for the name of a value.
 
+        Texts and bits are returned as the registers' type takes them. The power of ten of ``scale_from`` is not
+        applied.
+
         Raises:
-            InvalidRequest: the value does not fit the type, the scale, the names or the range.
+            InvalidRequest: the value does not fit the type, the scale, the names or the range, or the point is
+                computed.
         """
         point = self.described
         raw = point.raw(value)
@@ -528,26 +562,32 @@ class PointSection(WholeSection):
         return raw
 
     def physical(self, raw: Any) -> Any:
-        """Return the value in the unit of measure for a raw number; bits, texts and the like unchanged."""
+        """Return the value in the unit of measure for a raw number; bits, texts and the like unchanged.
+
+        The power of ten of ``scale_from`` is not applied, and numbers are not replaced by their names.
+        """
         if self._converter is None or isinstance(raw, bool):
             return raw
         return self._converter(raw)
 
     @cached_property
     def _converter(self) -> Callable[[float], float] | None:
-        """Function from raw numbers to values of the point; None if they are the same."""
+        """Function that converts raw numbers to values of the point; None if values are the raw numbers."""
         if not self.is_number or not self.conversion.changes:
             return None
         return converter(self.conversion, whole=self.is_whole)
 
     def check_range(self, value: float) -> None:
-        """Raise `InvalidRequest` if a value is below the point's minimum or above its maximum."""
+        """Raise `InvalidRequest` if a value, in the unit of measure, is below ``minimum`` or above ``maximum``, or NaN.
+
+        NaN is accepted if the point has neither.
+        """
         low, high = self.minimum, self.maximum
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
 
     def names(self) -> str:
-        """Return the names of the point's values as text: ``off (0), auto (1)``."""
+        """Return the names of the point's values as text, ``off (0), auto (1)``; empty if it has no names."""
         return self.described.choices()
 
     def faults(self) -> Iterator[tuple[Path, str]]:
@@ -703,10 +743,12 @@ class PointSection(WholeSection):
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "PointSection":
         """Return a copy of the point for one repetition of its group, with the name and address that it has there.
 
+        Names in ``scale_from`` and ``formula`` become full names.
+
         Args:
-            prefix: text before its name.
+            prefix: text before its name: ``string.1.``.
             by: number of items to add to its address.
-            known: full names of points around it, those of the nearest group first, for ``scale_from`` and ``formula``.
+            known: full names of points around it, those of the nearest group first, which such names can mean.
         """
         keys = {name: getattr(self, name) for name in self.model_fields_set}
         keys["name"] = prefix + self.name

@@ -19,7 +19,10 @@ from .schema import NO_LIST, FileProblems, Section, parse_file
 
 
 def _as_numbers(value: object) -> object:
-    """Accept the numbers of an access rule written as a number, a text or a list of these; returns a list."""
+    """Return the numbers of an access rule, written as a number, a text or a list of these, as a list.
+
+    Raises `ValueError` for anything else.
+    """
     values = value if isinstance(value, list) else [value]
     for each in values:
         if isinstance(each, bool) or not isinstance(each, int | str):
@@ -71,7 +74,11 @@ class ValuesSection(Section):
         return self
 
     def limits(self) -> Limits:
-        """Return the section as `Limits` of an access rule. Raises `ConfigError`."""
+        """Return the section as `Limits` of an access rule; an end that is left out is that of a register.
+
+        Raises:
+            ConfigError: an end is no value of a register, or ``min`` is above ``max``.
+        """
         least, most = (-0x8000, 0x7FFF) if self.signed else (0, 0xFFFF)
         return Limits(least if self.min is None else self.min, most if self.max is None else self.max, self.signed)
 
@@ -128,7 +135,7 @@ class RuleSection(Section):
         return self
 
     def rule(self) -> Rule:
-        """Return the section as an access `Rule`. Raises `ConfigError` with the key at fault."""
+        """Return the section as an access `Rule`. Raises `ConfigError`, whose ``key`` is the key that is wrong."""
         given = {name: getattr(self, name) for name in self.model_fields_set}
         return Rule.of(**{**given, "values": None if self.values is None else self.values.limits()})
 
@@ -184,7 +191,7 @@ class PolicySection(Section):
         return Policy(tuple(each.rule() for each in self.rule), Action(self.default))
 
     def addresses(self) -> AddressList:
-        """Return the section's lists of hosts that may connect. Raises `ConfigError` with the key at fault."""
+        """Return the section's lists of hosts that may connect. Raises `ConfigError` with the ``key`` that is wrong."""
         return AddressList(self.allow, self.deny, self.secure)
 
     def access_rules(self) -> AccessRules:

@@ -32,7 +32,7 @@ from .lines import Path, key_lines, line_of
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has
-    """Add each key's declared meaning and range to the JSON Schema of a section."""
+    """Add help and range of each declared key to ``schema``, the JSON Schema of a section, in place."""
     for name, option in keys_of(section).items():
         found = schema.get("properties", {}).get(name)
         if found is not None:
@@ -53,9 +53,9 @@ def _json_limits(option: Option) -> dict[str, Any]:
 
 
 class Section(BaseModel):
-    """Base class of a table in a file.
+    """Base class of the classes that describe a table in a file: each field is a key.
 
-    Only declared keys are accepted, values are not converted, and it is immutable.
+    Unknown keys and values of another type are refused, and objects are immutable.
     """
 
     model_config: ClassVar[ConfigDict] = ConfigDict(
@@ -80,7 +80,7 @@ class Section(BaseModel):
 
 
 def _limited(option: Option) -> Callable[[object], object]:
-    """Return a validator that refuses values outside the declared range of a key."""
+    """Return a validator that raises `ValueError` for values outside the declared range of a key."""
 
     def checked(value: object) -> object:
         try:
@@ -96,7 +96,7 @@ _KEYS: Final[dict[type[Section], Mapping[str, Option]]] = {}
 
 
 def keys_of(section: type[Section]) -> Mapping[str, Option]:
-    """Return the keys that a section declares, by the name they have in the file, in the order of the declaration."""
+    """Return the keys that a section declares, by their name in the file, in the order of the declaration."""
     found = _KEYS.get(section)
     if found is None:
         options = (_option(field.alias or name, field) for name, field in section.model_fields.items())
@@ -127,9 +127,9 @@ def _written_as(annotation: Any, marks: Sequence[Any]) -> Any:  # types as annot
 
 
 NO_LIST: Final[Any] = Field(default_factory=list)
-"""The default of a key that is a list: an empty one."""
+"""The default of a key that is a list: a new empty list for each object."""
 NO_TABLE: Final[Any] = Field(default_factory=dict)
-"""The default of a key that is a table of the user's own keys: an empty one."""
+"""The default of a key that is a table of the user's own keys: a new empty table for each object."""
 
 
 class FileProblems(ValueError):
@@ -164,9 +164,9 @@ class Source:
     lines: Mapping[Path, int]
 
     def problem(self, path: Path, sentence: str) -> ConfigError:
-        """Return an error about a path of the file, with file name, line and key.
+        """Return an error about a path of the file, with file name, line and key; it is not raised here.
 
-        The caller raises it or collects it.
+        If the file does not have the path, the line is that of the nearest table around it.
         """
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
@@ -176,7 +176,7 @@ class Source:
 
         Args:
             schema: the class.
-            at: keys and indexes that lead to the part; none for the whole file.
+            at: keys and indexes that lead to the part, which must be there; none for the whole file.
 
         Raises:
             FileError: the content is invalid; has all problems, each with its line.
@@ -202,9 +202,10 @@ def read_source(text: str, name: str) -> Source:
 
 
 def with_unit(source: Source, unit: int | None) -> Source:
-    """Return a file whose only ``[[unit]]`` gets this number if it has none; any other file, and for None, unchanged.
+    """Return a copy of a file whose only ``[[unit]]`` gets the number ``unit``, if it has no key ``unit`` itself.
 
-    A device file of one device may leave its number to the command line.
+    Otherwise, and if ``unit`` is None, the file is returned unchanged. So a device file with one device can leave its
+    number to the command line.
     """
     sections = source.data.get("unit")
     if unit is None or not isinstance(sections, list) or len(sections) != 1:
@@ -216,7 +217,7 @@ def with_unit(source: Source, unit: int | None) -> Source:
 
 
 def parse_with_source(text: str, schema: type[File], name: str) -> tuple[File, Source]:
-    """Parse a TOML text and check it by a schema class; returns the checked file, and the line of each key.
+    """Parse a TOML text and check it by a schema class; returns the checked file, and the `Source` with its lines.
 
     Args:
         text: the file's text, in TOML.
@@ -245,7 +246,7 @@ def parse_file(text: str, schema: type[File], name: str) -> File:
 
 
 def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:
-    """Return problems of a file sorted by line, without duplicates."""
+    """Return problems of a file sorted by line; those with equal line, key and message come once."""
     once = {(each.line, each.key, each.message): each for each in problems}
     return sorted(once.values(), key=lambda each: each.line or 0)
 
@@ -263,7 +264,7 @@ def _syntax_problem(text: str, error: tomllib.TOMLDecodeError, name: str) -> Con
 
 
 def _exhausting_problem(text: str, error: Exception, name: str) -> ConfigError:
-    """Return the error for a TOML text that the parser cannot take: nested too deeply, or with too long a number."""
+    """Return the error for a TOML text that the parser gives up on: nested too deeply, or with too long a number."""
     if isinstance(error, RecursionError):
         return ConfigError("it is nested too deeply", file=name, line=_densest_line(text))
     longest = _LONG_NUMBER.search(text)
@@ -317,7 +318,10 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
 
 
 def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
-    """Return the path under which the file has a value: without an index if the file has one value, not a list."""
+    """Return the path under which the file has a value, for a path of the checked data.
+
+    A key that takes one value or a list has an index in the path, but not in the file if one value is written there.
+    """
     if path in lines:
         return path
     shorter = (path[:at] + path[at + 1 :] for at in reversed(range(len(path))))
@@ -397,7 +401,7 @@ def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
 
 
 def sections_of(schema: type[Section]) -> list[type[Section]]:
-    """Return a section class and all section classes of its keys, each once, in the order of the keys."""
+    """Return a section class and all section classes inside it, at any depth, each once; the class itself first."""
     found = [schema]
     for section in found:
         for field in section.model_fields.values():
@@ -407,7 +411,7 @@ def sections_of(schema: type[Section]) -> list[type[Section]]:
 
 
 def _sections_in(annotation: Any) -> Iterator[type[Section]]:
-    """Return the section classes in a type annotation, such as those of ``list[A | B]``."""
+    """Yield the section classes in a type annotation: ``A`` and ``B`` for ``list[A | B]``."""
     if isinstance(annotation, type) and issubclass(annotation, Section):
         yield annotation
     if isinstance(annotation, BeforeValidator):

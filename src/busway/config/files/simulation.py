@@ -62,7 +62,10 @@ class HolesSection(Section):
     discrete_inputs: Annotated[Hole, "the same of discrete inputs."] = REFUSE
 
     def value(self, table: Table) -> int | None:
-        """Return the value that is read at addresses between the points of a table; None: such reads are refused."""
+        """Return the value that is read at addresses between the points of a table; None if such reads are refused.
+
+        It is 0 or 1 for a table of bits.
+        """
         declared = getattr(self, table.value)
         if not isinstance(declared, int):
             return None
@@ -139,7 +142,7 @@ class SimulatedUnitSection(UnitSection):
     ] = HolesSection()
 
     def hole(self, table: Table) -> int | None:
-        """Return the value that is read at addresses between the points of a table; None: such reads are refused."""
+        """Return the value that is read at addresses between the points of a table; None if such reads are refused."""
         return self.holes.value(table)
 
 
@@ -159,7 +162,7 @@ class IncludeSection(Section):
     )
 
     def numbers(self) -> list[int] | None:
-        """Return the unit numbers that the include creates, ascending; None for those of the included file.
+        """Return the numbers of the units that the include creates, ascending; None to take those of the included file.
 
         Raises:
             ConfigError: ``units`` is invalid.
@@ -205,7 +208,10 @@ class SimulationFile(SystemFile, ParameterKeys):
     unit: Annotated[Sequence[SimulatedUnitSection], "the devices."] = NO_LIST
 
     def places(self) -> list[tuple[Path, str]]:
-        """Return the URLs to listen on, each with its path in the file; the default URL if the file names none."""
+        """Return the URLs to listen on, each with its path in the file.
+
+        If the file names none, it is the default URL, or nothing in a file without units and includes.
+        """
         return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
 
     def _whole_faults(self) -> Iterator[tuple[Path, str]]:

@@ -21,7 +21,7 @@ from .points import Report
 from .schema import FileProblems, Section, read_section
 
 _SECRETS: Final = frozenset({"p", "passwd", "password", "sslpassword", "token"})
-"""Keys after ``?`` that hold a password or token in URLs of PostgreSQL and InfluxDB."""
+"""Keys after ``?`` that hold a password or token in URLs of PostgreSQL and InfluxDB; such a URL is refused."""
 
 
 def _checked_url(url: str) -> str:
@@ -54,7 +54,7 @@ class SinkSection(OptionSection):
 
     @property
     def parts(self) -> SplitResult:
-        """The parts of the sink's URL: host, port, user, path."""
+        """The parts of the sink's URL, as ``urllib.parse.urlsplit`` gives them: host, port, user, path."""
         return urlsplit(self.url)
 
 
@@ -67,7 +67,10 @@ class SentSection(SinkSection):
     ] = None
 
     def options_of(self, *kinds: type[Any]) -> dict[str, Any]:  # parameter classes, and values of several types
-        """Return the options of the given parameter classes that this sink's table sets, by name."""
+        """Return the options of the given parameter classes that this sink's table sets, by name.
+
+        ``report`` is returned as a `ReportRule`.
+        """
         found = super().options_of(*kinds)
         return found if self.report is None or "report" not in found else found | {"report": self.report.described()}
 
@@ -169,7 +172,10 @@ KINDS: Final[Mapping[str, type[SinkSection]]] = {
 
 
 def sink_section(value: Any) -> SinkSection:  # the value in the file, of any type
-    """Check a table ``[[sink]]`` by the section class of its kind, and return it. Raises `FileProblems`."""
+    """Return a table ``[[sink]]`` as an object of the section class for the scheme of its ``url``.
+
+    An object of such a class is returned unchanged. Raises `FileProblems` if the table is invalid.
+    """
     if isinstance(value, SinkSection):
         return value
     if not isinstance(value, dict):

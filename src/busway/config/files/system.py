@@ -38,9 +38,10 @@ def _unchanged(value: object) -> object:
 
 @with_options_of(*LINKS, role="client")
 class LinkKeys(OptionSection):
-    """Base of file sections with options of a link; an option that the file leaves out is None.
+    """Base of file sections with options of a link.
 
-    So is one that the file sets to ``none``; only `options` tells them apart: it returns those that are set.
+    An option that the file leaves out is None, and one that the file sets to ``none`` is None too. `options` tells them
+    apart: it returns only options that the file sets.
     """
 
     preset: Annotated[
@@ -114,12 +115,12 @@ class SystemFile(DeviceFile):
 
     @property
     def audit_parameters(self) -> AuditParameters | None:
-        """The options of the audit log; None without one."""
+        """The options of the audit log; None if the file has no ``[audit]``."""
         return None if self.audit is None else self.audit.built(AuditParameters)
 
     @property
     def metrics_address(self) -> str | None:
-        """Address and port where metrics are served; None without them."""
+        """Address and port where metrics are served, ``host:port``; None if the file has no ``[metrics]``."""
         return None if self.metrics is None else self.metrics.built(MetricsParameters).listen
 
     @property
@@ -128,7 +129,10 @@ class SystemFile(DeviceFile):
         return self.control.built(ControlParameters)
 
     def places(self) -> list[tuple[Path, str]]:
-        """Return the URLs to listen on, each with its path in the file; the default URL for units without one."""
+        """Return the URLs to listen on, each with its path in the file: first those of ``listen``, then ``listener``.
+
+        If there are none, it is the default URL for a file with units, and nothing for a file without.
+        """
         given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
         given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
         return given or ([(("unit",), DEFAULT_LISTEN)] if self.unit else [])
@@ -148,7 +152,12 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Yield an error for each name that several sections of one kind have: path of each later one, and a sentence."""
+    """Yield an error, path and sentence, for each section whose name an earlier section of its kind has.
+
+    Args:
+        key: key of these sections in the file.
+        names: the names of the sections, in order.
+    """
     for index, name in enumerate(names):
         if name in names[:index]:
             yield (key, index, "name"), f"{name!r} is there already: {key}[{names.index(name)}]"

@@ -1,7 +1,7 @@
 """Ready-made device profiles: simulation files that come with the package, each with its parameters.
 
-Knows their names and texts; knows nothing of how they are simulated. Their register maps in the documentation are
-generated from them (``scripts/register_maps.py``).
+Knows their names and texts; knows nothing of how they are simulated. The register maps in the documentation are
+generated from these files (``scripts/register_maps.py``).
 """
 
 from dataclasses import dataclass
@@ -36,7 +36,7 @@ DEVICES: Final = {
     "wago750": "WAGO 750 fieldbus couplers: process image, constants, what the coupler says of itself.",
     "logo8": "Siemens LOGO! 8, a logic module: inputs, outputs, flags, variable memory.",
 }
-"""The devices by name, each described in a sentence, in the order of the documentation."""
+"""The ready-made devices by name, each with its description for people, in the order of the documentation."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,8 +44,8 @@ class ReadyMade:
     """A device profile that comes with the package.
 
     Attributes:
-        name: its name, as ``busway simulate --device`` takes it.
-        file: its file name, for messages.
+        name: its name, as ``busway simulate --device`` takes it: ``meter``.
+        file: the name of its file, without a folder, for messages: ``meter.toml``.
         text: the text of the simulation file.
     """
 
@@ -55,7 +55,11 @@ class ReadyMade:
 
 
 def ready_made(name: str) -> ReadyMade:
-    """Return the ready-made device with this name. Raises `ConfigError` that lists all of them."""
+    """Return the ready-made device with this name, such as ``meter``.
+
+    Raises:
+        ConfigError: there is no such device; the message lists all names, and ``key`` is the wrong one.
+    """
     if name not in DEVICES:
         raise ConfigError(f"there is no such device, but {', '.join(DEVICES)}", key=name)
     file = f"{name}.toml"
@@ -63,19 +67,19 @@ def ready_made(name: str) -> ReadyMade:
 
 
 def read_profile(name: str) -> str:
-    """Return the text of a simulation file, given by its path or as ``device:NAME``.
+    """Return the text of a simulation file that the command line or the program names, by its path or ``device:NAME``.
 
     Raises:
-        ConfigError: there is no such device, or the file cannot be read; the error names the file.
+        ConfigError: there is no such device, or `read_text` cannot read the file; ``file`` of the error is ``name``.
     """
     return _ready_made_text(name) if name.startswith(PREFIX) else read_text(name)
 
 
 def read_included(name: str) -> str:
-    """Return the text of a file that a simulation file names, by its path or as ``device:NAME``.
+    """Return the text of a file that a simulation file names, by its path or ``device:NAME``.
 
     Raises:
-        ConfigError: there is no such device, the file cannot be read, is not regular, or is another user's link.
+        ConfigError: there is no such device, or `read_named_text` refuses the file; ``file`` of the error is ``name``.
     """
     return _ready_made_text(name) if name.startswith(PREFIX) else read_named_text(name)
 

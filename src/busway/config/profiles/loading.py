@@ -1,6 +1,7 @@
 """Loads a device file or profile, with its parameters replaced by values, as the description of one unit.
 
-Knows files, parameters and the schema of units; includes and plays nothing (`busway.apps.simulator` does).
+Knows files, parameters and the schema of units; reads no included files and simulates nothing (`busway.apps.simulator`
+does).
 """
 
 from collections.abc import Mapping
@@ -20,11 +21,12 @@ def load_profile(name: str, *, unit: int, parameters: Mapping[str, Parameter] | 
     Args:
         name: path of a file with one ``[[unit]]``, or ``device:NAME``.
         unit: the unit number that the result has, 0…255, whatever the file says.
-        parameters: values of the file's parameters.
+        parameters: values of the file's parameters; those that are left out have the defaults in the file.
 
     Raises:
         FileError: the file is invalid; has all problems, each with file, line and key.
-        ConfigError: it cannot be read, has no such parameter, needs one that is not given, or has several units.
+        ConfigError: the file cannot be read, does not declare a given parameter, requires one that is not given, has an
+            ``[[include]]``, or has not exactly one ``[[unit]]``.
     """
     given = dict(parameters or {})
     source = read_source(read_profile(name), name)

@@ -14,7 +14,10 @@ class PlayedElsewhere:
     """A fault profile that no server can simulate, and what simulates it instead.
 
     Attributes:
-        name, happens, seen_in, answer: as in `FaultProfile`.
+        name: name of the profile, as in the documentation.
+        happens: what goes wrong, in words.
+        seen_in: repositories and issues where it was reported.
+        answer: the right reaction of the other side, in words.
         played_by: what simulates it, and why a server cannot.
     """
 

@@ -51,7 +51,7 @@ def _echo() -> Fault:
 
 
 _WHOLE_ECHO = frozenset({5, 6, 22})
-"""Functions whose reply is the request; 15 and 16 are answered with its first five bytes."""
+"""Codes of functions whose reply repeats the whole request; the reply of 15 and 16 is its first five bytes."""
 
 
 def _broadcast_reply() -> Fault:

@@ -38,7 +38,7 @@ class TcpSegment:
     Attributes:
         source, destination: its addresses and ports.
         sequence: sequence number of its first byte.
-        acknowledged: next byte that the sender waits for; None if the segment acknowledges nothing.
+        acknowledged: sequence number of the next byte that the sender expects; None for a segment without ACK flag.
         payload: its bytes, as far as captured.
         missing: number of bytes at its end that were not captured.
         syn, fin, rst: its flags.
@@ -73,7 +73,10 @@ class UdpDatagram:
 
 @dataclass(frozen=True, slots=True)
 class LineBytes:
-    """Bytes of a serial line in one packet. ``whole``: whether they are one frame; otherwise a piece of a stream."""
+    """Bytes of a serial line in one packet.
+
+    ``whole``: whether they are exactly one frame; if not, they are any part of the line's stream of bytes.
+    """
 
     payload: bytes
     whole: bool
@@ -87,14 +90,14 @@ class Ignored:
 
 
 Carried = TcpSegment | UdpDatagram | LineBytes | Ignored
-"""What a packet can carry."""
+"""What `carried` returns: what a packet contains, or the reason why the packet is ignored."""
 
 
 def carried(link_type: int, data: bytes) -> Carried:
     """Return what a packet carries: a TCP segment, a datagram, bytes of a line, or `Ignored` with the reason.
 
     Args:
-        link_type: what the packet begins with, by the numbers of tcpdump.org.
+        link_type: number of the packet's link type, as tcpdump.org lists them: with which header the packet begins.
         data: the bytes of the packet.
     """
     if link_type == ETHERNET:
@@ -208,7 +211,10 @@ def _transport(
 
 
 def _exported(data: bytes) -> Carried:
-    """Return the serial frame in a packet of Wireshark's form "exported PDU", as `busway.observe.capture` writes it."""
+    """Return the serial frame in a packet of Wireshark's form "exported PDU", as `busway.observe.capture` writes it.
+
+    `Ignored` if the packet is cut off or has no frame of a serial line.
+    """
     at, dissector = 0, b""
     while True:
         tag, size = _number(data, at), _number(data, at + 2)

@@ -49,11 +49,11 @@ class CapturedPacket:
 
     Attributes:
         number: counted from 1 over the whole file, as Wireshark counts.
-        time: seconds since 1970; 0 if the file has no time for it.
-        link_type: what the packet begins with, by the numbers of tcpdump.org.
+        time: seconds since 1970. A packet without a time gets that of the packet before it; the first packet gets 0.
+        link_type: number of its link type, as tcpdump.org lists them: with which header it begins.
         data: its bytes, as far as they were captured.
         missing: number of bytes at its end that were not captured.
-        interface: number of its interface in the file, 0 for a pcap.
+        interface: number of its interface, counted from 0 over the whole file; 0 for a pcap.
         interface_name: name of its interface; empty if the file has none.
     """
 
@@ -68,7 +68,16 @@ class CapturedPacket:
 
 @dataclass(frozen=True, slots=True)
 class _Interface:
-    """One interface of a section: number, link type, longest packet, ticks per second, offset in seconds, name."""
+    """One interface of a pcapng section; a pcap counts as one interface.
+
+    Attributes:
+        number: counted from 0 over the whole file.
+        link_type: number of the link type of its packets.
+        snap_length: most bytes that were captured of a packet; 0 for no limit.
+        ticks: ticks of its clock in a second.
+        offset: seconds to add to its times.
+        name: empty if it has none.
+    """
 
     number: int
     link_type: int
@@ -96,7 +105,8 @@ class PacketFile:
 
     Attributes:
         packets: number of packets yielded so far.
-        truncated_at: offset of the record inside which the file ends; None for a file that is whole.
+        truncated_at: offset in bytes of the record inside which the file ends; None for a file that is whole, and until
+            the end has been reached.
     """
 
     def __init__(self, stream: BinaryIO, name: str) -> None:
@@ -111,6 +121,8 @@ class PacketFile:
 
     def __iter__(self) -> Iterator[CapturedPacket]:
         """Yield the packets in their order, once.
+
+        If the file ends inside a record, the iteration ends without an error and sets ``truncated_at``.
 
         Raises:
             ConfigError: the file is no capture, or is broken; packets before that place were yielded.

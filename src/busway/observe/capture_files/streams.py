@@ -15,15 +15,18 @@ from dataclasses import dataclass
 from typing import Final
 
 MOST_WAITING: Final = 32 << 10
-"""Most bytes that wait for missing ones, for each direction of a connection."""
+"""Most bytes that are kept, for each direction of a connection, until missing bytes before them arrive."""
 _MOST_SEGMENTS: Final = 256
 FARTHEST: Final = 1 << 24
-"""Most bytes between two segments of one connection; no window of a Modbus device comes near."""
+"""Most bytes between a segment and the next expected byte; beyond, the segment is of another connection.
+
+No window of a Modbus device comes near.
+"""
 
 
 @dataclass(frozen=True, slots=True)
 class StreamPiece:
-    """Bytes of a stream, in order, with number and time of the packet that brought them."""
+    """Bytes of a stream, in order, with number and time (seconds since 1970) of the packet that contained them."""
 
     data: bytes
     packet: int
@@ -35,8 +38,8 @@ class StreamGap:
     """Bytes of a stream that the capture does not have.
 
     Attributes:
-        size: how many bytes are missing; None if unknown.
-        packet, time: number and time of the packet at which the gap was found.
+        size: how many bytes are missing; None if unknown, because the stream begins in the middle or begins anew.
+        packet, time: number and time (seconds since 1970) of the packet at which the gap was found.
     """
 
     size: int | None
@@ -51,7 +54,8 @@ StreamPart = StreamPiece | StreamGap
 class _Waiting:
     """A segment that waits for bytes before it.
 
-    ``at`` is the distance of its first byte from the first byte of the stream.
+    ``at`` is the distance of its first byte from the first byte of the stream, ``missing`` the number of bytes at its
+    end that were not captured.
     """
 
     at: int
@@ -69,8 +73,8 @@ class StreamAssembler:
     """Puts the segments of one direction of a TCP connection in order.
 
     Attributes:
-        repeated: number of bytes that came again.
-        out_of_order: number of segments that came before one that belongs in front of them.
+        repeated: number of bytes that were received again after they had been received before.
+        out_of_order: number of segments that were received while bytes before them were missing.
     """
 
     __slots__ = ("_acknowledged", "_next", "_size", "_start", "_waiting", "out_of_order", "repeated")
@@ -90,13 +94,18 @@ class StreamAssembler:
         return self._start is not None
 
     def begin(self, sequence: int) -> None:
-        """Start the stream at the byte after a SYN with this sequence number; the same SYN again changes nothing."""
+        """Start the stream at the byte after a SYN with this sequence number; the same SYN again changes nothing.
+
+        With another SYN, segments that still wait for missing bytes are dropped.
+        """
         if self._start != (sequence + 1) & 0xFFFF_FFFF:
             self._start, self._next, self._acknowledged = (sequence + 1) & 0xFFFF_FFFF, 0, 0
             self._waiting, self._size = [], 0
 
     def segment(self, sequence: int, data: bytes, missing: int, packet: int, time: float) -> list[StreamPart]:
         """Add a segment with bytes. Returns the pieces and gaps that are in order now.
+
+        A segment behind missing bytes waits, and is returned by a later call.
 
         Args:
             sequence: sequence number of its first byte.
@@ -167,7 +176,10 @@ class StreamAssembler:
         self._size += len(segment.data)
 
     def _deliver(self, segment: _Waiting, found: list[StreamPart]) -> None:
-        """Append to ``found`` the bytes of a segment that are new; the segment begins at the next byte or before it."""
+        """Append to ``found`` the bytes of a segment that are new, and a gap for its bytes that were not captured.
+
+        The segment begins at the next expected byte or before it.
+        """
         known = self._next - segment.at
         fresh = segment.data[known:]
         self.repeated += len(segment.data) - len(fresh)
@@ -185,9 +197,7 @@ class StreamAssembler:
             self._deliver(segment, found)
 
     def _skip(self) -> list[StreamPart]:
-        """Give up the bytes missing before the first waiting segment: return a gap, and the pieces behind it in
-        order.
-        """
+        """Stop waiting for the bytes before the first waiting segment. Returns their gap, and the pieces after it."""
         first = self._waiting[0]
         found: list[StreamPart] = [StreamGap(first.at - self._next, first.packet, first.time)]
         self._next = first.at

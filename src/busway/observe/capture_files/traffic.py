@@ -3,13 +3,14 @@
 Knows packets, streams and framings; knows no file, and not which reply answers which request. No function raises an
 error, whatever the packets are.
 
-1. The end of a connection with one of the given ports is the server; if both ends have one, that to which a SYN went.
+1. The end of a connection with one of the given ports is the server. If both ends have one, the server is the end to
+   which the SYN was sent, or without a SYN the destination of the first packet.
 2. A stream that begins in the middle, or behind missing bytes, is out of step: reading goes on at a segment that
    begins like a frame, and the bytes skipped until then are reported. An impossible length has the same effect.
 3. Each datagram is read by itself, and so is each packet of a line whose kind makes it one frame; other bytes of a
    line are one stream, in which silence ends frames.
-4. Limits: `MOST_CHANNELS` connections at once, then the one that was silent longest is ended; each keeps part of a
-   frame, and the segments that `streams` holds back.
+4. Limits: `MOST_CHANNELS` at once of TCP connections and lines together, and as many pairs of UDP addresses; then the
+   one that was silent longest is ended. Each keeps part of a frame, and the segments that `streams` holds back.
 """
 
 from collections import Counter, OrderedDict
@@ -34,7 +35,10 @@ from .streams import StreamAssembler, StreamGap, StreamPart, StreamPiece
 MODBUS_PORT: Final = 502
 """The port of Modbus servers, unless others are given."""
 MOST_CHANNELS: Final = 2048
-"""Most connections and lines that are followed at once; beyond that, the one that was silent longest is ended."""
+"""Most TCP connections and lines that are followed at once; also the most pairs of UDP addresses.
+
+Beyond that, the one that was silent longest is ended.
+"""
 _MOST_REASONS: Final = 64
 _MOST_PORTS: Final = 1024
 
@@ -122,7 +126,7 @@ class FaultyBytes:
         direction: REQUEST for bytes from the client, REPLY for bytes from the server; UNKNOWN if that cannot be told.
         fault: what is wrong.
         text: what is wrong, in words and with numbers.
-        raw: the bytes, if there are any.
+        raw: the bytes that are no frame; empty for ``MISSING`` and ``CUT_OFF``.
         received: the damaged bytes as the receiver of a line returned them; otherwise None.
     """
 
@@ -137,7 +141,10 @@ class FaultyBytes:
 
 
 class ChannelEnding(Enum):
-    """How a connection or line in a capture file ended: closed, reset, forgotten, or by the end of the capture."""
+    """How a connection or line in a capture file ended: closed, reset, or by the end of the capture.
+
+    FORGOTTEN: it was silent longest when there were too many (`MOST_CHANNELS`).
+    """
 
     CLOSED = "closed"
     RESET = "reset"
@@ -151,7 +158,7 @@ class ChannelEnd:
 
     Attributes:
         channel: the connection or line.
-        time: time of the latest packet of the file, in seconds since 1970.
+        time: the latest time of all packets up to then, in seconds since 1970.
         ending: why it ended.
     """
 
@@ -161,7 +168,7 @@ class ChannelEnd:
 
 
 TrafficEvent = CapturedFrame | FaultyBytes | ChannelEnd
-"""What can be found in the packets of a capture file."""
+"""An event found in the packets of a capture file: a frame, faulty bytes, or the end of a connection or line."""
 
 
 class CapturedTraffic:
@@ -174,10 +181,11 @@ class CapturedTraffic:
 
     Attributes:
         ignored: number of packets without Modbus, by reason.
-        other_ports: number of frames that look like Modbus on other ports, by port.
+        other_ports: number of packets on other ports that look like one MBAP frame, by port; each packet is counted at
+            both of its ports.
         repeated: number of bytes that TCP sent again, on connections that have ended.
         out_of_order: number of segments that came too early, on connections that have ended.
-        begun_inside: number of connections whose beginning the capture does not have.
+        begun_inside: number of TCP connections whose beginning the capture does not have.
         channels: number of connections and lines so far.
     """
 
@@ -195,7 +203,11 @@ class CapturedTraffic:
         self._last = 0.0
 
     def take(self, packet: CapturedPacket) -> list[TrafficEvent]:
-        """Process the next packet of the file. Returns the frames that it completes, and what is wrong, in order."""
+        """Process the next packet of the file. Returns the events that follow from it, in order.
+
+        They are frames that it completes, faulty bytes, and connections or lines that end. Empty for most packets
+        without Modbus, which are counted in ``ignored``.
+        """
         self._last = max(self._last, packet.time)
         inner = carried(packet.link_type, packet.data)
         if isinstance(inner, TcpSegment):
@@ -236,7 +248,7 @@ class CapturedTraffic:
         return True if to else False if of else None
 
     def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
-        """Count a packet of which neither port is a server's.
+        """Count a packet of which neither port is that of a server; returns no events.
 
         Its ports are counted too (``other_ports``) if its bytes look like an MBAP frame.
         """
@@ -315,7 +327,10 @@ class CapturedTraffic:
         return self.channels
 
     def _make_room(self) -> list[TrafficEvent]:
-        """If there are `MOST_CHANNELS`, end the connection or line that was silent longest; returns its last events."""
+        """If there are `MOST_CHANNELS`, end the connection or line that was silent longest. Returns its last events.
+
+        Empty if there was room.
+        """
         if len(self._open) < MOST_CHANNELS:
             return []
         _, oldest = self._open.popitem(last=False)
@@ -346,7 +361,7 @@ class _Side:
         self._in_step = True
 
     def frames(self, part: StreamPart) -> Iterator[TrafficEvent]:
-        """Yield the frames that a part of the stream completes, and what is wrong."""
+        """Yield the frames that a part of the stream completes, and the faulty bytes in it."""
         if isinstance(part, StreamGap):
             yield from self._gap(part)
         elif self._in_step or _begins_like_a_frame(part.data):
@@ -395,11 +410,11 @@ class _TcpChannel:
         self._last = StreamGap(None, 0, 0.0)
 
     def is_another(self, segment: TcpSegment) -> bool:
-        """Whether a SYN from the client opens another connection between the same ends."""
+        """Whether a SYN from the client opens another connection between the same ends; False if it repeats the SYN."""
         return self.sides[True].first != segment.sequence
 
     def take(self, packet: CapturedPacket, segment: TcpSegment, *, is_request: bool) -> list[TrafficEvent]:
-        """Process a segment. Returns the frames that it completes, and what is wrong, in order."""
+        """Process a segment. Returns the frames that it completes, and faulty bytes, in order."""
         side, peer = self.sides[is_request], self.sides[not is_request]
         self._last = StreamGap(None, packet.number, packet.time)
         sequence = segment.sequence
@@ -481,7 +496,7 @@ class _DatagramChannel:
         self._line = None if channel.framing is Framing.MBAP else _LineChannel(channel)
 
     def take(self, packet: CapturedPacket, datagram: UdpDatagram, direction: Direction) -> list[TrafficEvent]:
-        """Return the frames in a datagram, and what is wrong with it."""
+        """Process a datagram. Returns the frames in it, and faulty bytes, in order."""
         found: list[TrafficEvent] = []
         if datagram.missing:
             text = f"{counted(datagram.missing, 'byte', 'was')} not captured"
@@ -499,7 +514,10 @@ class _DatagramChannel:
 
 
 def _directed(event: TrafficEvent, direction: Direction) -> TrafficEvent:
-    """Return an event of a datagram with its direction, which the addresses of the packet tell."""
+    """Return a copy of an event of serial framing over TCP or UDP with the direction that the packet's addresses tell.
+
+    The end of a channel has no direction and is returned unchanged.
+    """
     if isinstance(event, CapturedFrame) and isinstance(event.received, SerialFrame):
         return replace(event, direction=direction, received=replace(event.received, direction=direction))
     return replace(event, direction=direction) if isinstance(event, FaultyBytes) else event
@@ -520,6 +538,7 @@ class _LineChannel:
     def take(self, data: bytes, packet: int, time: float, *, whole: bool) -> list[TrafficEvent]:
         """Process the bytes of one packet. Returns the frames that they complete, and damaged bytes.
 
+        If a silence before ``time`` (seconds) ended a frame of earlier packets, that frame is returned first.
         ``whole``: the bytes are one frame, so nothing is kept for later packets.
         """
         self._now = max(self._now, time)  # clocks of captures jump back

@@ -70,7 +70,8 @@ def start_metrics(
     Args:
         source: the server or gateway.
         where: address to listen on, ``127.0.0.1:9502``; port 0 takes a free one. Any client that reaches it can read.
-        classify: returns the class of a client, a label of the requests; by default the source decides.
+        classify: returns the class of a client, a label of the requests. None: ``priority`` for the priority hosts of a
+            source that knows them, ``line`` for serial lines, else ``other``.
         links: returns the status of connections that this process has opened itself, if metrics are to include them
             (`busway.client.registry.local_connections`).
 
@@ -122,14 +123,13 @@ class MetricsEndpoint:
         self._service.start()
 
     def answer(self, request: HttpRequest) -> HttpResponse:
-        """Return the response to a request for the metrics, such as ``GET /metrics``.
+        """Return the response to ``GET /metrics`` (or ``GET /``): the metrics as text.
 
-        Another HTTP service may call it too.
-
-        Blocks for up to `ASK_SECONDS`; not to be called in the source's event loop.
+        Blocks for up to `ASK_SECONDS`. Called in threads of this or another HTTP service, never in the source's event
+        loop.
 
         Raises:
-            HttpError: another path or method.
+            HttpError: another path (404) or method (405).
         """
         if request.path not in ("/", "/metrics"):
             raise HttpError(HTTPStatus.NOT_FOUND, "there is nothing but /metrics")
@@ -143,7 +143,7 @@ class MetricsEndpoint:
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """Return the source's status, asked for in its event loop; None if the loop does not answer in time."""
+        """Return the source's status, asked for in its event loop; None if the loop is closed or too slow to answer."""
 
         async def status() -> Any:
             return self._source.status()

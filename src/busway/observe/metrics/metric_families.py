@@ -52,7 +52,10 @@ _COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "idle_timeouts": ("idle_timeouts", "Connections closed because they were not used."),
     "rate_limited": ("rate_limited", "Times that a host asked more often than it may."),
 }
-"""Name and description of the counters of a server, by field; other fields give their own name."""
+"""Metric name (without ``busway_``) and help text of the counters of a server, by the name of their field.
+
+The metric of a field that is not listed has the field's name.
+"""
 _CLASS_COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "received": ("received_bytes", "Bytes received, by class of device."),
     "sent": ("sent_bytes", "Bytes sent, by class of device."),
@@ -60,9 +63,12 @@ _CLASS_COUNTERS: Final[dict[str, tuple[str, str]]] = {
     "closed": ("class_connections_closed", "Connections that have ended, by class of device."),
     "requests": ("class_received_requests", "Requests that came in, by class of device."),
 }
-"""Name and description of the counters that are kept for each class of hosts, by field."""
+"""Metric name (without ``busway_``) and help text of the counters kept for each class of hosts, by field name."""
 _GAUGES: Final = frozenset({"priority_connections", "other_connections"})
-"""Whole numbers of a listener that can go down; `busway_connections` shows them instead."""
+"""Integer fields of a listener's status that can decrease, so they are no counters.
+
+The metric ``busway_connections`` shows them instead.
+"""
 _CONNECTION_GAUGES: Final = (
     ("supported_connections", "Connections that there may be."),
     ("remote_connections", "Connections that others have opened."),
@@ -270,7 +276,7 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def gateway_listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families of a gateway's listeners: requests that reached no upstream."""
+    """Yield the metric families of a gateway's listeners: requests that were not forwarded, and broadcasts."""
     yield from _counters_of("gateway_listener", "listener", listeners, "Requests at the listener")
 
 
@@ -306,7 +312,7 @@ def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
 
 
 def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
-    """Yield a metric family for each counter that objects, such as listeners, have; labelled with their names."""
+    """Yield a metric family for each counter of ``parts``, such as listeners, with a sample for each part's name."""
     families: dict[str, Family] = {}
     for one in parts:
         for name, count in _numbers(one.counters):

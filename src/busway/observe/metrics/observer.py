@@ -72,7 +72,7 @@ class MetricsObserver:
 
         Args:
             client: the client.
-            replies: the ADU of each reply.
+            replies: the ADU of each reply, with MBAP header.
             seconds: duration of all of them together.
         """
         if not replies:
@@ -108,7 +108,7 @@ class MetricsObserver:
         return self.tally.series(peer_class, reply[6], function, exception), self.tally.durations(function)
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
-        """Count requests (``requests`` of them) whose client disconnected before they were answered."""
+        """Count requests whose client disconnected before they were answered; ``requests`` is their number."""
         for _ in range(requests):
             self.tally.unanswered(Unanswered.GONE)
 
@@ -120,7 +120,7 @@ class MetricsObserver:
         Args:
             context: unit, function and client of the request.
             request: the request.
-            outcome: the reply, or why none is sent; None if the client disconnected.
+            outcome: the reply; a `Deferral` such as `SILENCE` if none is sent; None if the client disconnected.
             seconds: from the request to its outcome.
         """
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers

@@ -3,8 +3,8 @@
 Knows numbers; knows no responder, no clock and nothing of how numbers are shown.
 
 1. The thread that answers requests counts them; any thread may read. A number read is at most one request late.
-2. The number of series is bounded by `MAX_SERIES`, whatever clients ask: functions outside the table count as
-   ``other``, and units as ``other`` once there are too many series.
+2. The number of series is bounded, whatever clients ask: functions outside the table count as ``other``, and so do the
+   units of new series once there are `MAX_SERIES`.
 """
 
 from bisect import bisect_left
@@ -20,7 +20,10 @@ OTHER: Final = "other"
 NO_EXCEPTION: Final = "none"
 """Label value of replies that are no exception."""
 MAX_SERIES: Final = 4096
-"""Most series of the counter of requests: 256 units of 16 series each. Beyond, further units count as ``other``."""
+"""Number of series of the counter of requests from which on new series have the unit ``other``: 256 units · 16 series.
+
+Only series with the unit ``other`` are added then, which are few.
+"""
 BUCKETS: Final = (0.000_01, 0.000_1, 0.001, 0.005, 0.01, 0.025, 0.05, 0.1, 0.25, 0.5, 1.0, 2.5, 5.0, 10.0)
 """Upper bounds of the histogram in seconds: a reply of this process takes microseconds, one of a gateway seconds."""
 
@@ -94,7 +97,7 @@ class RequestTally:
 
     Args:
         functions: function codes that get a label value of their own.
-        units: whether the unit is a label.
+        units: whether units are counted separately; if not, the label ``unit`` is empty.
     """
 
     def __init__(self, functions: Iterable[int] = tuple(FunctionCode), *, units: bool = True) -> None:
@@ -126,7 +129,10 @@ class RequestTally:
         return found
 
     def durations(self, function: int) -> Durations:
-        """Return the histogram of durations of a function, created at its first use."""
+        """Return the histogram of durations of a function code, created at its first use.
+
+        All functions that are not in the table share one.
+        """
         label = self._function(function)
         found = self._durations.get(label)
         if found is None:

@@ -144,7 +144,9 @@ class EpollStream(asyncio.Transport):
     # Sending.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Send bytes after those that already wait to be sent; they are dropped if the connection has ended.
+        """Send bytes, after those that already wait to be sent; drop them if the connection has ended.
+
+        What the system does not accept at once is kept and sent later.
 
         Raises:
             TypeError: ``data`` is not bytes-like.
@@ -243,6 +245,8 @@ class EpollStream(asyncio.Transport):
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
         """Set the limits of the write buffer in bytes: above ``high`` the protocol is paused, at ``low`` resumed.
 
+        If only one is given, ``high`` is four times ``low``; if neither is, they are 64 and 16 KiB.
+
         Raises:
             ValueError: ``high`` is below ``low``, or ``low`` below 0.
         """
@@ -299,7 +303,10 @@ class EpollStream(asyncio.Transport):
         return protocol
 
     def get_extra_info(self, name: str, default: Any = None) -> Any:  # as `asyncio.BaseTransport` says it
-        """Return a detail of the connection: ``peername``, ``sockname`` or ``socket``."""
+        """Return a detail of the connection: ``peername``, ``sockname`` or ``socket``.
+
+        ``default`` for other names, and after the end of the connection for all but ``peername``.
+        """
         if name == "peername":
             return self._peer
         if self._socket is not None:
@@ -341,7 +348,10 @@ class EpollStream(asyncio.Transport):
         return self._closing
 
     def close(self) -> None:
-        """Stop reading, and close the connection after the waiting bytes are sent."""
+        """Stop reading, and close the connection after the waiting bytes are sent.
+
+        The protocol's `connection_lost` is called in a later turn of the event loop.
+        """
         if not self._closing:
             self._closing = True
             if self._unsent:
@@ -354,9 +364,9 @@ class EpollStream(asyncio.Transport):
         self._force_close(None)
 
     def _fail(self, error: BaseException, what: str) -> None:
-        """Close the connection because of an error.
+        """Close the connection because of an error, which the protocol gets in ``connection_lost``.
 
-        The protocol gets it, and unless it is a network error, the loop's handler too.
+        An error other than `OSError` is reported to the event loop's exception handler too.
         """
         if not isinstance(error, OSError):
             self._report(error, f"Fatal error: {what}")
@@ -379,9 +389,10 @@ class EpollStream(asyncio.Transport):
         self._epoll_set.loop.call_soon(self._lose, error)
 
     def _lose(self, error: BaseException | None) -> None:
-        """In a later turn of the event loop, call the protocol's `connection_lost` and close the socket.
+        """Call the protocol's `connection_lost` and close the socket.
 
-        Why later: rule 3 of `EpollSet`.
+        Called in a later turn of the event loop than the end of the connection: until then the system cannot give the
+        descriptor's number to a new socket.
         """
         connection, protocol = self._socket, self._protocol
         assert connection is not None  # once

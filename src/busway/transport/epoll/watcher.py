@@ -26,13 +26,13 @@ WRITABLE: Final = 0x004
 """EPOLLIN and EPOLLOUT, by their numbers: on other systems `select` has no such names."""
 
 MEMBERS_OF_A_LOOK: Final = 64
-"""Most watchers that are called in one turn of the event loop. With 64 the cost of asking epoll, some 10 µs, is small
-beside theirs.
+"""Most watchers that are called in one turn of the event loop. Asking epoll once costs some 10 µs, which is small
+beside the cost of 64 watchers.
 """
 
 
 _MAKERS: Final = frozenset({"asyncio.base_events", "uvloop.loop"})
-"""Modules of event loops whose connections have descriptors that epoll can watch."""
+"""Modules that define the event loops whose connections have descriptors that epoll can watch; see `can_watch`."""
 
 
 class Watcher(Protocol):
@@ -61,7 +61,10 @@ class EpollSet:
         return len(self._watched)
 
     def watch(self, descriptor: int, events: int, member: Watcher) -> None:
-        """Call ``ready`` of ``member`` whenever ``descriptor``, not watched so far, is ready for one of ``events``.
+        """Call ``ready`` of ``member`` whenever ``descriptor`` is ready for one of ``events`` or has ended.
+
+        The descriptor must not be watched yet (`watch_for` changes its events). ``events`` is `READABLE`, `WRITABLE` or
+        both.
 
         Raises:
             OSError: the system cannot watch another descriptor; nothing has changed.
@@ -77,12 +80,12 @@ class EpollSet:
         self._watched[descriptor] = member
 
     def watch_for(self, descriptor: int, events: int) -> None:
-        """Change the events for which a descriptor is watched; at least one."""
+        """Change the events for which a watched descriptor is watched: `READABLE`, `WRITABLE` or both."""
         assert self._epoll is not None  # since it is watched
         self._epoll.modify(descriptor, events)
 
     def forget(self, descriptor: int) -> None:
-        """Stop watching a descriptor; call it before the descriptor is closed."""
+        """Stop watching a descriptor; call this before the descriptor is closed."""
         assert self._epoll is not None  # since it is watched
         del self._watched[descriptor]
         with contextlib.suppress(OSError):  # it was closed elsewhere, and the system has forgotten it already
@@ -116,7 +119,7 @@ class EpollSet:
 
 
 def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
-    """Return the epoll set of ``loop``; None if the loop cannot watch one and must use its own transports."""
+    """Return a new epoll set for ``loop``; None if the loop cannot watch one and must use its own transports."""
     return EpollSet(loop) if can_watch(loop) else None
 
 

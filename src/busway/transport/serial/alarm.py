@@ -25,7 +25,7 @@ _NANOSECONDS = 1_000_000_000
 _NEVER = (0, 0)
 
 LONGEST_LEAD: Final = 0.0001
-"""Most seconds that a timer is set earlier: for so long an alarm may block its event loop."""
+"""Most seconds that a timer is set earlier than it is due; it then blocks its event loop for the rest of this time."""
 _SLOWLY: Final = 1 / 16
 """If the timer was later than its lead (how much earlier it is set), the lead grows by this share of the difference; if
 it was earlier, the lead falls at once.
@@ -36,7 +36,7 @@ class Alarm:
     """A timer of the running event loop, exact to less than a millisecond where the system allows; it can be set again.
 
     Attributes:
-        exact: whether it is exact to microseconds.
+        exact: True if a timer of Linux is used, which is exact to microseconds; False if the event loop's own is.
     """
 
     def __init__(self, ring: Callable[[], None]) -> None:
@@ -52,9 +52,9 @@ class Alarm:
             self._loop.add_reader(self._descriptor, self._expired, self._descriptor)
 
     def set(self, when: float) -> None:
-        """Set the timer to call the function at ``when`` (``time.monotonic``), never earlier.
+        """Set the timer to call its function once, at ``when`` (``time.monotonic``) and never earlier.
 
-        Replaces an earlier setting.
+        Replaces an earlier setting. A time in the past means at once.
         """
         if self._descriptor is not None:
             self._when = when
@@ -73,7 +73,10 @@ class Alarm:
             self._handle = None
 
     def close(self) -> None:
-        """Close the timer for good; its function is not called any more. May be called twice."""
+        """Close the timer for good; its function is not called any more. A second call does nothing.
+
+        The timer must not be set again.
+        """
         self.cancel()
         descriptor, self._descriptor = self._descriptor, None
         if descriptor is not None:

@@ -94,7 +94,7 @@ class BlockingSerialPort:
 
     @property
     def sent_at(self) -> float:
-        """Time at which the last written character left the port, as far as known (``time.monotonic``)."""
+        """Time at which the last written character has left or will have left (``time.monotonic``); 0 at first."""
         return self._device.emission.until
 
     def fileno(self) -> int:
@@ -107,7 +107,7 @@ class BlockingSerialPort:
     def still_sending(self) -> float | None:
         """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
-        None if all characters have left. Raises `LinkDown`.
+        None if no written character is in the port any more. Raises `LinkDown` if the port vanished or is closed.
         """
         self._opened()
         try:
@@ -159,7 +159,7 @@ class BlockingSerialPort:
             When the last character will have left (``time.monotonic``).
 
         Raises:
-            LinkDown: the port vanished; bytes may have gone out.
+            LinkDown: the port vanished or is closed, or accepted no bytes for 5 seconds; bytes may have gone out.
         """
         opened = self._opened()
         by_hand = self._device.direction is DriverDirection.RTS
@@ -215,7 +215,10 @@ class BlockingSerialPort:
             raise port_lost(error, port=self.path, sent=True) from error
 
     def counters(self) -> LineCounters | None:
-        """Return the error counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
+        """Return the error counters of the port's driver; None if it keeps none.
+
+        Raises `LinkDown` if the port vanished or is closed.
+        """
         self._opened()
         try:
             return self._device.counters()
@@ -223,7 +226,7 @@ class BlockingSerialPort:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Close the serial port. May be called twice."""
+        """Close the serial port. A second call does nothing."""
         opened, self._serial = self._serial, None
         if opened is None:
             return

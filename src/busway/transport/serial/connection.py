@@ -114,13 +114,16 @@ class SerialConnection:
 
     @property
     def sent_at(self) -> float:
-        """Time at which the last written character left the port, as far as known (``time.monotonic``); 0 at first."""
+        """Time at which the last written character has left or will have left the port (``time.monotonic``).
+
+        0 before the first, and when the port is closed.
+        """
         if self._device is None:
             return 0.0
         return self._device.emission.until
 
     def write(self, data: bytes) -> float:
-        """Write bytes to the serial port.
+        """Write bytes to the serial port, without waiting until they are sent.
 
         Returns:
             When the last character will have left, computed from the character time (``time.monotonic``). If this
@@ -140,7 +143,10 @@ class SerialConnection:
         return device.emission.written(len(data), now)
 
     def held(self) -> int:
-        """Return how many written characters are still in the port, as far as the system tells. Raises `LinkDown`."""
+        """Return how many written characters have not left the port yet, as far as the system tells.
+
+        Raises `LinkDown` if the port vanished or is closed.
+        """
         transport, device = self._opened()
         waiting = transport.get_write_buffer_size()
         if self._sender is not None:
@@ -153,7 +159,7 @@ class SerialConnection:
     def still_sending(self) -> float | None:
         """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
-        None if all characters have left. Raises `LinkDown`.
+        None if no written character is in the port any more. Raises `LinkDown` if the port vanished or is closed.
         """
         held = self.held()
         _, device = self._opened()
@@ -176,7 +182,10 @@ class SerialConnection:
             await asyncio.sleep(max(device.emission.until - now, 0.0))
 
     def counters(self) -> LineCounters | None:
-        """Return the error counters of the port's driver; None if it keeps none. Raises `LinkDown`."""
+        """Return the error counters of the port's driver; None if it keeps none.
+
+        Raises `LinkDown` if the port vanished or is closed.
+        """
         _, device = self._opened()
         try:
             return device.counters()
@@ -184,7 +193,7 @@ class SerialConnection:
             raise port_lost(error, port=self.path) from error
 
     def close(self) -> None:
-        """Close the serial port; unsent bytes are dropped. May be called twice."""
+        """Close the serial port; unsent bytes are dropped. A second call does nothing."""
         self._told = True
         if self._sender is not None:
             self._sender.stop()
@@ -258,7 +267,7 @@ class _Events(asyncio.Protocol):
 
 
 class _SenderByRts:
-    """Sends frames on an RS-485 port: raises RTS around each frame, with a delay before and after."""
+    """Sends frames on an RS-485 port: switches RTS to sending before each frame and back after it, with delays."""
 
     def __init__(
         self,

@@ -25,8 +25,8 @@ _PARITY_LETTERS = {Parity.NONE: "N", Parity.EVEN: "E", Parity.ODD: "O"}
 def opening_arguments(settings: SerialSettings, *, pseudo_terminal: bool) -> dict[str, Any]:
     """Return the keyword arguments with which `serialx` opens a port with these settings.
 
-    A pseudo-terminal refuses parity and 7 data bits, so it does not get them: there they only determine how long a
-    character takes.
+    A pseudo-terminal refuses parity and 7 data bits, so it is opened without them; the settings then only determine how
+    long a character takes.
     """
     from serialx import PinState
 
@@ -56,7 +56,7 @@ class OpenDevice:
     """An open serial port without reading and writing: settings, RS-485 direction, counters, damage marks.
 
     Attributes:
-        direction: who switches the direction of the RS-485 driver.
+        direction: what switches an RS-485 port between sending and receiving: nothing, its driver, or this program.
         emission: computes when written characters leave the port.
     """
 
@@ -65,9 +65,11 @@ class OpenDevice:
     def __init__(self, descriptor: int | None, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> None:
         """Lock a port that `serialx` has just opened, and set up its direction and damage marks.
 
+        ``descriptor`` is None on systems whose ports have none; then nothing is set up.
+
         Raises:
             OSError: the port is gone.
-            ConfigError: the port does not have the RS-485 mode that the settings ask for.
+            ConfigError: the port does not have the RS-485 mode, delays or RTS levels that the settings ask for.
         """
         self._descriptor = descriptor
         self._settings = settings
@@ -89,9 +91,9 @@ class OpenDevice:
         return self._marks.feed(data) if self._marks is not None else Received(data, 0)
 
     def held(self) -> int:
-        """Return how many written characters are still in the port, as the driver tells.
+        """Return how many written characters are still in the port, as its driver tells; 0 without a descriptor.
 
-        Raises `OSError` if it is gone.
+        Raises `OSError` if the port is gone.
         """
         return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
 

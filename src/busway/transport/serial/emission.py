@@ -27,12 +27,12 @@ class CharacterClock:
         self.until: float = 0.0
 
     def written(self, count: int, now: float) -> float:
-        """Count ``count`` written characters. Returns when the last of them will have left the port."""
+        """Record that ``count`` characters were written at ``now``. Returns when the last of them will have left."""
         self.until = max(self.until, now) + count * self._character_time
         return self.until
 
     def still_held(self, count: int, now: float) -> float:
-        """Make ``until`` later if ``count`` characters are still in the port at ``now``, and return it."""
+        """Make ``until`` later if ``count`` characters, still in the port at ``now``, need that. Returns ``until``."""
         if count:
             self.until = max(self.until, now + count * self._character_time)
         return self.until
@@ -41,8 +41,8 @@ class CharacterClock:
 def characters_held(descriptor: int, ioctl: Ioctl = system_ioctl) -> int:
     """Return how many written characters are still in the port, as far as the driver tells.
 
-    The system's count leaves out the character that is being sent. Where the driver tells that its transmitter is not
-    empty, that character is added.
+    The system's count leaves out the character that is being sent. So if the count is 0, and the driver tells that its
+    transmitter is not empty, the result is 1. If the driver tells nothing, it is 0.
     """
     waiting = asked_integer(ioctl, descriptor, TIOCOUTQ) or 0
     if waiting:

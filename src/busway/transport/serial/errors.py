@@ -38,6 +38,9 @@ _IMPOSSIBLE = frozenset({errno.EINVAL, errno.ENOTTY, errno.EISDIR, errno.EOPNOTS
 def opening_failed(error: Exception, *, port: str, settings: str = "") -> LinkDown | ConfigError:
     """Create the error for a port that could not be opened, from the system's error. No byte was sent.
 
+    It is `LinkDown` if the cause can pass (missing, unplugged, held by another program, no permission), and
+    `ConfigError` if the path is no serial port or does not accept the settings.
+
     Args:
         error: the system's error.
         port: the path that was opened.

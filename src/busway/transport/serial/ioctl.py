@@ -8,7 +8,9 @@ import struct
 from collections.abc import Callable
 
 Ioctl = Callable[[int, int, bytearray], None]
-"""Descriptor, request, buffer. Raises `OSError` where the driver refuses."""
+"""Function that makes an ioctl call: its arguments are file descriptor, request number and buffer, into which the
+driver writes its result. It raises `OSError` if the driver refuses.
+"""
 
 NOT_OFFERED = frozenset({errno.ENOTTY, errno.EINVAL, errno.ENOSYS, errno.EOPNOTSUPP, errno.EPERM, errno.EACCES})
 """Error numbers of a driver that lacks a feature, or denies it to this user."""
@@ -22,7 +24,10 @@ def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Make an ioctl call; return True, or False if the driver does not offer it. Other errors are raised."""
+    """Make an ioctl call by the function ``ioctl``; return whether the driver offers it to this user.
+
+    Other errors are raised as `OSError`.
+    """
     try:
         ioctl(descriptor, request, buffer)
     except OSError as error:
@@ -33,7 +38,10 @@ def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> boo
 
 
 def asked_integer(ioctl: Ioctl, descriptor: int, request: int, value: int = 0) -> int | None:
-    """Make an ioctl call with an integer and return its integer result; None if the driver does not offer it."""
+    """Make an ioctl call with an integer and return its integer result; None if the driver does not offer it.
+
+    Other errors are raised as `OSError`.
+    """
     buffer = bytearray(struct.pack("i", value))
     if not asked(ioctl, descriptor, request, buffer):
         return None

@@ -20,11 +20,11 @@ PROCESSES = Path("/proc")
 
 @dataclass(frozen=True, slots=True)
 class Holder:
-    """Another program that has a serial port open or locked.
+    """The program that has a serial port open or locked.
 
     Attributes:
         process: its process number.
-        command: its command line; empty where this user may not see it.
+        command: its command line, at most 200 characters; empty if this user is not allowed to see it.
         ourselves: whether it is this process.
     """
 
@@ -39,7 +39,10 @@ class Holder:
 
 
 def refuse_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
-    """Make the system refuse any further opening of the serial port, by other programs or by this one."""
+    """Make the system refuse any further opening of the serial port, by other programs or by this one.
+
+    Privileged programs can still open it. Does nothing if the driver does not offer that.
+    """
     asked(ioctl, descriptor, TIOCEXCL, bytearray())
 
 
@@ -52,7 +55,10 @@ def admit_others(descriptor: int, ioctl: Ioctl = system_ioctl) -> None:
 
 
 def holder_of(path: str, processes: Path = PROCESSES) -> Holder | None:
-    """Return the program that has locked the port at ``path``, or has it open. None if that cannot be seen."""
+    """Return the program that has locked the port at ``path``, or else one that has it open; None if none is seen.
+
+    Programs of other users are often not seen, and on systems other than Linux none is.
+    """
     if not processes.is_dir():
         return None
     try:

@@ -24,7 +24,7 @@ class _Within(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Received:
-    """Received bytes without damage marks, and the number of damaged ones."""
+    """Received bytes without the system's damage marks (``data``), and how many of them are damaged (``errors``)."""
 
     data: bytes
     errors: int
@@ -39,7 +39,10 @@ class MarkDecoder:
         self._within = _Within.DATA
 
     def feed(self, stream: bytes) -> Received:
-        """Return the next received bytes without damage marks; empty if they are only the beginning of a mark."""
+        """Return the received bytes ``stream`` without damage marks, and how many of them are damaged.
+
+        The beginning of a mark at the end of ``stream`` is kept for the next call, so the result can be empty.
+        """
         if self._within is _Within.DATA and MARK not in stream:
             return Received(stream, 0)
         data = bytearray()
@@ -69,7 +72,7 @@ class MarkDecoder:
 
 
 def switch_marks_on(descriptor: int) -> None:
-    """Ask the system to check received characters and mark damaged ones. Raises `OSError`."""
+    """Ask the system to check received characters and mark damaged ones. Raises `OSError` if it refuses."""
     import termios  # where ports have no descriptors there is no such module, and this is not reached
 
     try:

@@ -35,7 +35,8 @@ class Claim:
             user: who uses it; the error for the next one that wants the port shows this text.
 
         Raises:
-            ConfigError: this process has it open already, or `serialx` is not installed. Nothing was opened.
+            ConfigError: another user in this process has claimed the port, or `serialx` is not installed. Nothing was
+                opened.
         """
         require("serialx", "a serial port")
         self.port: str = _key(port)
@@ -50,7 +51,7 @@ class Claim:
             _claims[self.port] = self
 
     def release(self) -> None:
-        """Allow others in this process to use the serial port. May be called twice."""
+        """Allow others in this process to use the serial port. A second call does nothing."""
         with _lock:
             if _claims.get(self.port) is self:
                 del _claims[self.port]
@@ -61,5 +62,8 @@ _claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary
 
 
 def _key(port: str) -> str:
-    """Return the path of a serial port with symbolic links resolved, so that one device has one name."""
+    """Return the path of a serial port with symbolic links resolved, so that one device has one name.
+
+    A name that is no existing path, such as a USB identity, is returned unchanged.
+    """
     return os.path.realpath(port) if port.startswith("/") and os.path.exists(port) else port

@@ -24,7 +24,10 @@ class Overruns:
         self._lost = self._read()
 
     def more(self) -> bool:
-        """Whether the port has lost characters since the last call; False if its driver does not count them."""
+        """Whether the port has lost characters since the last call, or at first since this object was created.
+
+        False if its driver does not count them, or if the port is gone.
+        """
         if self._lost is None:
             return False
         before, now = self._lost, self._read()

@@ -27,7 +27,7 @@ UNIX98_PTY_MAJORS = range(136, 144)
 """Device numbers that Linux keeps for the far ends of pseudo-terminals."""
 
 BSD_PTY_PATHS = ("/dev/pts/", "/dev/ttys00", "/dev/ttys01", "/dev/ttys02")
-"""Paths of pseudo-terminals on other systems; macOS numbers them with three digits."""
+"""How the paths of pseudo-terminals begin on other systems; macOS numbers them with three digits."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +38,7 @@ class FoundPort:
         path: the name to open it with; where possible one that does not change (``by-id``).
         device: the present name of the device: ``/dev/ttyUSB0``.
         vendor, product: USB identity, 0…65 535; None for ports that are not on USB.
-        serial_number: as the device tells it; None if it does not.
+        serial_number: serial number that the USB device reports; None if it reports none.
         description: maker and product in words; empty if unknown.
     """
 
@@ -77,11 +77,14 @@ def list_ports() -> list[FoundPort]:
 
 
 def resolve_port(name: str, listing: Callable[[], Iterable[FoundPort]] = list_ports) -> str:
-    """Return the current device path of a port given by path, ``by-id`` name or USB identity.
+    """Return the path with which to open a port that is given by path, ``by-id`` name or USB identity.
+
+    A USB identity is looked up in ``listing``; a path is returned unchanged, whether it exists or not.
 
     Raises:
         LinkDown: no device with this USB identity is plugged in now.
-        ConfigError: several devices have this USB identity, or the name is empty.
+        ConfigError: several devices have this USB identity, the name is empty, or `serialx` is needed for a USB
+            identity and not installed.
     """
     if not name:
         raise ConfigError("the name of the serial port is missing, as in /dev/ttyUSB0", key="port")
@@ -112,7 +115,10 @@ def _by_identity(name: str, identity: re.Match[str], listing: Callable[[], Itera
 
 
 def is_pseudo_terminal(path: str) -> bool:
-    """Whether a serial port is a pseudo-terminal, which has no wire and so neither parity nor 7-bit characters."""
+    """Whether a serial port is a pseudo-terminal, which has no wire and so neither parity nor 7-bit characters.
+
+    False for a path that does not exist.
+    """
     try:
         device = os.stat(path).st_rdev
     except OSError:

@@ -23,7 +23,7 @@ class ReopenPolicy:
     Attributes:
         first: seconds after the first failure, 0.01…60.
         most: longest pause in seconds, ``first``…3600.
-        attempts: how many failures in a row end the attempts; None for no limit.
+        attempts: how many failures in a row end the attempts, 1 or more; None for no limit.
     """
 
     first: float = 0.1
@@ -56,7 +56,9 @@ async def open_when_there(
     waiting: Callable[[LinkDown, float], None] = _ignore,
     sleep: Callable[[float], Awaitable[object]] | None = None,
 ) -> Port:
-    """Open a serial port; if it is missing, try again with the pauses of ``policy``. Cancel it to stop waiting.
+    """Open a serial port and return it; while that fails with `LinkDown`, try again after the pauses of ``policy``.
+
+    To stop waiting, cancel the task.
 
     Args:
         opener: opens the port once, for example ``lambda: SerialConnection.open(…)``.

@@ -24,11 +24,14 @@ RTS_AFTER_SEND = 1 << 2
 RECEIVE_WHILE_SENDING = 1 << 4
 
 _LAYOUT = struct.Struct("III20x")
-"""Flags, milliseconds before and after sending, and what the kernel keeps for itself."""
+"""Layout of ``struct serial_rs485``: flags, delays before and after sending in milliseconds, and reserved bytes."""
 
 
 class DriverDirection(Enum):
-    """How an open RS-485 port is switched between sending and receiving."""
+    """How an open RS-485 port is switched between sending and receiving.
+
+    NONE: nothing has to be switched. KERNEL: the port's driver does it. RTS: this program does it by the RTS signal.
+    """
 
     NONE = "none"
     KERNEL = "kernel"
@@ -36,10 +39,12 @@ class DriverDirection(Enum):
 
 
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
-    """Set up how an open RS-485 port is switched between sending and receiving, by its settings; return the way.
+    """Set up, by its settings, how an open RS-485 port is switched between sending and receiving; return how that is.
 
     Raises:
-        ConfigError: the settings ask for the kernel's RS-485 mode, and this port does not have it.
+        ConfigError: the settings ask for the kernel's RS-485 mode, and this port does not have it; or its driver does
+            not offer the delays or RTS levels of the settings.
+        OSError: the port is gone.
     """
     if settings.rs485 is Rs485.OFF:
         return DriverDirection.NONE

@@ -13,9 +13,9 @@ SELECT_LIMIT = 1024
 
 
 def wait_ready(reading: Sequence[int], writing: Sequence[int], timeout: float | None) -> list[int]:
-    """Wait until one of the file descriptors is ready, for at most ``timeout`` seconds; return the ready ones.
+    """Wait until a descriptor in ``reading`` can be read, or one in ``writing`` written; return those that are ready.
 
-    Empty when the time is over. A timeout of None waits for ever.
+    A descriptor that has ended is ready too. The list is empty if ``timeout`` seconds have passed; None waits for ever.
     """
     if max((*reading, *writing)) < SELECT_LIMIT:
         readable, writable, _ = select.select(reading, writing, [], timeout)

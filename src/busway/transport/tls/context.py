@@ -29,7 +29,7 @@ _ANY_CERTIFICATE: Final = "CERTIFICATE-----"
 _BEGIN_REVOCATIONS: Final = "-----BEGIN X509 CRL-----"
 _OPENSSL_NAME: Final = {Curve.P_256: "prime256v1"}
 _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
-"""Endings of the names of those files in a directory of authorities that are read."""
+"""In a directory of authorities, files with these endings of their names are read."""
 _NO_CHECK_TIME: Final = 0x20_0000
 """X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
 _LOOK_SECONDS: Final = 1.0
@@ -37,7 +37,7 @@ _LOOK_SECONDS: Final = 1.0
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Build the ``ssl`` context of a listener.
+    """Build the ``ssl`` context of a listener; every client must present a valid certificate.
 
     Raises:
         ConfigError: the option for the certificate or the authority is missing, or a file cannot be used; the error
@@ -51,7 +51,9 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def web_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Build the ``ssl`` context of a web page for browsers, which may present a client certificate but need not.
+    """Build the ``ssl`` context of a web page for browsers, which need not present a client certificate.
+
+    They are asked for one, which must be valid if they present it, only if ``authority`` is set.
 
     Raises:
         ConfigError: the option for the certificate is missing, or a file cannot be used; the error names the option,
@@ -67,7 +69,7 @@ def web_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def client_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Build the ``ssl`` context of a client.
+    """Build the ``ssl`` context of a client; the server is not verified if ``verify`` is off.
 
     Raises:
         ConfigError: the option for the authority is missing, or a file cannot be used; the error names the option, and
@@ -82,7 +84,10 @@ def client_context(parameters: TlsParameters) -> ssl.SSLContext:
 
 
 def timeless_context(parameters: TlsParameters) -> ssl.SSLContext:
-    """Return a client's context that accepts expired certificates; only used to find out when one expired."""
+    """Return a client's context that accepts certificates out of date; only used to find out when one expired.
+
+    Arguments and errors are those of `client_context`.
+    """
     context = client_context(parameters)
     context.verify_flags |= ssl.VerifyFlags(_NO_CHECK_TIME)
     return context
@@ -147,7 +152,7 @@ class _NoPasswordError(Exception):
 
 
 class _Password:
-    """Gives OpenSSL the password of a private key when it asks."""
+    """Gives OpenSSL the password of an encrypted private key when OpenSSL asks for it: the first line of a file."""
 
     def __init__(self, file: str | None) -> None:
         self._file = file
@@ -247,7 +252,11 @@ class WatchedContext:
         self._context = make(parameters)
 
     def current(self) -> ssl.SSLContext:
-        """Return the ``ssl`` context for a new connection; reads changed files first. Never raises."""
+        """Return the ``ssl`` context for a new connection; never raises.
+
+        At most once a second it checks whether the files have changed, and reads them again. If they cannot be used,
+        that is logged, and the earlier context is returned.
+        """
         now = self._clock()
         if now - self._looked >= _LOOK_SECONDS:
             self._looked = now

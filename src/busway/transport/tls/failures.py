@@ -14,7 +14,11 @@ from typing import Final
 
 
 class FailureKind(Enum):
-    """Kinds of TLS failures, for counters; the value is the name in a status."""
+    """Kinds of TLS failures, for counters; the value is the name in a status.
+
+    GONE: the peer closed the connection. CROWDED_OUT: the server gave up the handshake, because too many were in
+    progress. The kinds about certificates concern the peer's certificate.
+    """
 
     EXPIRED = "expired"
     NOT_YET_VALID = "not yet valid"
@@ -63,9 +67,10 @@ def failure_of(error: ssl.SSLError, *, server_side: bool) -> TlsFailure:
 
 
 def dated(failure: TlsFailure, certificate: Mapping[str, object], now: float) -> TlsFailure:
-    """Return the failure with a text that says which certificate is out of date, and its date.
+    """Return a failure of the same kind whose text says that the server's certificate is out of date, with its date.
 
-    ``certificate`` is the server's, as ``getpeercert`` returns it; ``now`` is in seconds since 1970.
+    If that certificate is valid at ``now``, the text says instead, without a date, that one of an authority above it is
+    not. ``certificate`` is the server's, as ``getpeercert`` returns it; ``now`` is in seconds since 1970.
     """
     begins, ends = (ssl.cert_time_to_seconds(str(certificate[key])) for key in ("notBefore", "notAfter"))
     if now > ends:

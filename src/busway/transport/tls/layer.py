@@ -27,7 +27,9 @@ from .failures import FailureKind, TlsFailure
 from .stream import TlsStream
 
 LINGER_SECONDS: Final = 1.0
-"""Seconds for which bytes of a peer are discarded after a refusal, unless it closes before."""
+"""Seconds for which the connection stays open after a refusal, and received bytes are discarded, unless the peer closes
+it before.
+"""
 
 
 class TlsState(Enum):
@@ -119,7 +121,11 @@ class TlsLayer(asyncio.BufferedProtocol):
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
-        """Handle the end of the TCP connection below the TLS layer."""
+        """Handle the end of the TCP connection below the TLS layer.
+
+        Calls ``failed`` if the handshake was not complete, ``connection_lost`` of the upper protocol if there is one,
+        and then ``gone``.
+        """
         state, self.state = self.state, TlsState.CLOSED
         self._stop_timer()
         if state is TlsState.HANDSHAKE:
@@ -164,7 +170,10 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def refuse(self, failure: TlsFailure) -> None:
-        """End a failed or unwanted handshake; the peer still gets the TLS alert."""
+        """End a failed or unwanted handshake: send what TLS has to say, close soon after, and call ``failed``.
+
+        The peer has a second to read the alert, or the end of the stream. Does nothing after the handshake.
+        """
         if self.state is not TlsState.HANDSHAKE:
             return
         self.state = TlsState.REFUSED
@@ -226,7 +235,10 @@ class TlsLayer(asyncio.BufferedProtocol):
     # What the protocol above calls: the transport.
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Encrypt bytes of the upper protocol and send them."""
+        """Encrypt bytes of the upper protocol and send them; drop them if the connection is not up or is closing.
+
+        What the upper protocol writes while it processes received bytes is sent together after that.
+        """
         if self.state is not TlsState.UP or self._below.is_closing():
             return
         try:
@@ -244,7 +256,10 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._below.write(records)
 
     def close(self) -> None:
-        """Announce the end of the TLS stream (close_notify), and close after the written bytes are sent."""
+        """Announce the end of the TLS stream (close_notify), and close after the written bytes are sent.
+
+        Before the end of the handshake it is closed at once, as by `abort`.
+        """
         if self.state is TlsState.UP and not self._below.is_closing():
             self._stream.finish()
             self._flush()
@@ -253,7 +268,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self.abort()
 
     def abort(self) -> None:
-        """Close the TLS connection at once; bytes that wait to be sent are dropped."""
+        """Close the connection at once, without close_notify; bytes that wait to be sent are dropped."""
         if self._below is not None:
             self._below.abort()
 
@@ -283,7 +298,10 @@ class TlsLayer(asyncio.BufferedProtocol):
                 self._below.resume_reading()
 
     def set_write_buffer_limits(self, high: int | None = None, low: int | None = None) -> None:
-        """Set the limits of bytes that wait to be sent: the upper protocol pauses above ``high``, until ``low``."""
+        """Set the limits of encrypted bytes that wait to be sent: above ``high`` the upper protocol is paused.
+
+        It is resumed at ``low`` bytes. None stands for the default of the transport below.
+        """
         self._below.set_write_buffer_limits(high, low)
 
     def get_write_buffer_size(self) -> int:

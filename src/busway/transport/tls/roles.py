@@ -32,7 +32,10 @@ class RoleReading:
 
 
 def require_cryptography(purpose: str) -> None:
-    """Raise `MissingExtra`, which names the extra to install, if the package ``cryptography`` is missing."""
+    """Raise `MissingExtra`, which names the extra to install, if the package ``cryptography`` is missing.
+
+    ``purpose``: what the package is needed for, for the message.
+    """
     try:
         import cryptography.x509  # noqa: F401
     except ImportError:
@@ -88,7 +91,7 @@ def decode_role(value: bytes) -> RoleReading:
 
 
 def encode_role(role: str) -> bytes:
-    """Return a role of 1…65535 bytes as the value of the certificate extension. Raises `ConfigError`."""
+    """Return a role as the value of the certificate extension. Raises `ConfigError` unless it has 1…65535 bytes."""
     text = role.encode("utf-8")
     if not 1 <= len(text) <= 0xFFFF:
         raise ConfigError("a role has 1…65535 bytes", key="role")

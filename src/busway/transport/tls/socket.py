@@ -89,9 +89,9 @@ class TlsSocket:
         return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
 
     def recv_into(self, buffer: bytearray, /) -> int:
-        """Receive decrypted bytes into ``buffer``, which must have `RECEIVE_SIZE` bytes.
+        """Receive decrypted bytes into ``buffer``, which must have at least `RECEIVE_SIZE` bytes; return their number.
 
-        Returns 0 at the end of the stream.
+        0 means that the server has ended the stream.
 
         Raises:
             BlockingIOError: no bytes have been received.
@@ -117,9 +117,10 @@ class TlsSocket:
         return plain
 
     def send(self, data: bytes, /) -> int:
-        """Encrypt bytes and send them. Returns how many were accepted.
+        """Encrypt bytes and send them. Returns how many bytes of ``data`` were sent.
 
-        After a `BlockingIOError` the next call must begin with the same bytes.
+        After a `BlockingIOError` the next call must begin with the same bytes: it sends the rest of these alone, and
+        returns their number.
 
         Raises:
             BlockingIOError: the socket accepts no more bytes now.
@@ -134,9 +135,9 @@ class TlsSocket:
         return self._encrypted
 
     def close(self) -> None:
-        """Announce the end of the TLS stream if that is possible without waiting, and close.
+        """Announce the end of the TLS stream (close_notify) if that is possible without waiting, and close the socket.
 
-        A thread that waits wakes up.
+        A thread that waits for the socket wakes up.
         """
         with contextlib.suppress(OSError):
             if self._unsent:

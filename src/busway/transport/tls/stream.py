@@ -44,7 +44,10 @@ class TlsStream:
         self._incoming.write(data)
 
     def handshake(self) -> bool:
-        """Continue the TLS handshake. Returns whether it is complete. Raises `TlsFailure`."""
+        """Continue the TLS handshake with the bytes received so far. Returns whether it is complete.
+
+        Raises `TlsFailure` if it failed; `outgoing` then returns the alert.
+        """
         try:
             self._ssl.do_handshake()
         except ssl.SSLWantReadError:
@@ -58,7 +61,8 @@ class TlsStream:
     def read_into(self, room: memoryview) -> int:
         """Decrypt received bytes into the buffer ``room``. Returns the number of decrypted bytes.
 
-        Raises `TlsFailure`.
+        0 if no record is complete, or if the peer has ended its stream (``ended``). Raises `TlsFailure` for a record
+        that is broken, once the bytes before it were returned.
         """
         if self._failure is not None:
             raise self._failure
@@ -90,7 +94,7 @@ class TlsStream:
         return bool(self._ssl.pending() or self._incoming.pending or self._failure)
 
     def write(self, data: bytes | bytearray | memoryview) -> None:
-        """Encrypt bytes for the peer. Raises `TlsFailure`."""
+        """Encrypt bytes for the peer; `outgoing` returns the result. Raises `TlsFailure` if TLS cannot send more."""
         rest = memoryview(data)
         try:
             while rest:
@@ -117,9 +121,9 @@ class TlsStream:
         return self._outgoing.read() if self._outgoing.pending else b""
 
     def finish(self) -> None:
-        """Announce to the peer that nothing more is sent (close_notify).
+        """Announce to the peer that nothing more is sent (close_notify); `outgoing` returns the bytes of that.
 
-        Without that the TLS session could not be resumed.
+        Without it the TLS session could not be resumed. Does nothing if the handshake is not complete.
         """
         try:
             self._ssl.unwrap()

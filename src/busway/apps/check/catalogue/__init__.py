@@ -30,15 +30,17 @@ from .writes import write_checks
 
 
 def checks_for(target: Target, level: Level, only: Collection[str] = ()) -> list[Check]:
-    """Return the checks of a level for a target, from safe to risky.
+    """Return the checks to run against a target, in the order in which they run.
+
+    The basic checks come first, then the others by level, from ``READ`` to ``DISRUPTIVE``.
 
     Args:
-        target: what is checked.
-        level: the highest level of a check.
-        only: names of clauses or checks; none for all. The basic checks are always among them.
+        target: the device to be checked; its framing, items and TLS decide which checks there are.
+        level: the highest level; checks of higher levels are left out.
+        only: names of clauses or checks to keep; empty keeps all. Basic checks are always kept.
 
     Raises:
-        ConfigError: a name in ``only`` is of no clause and no check that there is for the target.
+        ConfigError: a name in ``only`` is neither a clause nor a check that exists for this target.
     """
     probe, longer = probe_of(target), probe_of(target, 2)
     checks = basic_checks(target, probe) + read_checks(target)

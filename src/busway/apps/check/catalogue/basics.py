@@ -1,6 +1,6 @@
-"""The basic checks: what every reply has to be, one facet each.
+"""The basic checks: each tests one facet that every reply must have right, such as the transaction identifier.
 
-Knows the target's probe. Basic checks are the first of every run; the others assume what these have shown.
+Knows the target's probe. Basic checks run first; all other checks rely on their results.
 """
 
 from ..check import Accepts, Ask, Check, Facet, Target
@@ -10,11 +10,11 @@ _ANY = Accepts(reply=True, exceptions=frozenset(range(256)))
 
 
 def basic_checks(target: Target, probe: bytes) -> list[Check]:
-    """Return the basic checks, each about one facet of every reply.
+    """Return the basic checks, which read the probe and judge one facet of the reply each.
 
     Args:
         target: the device to be checked.
-        probe: the PDU of a read of its probe.
+        probe: the PDU of the request that reads the target's probe.
     """
     once = Ask(probe, _ANY)
     checks = [

@@ -1,6 +1,6 @@
-"""Checks of diagnostics (08) and of functions that do not exist.
+"""Checks of diagnostics (function 08) and of function codes that do not exist.
 
-Knows PDUs. Sub-functions that change what a device does are of the level disruptive.
+Knows PDUs. The check that clears the counters of a device is of the level disruptive, all others of the level diag.
 """
 
 from typing import Final
@@ -19,9 +19,9 @@ _COUNTERS: Final = {
     0x12: "overruns",
 }
 _UNKNOWN: Final = (25, 42, 64, 73, 99, 111, 127)
-"""Function codes without a meaning, outside the ranges for users (65 to 72, 100 to 110)."""
+"""Function codes that no specification assigns and that are not user-defined (65 to 72, 100 to 110)."""
 _OLD: Final = (9, 10, 13, 14, 18, 19)
-"""Codes of programming functions of old controllers: reserved."""
+"""Function codes that old controllers used for programming: reserved, so a device may know or refuse them."""
 
 
 def diagnostic_checks(target: Target) -> list[Check]:

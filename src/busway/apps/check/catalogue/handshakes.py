@@ -1,7 +1,7 @@
-"""Checks of Modbus/TCP Security: connections that must not lead to an answer, or only to exception 01.
+"""Checks of Modbus/TCP Security: connections that a device must refuse, or must answer with exception 01 only.
 
-Knows what is changed in a handshake; the request after it is a read of the probe. The user gives the certificates that
-only the owner of the device's authority can make.
+Each check changes one thing in a TLS handshake and then sends a read of the probe. Client certificates that only the
+certificate authority of the device can issue, such as an expired one, come from the user.
 """
 
 from typing import Final
@@ -14,7 +14,10 @@ _ACCEPTED: Final = {
     TlsChange.DENIED_ROLE: Accepts(exceptions=frozenset({1})),
     TlsChange.NO_ROLE: Accepts(exceptions=frozenset({1}), closed=True),
 }
-"""What may come back for the changes after which the device may answer."""
+"""What may come back after the changed handshakes that a device may accept: exception 01, or a closed connection.
+
+After all other changes the device must close the connection or stay silent.
+"""
 _CHANGES: Final = {
     TlsChange.PLAIN: ("tls-plain", "M1", "answers no request that comes without TLS"),
     TlsChange.TLS_1_0: ("tls-1.0", "M2", "refuses TLS 1.0"),
@@ -28,13 +31,13 @@ _CHANGES: Final = {
     TlsChange.DENIED_ROLE: ("tls-role-denied", "M6", "answers 01 to a read that the role of a client may not make"),
     TlsChange.NO_ROLE: ("tls-no-role", "M5", "lets a certificate without a role do nothing that needs one"),
 }
-"""By the change of a handshake: the name of the check, its clause, and what the device does."""
+"""For each changed handshake: the name of its check, the clause, and what a correct device does."""
 
 
 def handshake_checks(probe: bytes) -> list[Check]:
-    """Return the checks of TLS handshakes.
+    """Return the checks of TLS handshakes, one for each changed handshake.
 
-    ``probe`` is the PDU of a read of the target's probe, which the device answers over a correct connection.
+    ``probe`` is the PDU of a read that the device answers over a connection with a correct handshake.
     """
     return [
         check(name, clause, says, BesideIt(Ask(probe, _ACCEPTED.get(change, _NO_ANSWER)), change), level=Level.DIAG)

@@ -1,7 +1,7 @@
-"""Checks of serial lines: damaged frames, other units, broadcasts.
+"""Checks of serial lines: damaged frames, frames for other units, broadcasts.
 
-Knows frames of RTU and ASCII; the requests inside are reads of the probe. Reads that must not be answered are of two
-items, so that their replies cannot be taken for the reply to the read of one item that follows.
+Knows frames of RTU and ASCII; the requests inside are reads of the probe. A read that must not be answered asks for two
+items, and the read of the probe after it for one: so a late reply to the first cannot be taken for that to the second.
 """
 
 from ....codes import BROADCAST_UNIT
@@ -23,7 +23,7 @@ _DAMAGES = {
     FrameDamage.NO_CR: ("no-cr", "S12", Strength.SHOULD),
     FrameDamage.TOO_LONG: ("too-long", "S8", Strength.MUST),
 }
-"""Damages after which a frame must not be answered: name, clause, word."""
+"""For each damage that makes a frame invalid: name of its check, clause (of RTU), and must or should."""
 _ASCII_CLAUSES = {"S9": "S13", "S8": "S12"}
 _HEALED = {
     FrameDamage.RESTARTED: ("restarted", "takes the frame that a second colon begins", Strength.MUST),
@@ -35,12 +35,12 @@ _ANY_WAY = Accepts(reply=True, exceptions=frozenset({2}), silence=True)
 
 
 def line_checks(target: Target, probe: bytes, longer: bytes) -> list[Check]:
-    """Return the checks of frames on serial lines.
+    """Return the checks of frames on RTU and ASCII lines.
 
     Args:
-        target: the device to be checked.
-        probe: the PDU of a read of its probe.
-        longer: the PDU of a read of the probe and the item after it.
+        target: the device to be checked; damages that its framing does not have are left out.
+        probe: the PDU of a read of the probe.
+        longer: the PDU of a read of two items: the probe and the item after it.
     """
     ask = Ask(probe, REPLY)
     known = damages_of(target.framing)

@@ -1,6 +1,7 @@
 """Checks of the functions that read: 01 to 04, 07, 11, 12, 17, 20, 24 and 43.
 
-Knows PDUs; a device may have any items, so a refusal of an address is accepted too.
+Knows PDUs. Which items a device has is not known, so exception 02 (no such address) is accepted for valid reads, except
+of the probe.
 """
 
 from dataclasses import dataclass
@@ -15,7 +16,10 @@ _BEYOND: Final = 0xFFFF
 
 @dataclass(frozen=True, slots=True)
 class _Read:
-    """A function that reads one table: code, clause, table, the largest count, and what the items are called."""
+    """A function that reads one table: function code, clause of its checks, and the table.
+
+    ``most`` is the largest count of one request, ``name`` what the items are called in sentences.
+    """
 
     code: int
     clause: str

@@ -1,4 +1,4 @@
-"""Checks of the stream of Modbus on TCP/IP and of connections.
+"""Checks of Modbus TCP: MBAP headers, requests cut or joined in the TCP stream, and connections.
 
 Knows headers and connections; the requests inside are reads of the probe.
 """
@@ -12,7 +12,7 @@ _CLOSED_OR_SILENT: Final = Accepts(silence=True, closed=True)
 
 
 def stream_checks(target: Target, probe: bytes) -> list[Check]:
-    """Return the checks of MBAP headers, streams and connections.
+    """Return the checks of MBAP headers, of the TCP stream and of connections.
 
     Args:
         target: the device to be checked.

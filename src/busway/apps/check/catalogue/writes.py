@@ -1,7 +1,7 @@
 """Checks of the functions that write: 05, 06, 15, 16, 22 and 23.
 
-Knows the scratch items. Nothing else is written, unless a device executes a request that it must refuse; checks whose
-requests could then reach beyond the scratch items are of the level disruptive.
+They write to the scratch items only. A device that wrongly executes an invalid request may write elsewhere: checks with
+such requests are of the level disruptive.
 """
 
 from typing import Final, Protocol
@@ -15,7 +15,7 @@ _READ: Final = {Table.COILS: 1, Table.HOLDING_REGISTERS: 3}
 
 
 def write_checks(target: Target) -> list[Check]:
-    """Return the checks that write, for the scratch registers and coils that the target has; none without any."""
+    """Return the checks that write to the scratch registers and coils of a target; an empty list if it has neither."""
     checks: list[Check] = []
     if target.registers is not None:
         checks += [*_single_register(target.registers), *_registers(target.registers), *_mask(target.registers)]
@@ -28,18 +28,24 @@ def write_checks(target: Target) -> list[Check]:
 
 
 def _holds(items: Items, data: bytes, count: int) -> Ask:
-    """Return a step that reads the first ``count`` scratch items and accepts only this data."""
+    """Return a step that reads the first ``count`` scratch items and accepts only ``data`` as their values."""
     code = _READ[items.table]
     return Ask(pdu(code, items.address, count), Accepts(reply=True, exact=bytes((code, len(data))) + data))
 
 
 def _write(request: bytes, size: int | None = None) -> Ask:
-    """Return a step that sends a write and accepts only its echo: the whole request, or its first ``size`` bytes."""
+    """Return a step that sends a write request and accepts only the reply that repeats its first ``size`` bytes.
+
+    None for ``size``: the reply repeats the whole request.
+    """
     return Ask(request, Accepts(reply=True, exact=request if size is None else request[:size]))
 
 
 class _Maker(Protocol):
-    """Interface of a function that makes a check of one function code from name, sentence and steps."""
+    """Interface of a function that creates a check of one function code.
+
+    ``what`` is the end of the check's name, ``says`` its sentence, ``opens`` as of `Check`. ``should``: it is a should.
+    """
 
     def __call__(
         self,
@@ -54,7 +60,7 @@ class _Maker(Protocol):
 
 
 def _one(function: int, of: str) -> _Maker:
-    """Return a function that makes checks of one function code; ``of`` is the clause of checks that name no other."""
+    """Return a function that creates checks of one function code; ``of`` is the clause of those that name none."""
 
     def make(
         what: str,

@@ -2,10 +2,10 @@
 
 Pure: knows devices, points and samples; knows no store and no clock.
 
-1. Only points with alarms cost anything: a group of points without them is found by one look-up.
-2. If the file is read again, an alarm keeps its state; the new limit holds from the next sample on, and a delay that
-   runs goes on. A point that was renamed takes its alarms along; points may exchange their names. An alarm whose limit
-   was removed is ended by an event.
+1. Only points with alarms cost anything: for a read of points without alarms, `AlarmBook.take` costs one look-up.
+2. If the configuration file is read again, an alarm keeps its state; the new limit holds from the next sample on, and a
+   delay that runs goes on. A point that was renamed takes its alarms along; points may exchange their names. An alarm
+   whose limit was removed is ended by an event.
 """
 
 import weakref
@@ -18,7 +18,7 @@ from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm, renamed_k
 from .machine import AlarmMachine
 
 _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
-"""The position in a group of each point with alarms, and the state machines of these alarms."""
+"""The points of one group that have alarms: for each, its position in the group, and its alarms' state machines."""
 
 
 class AlarmBook:
@@ -44,9 +44,10 @@ class AlarmBook:
 
         Args:
             devices: the points of each device.
-            at: nanoseconds since 1970 UTC.
-            raised: at a start, the alarms that the journal leaves active or unacknowledged.
-            moved: new names of points that were renamed, by device and name before.
+            at: the present time, nanoseconds since 1970 UTC; the time of the returned events.
+            raised: the alarms that the journal shows as active or unacknowledged, by key; given at the start of a
+                collector, None later.
+            moved: new names of points that were renamed, by device and old name; None if none were.
 
         Returns:
             An event `AlarmEventKind.REMOVED` for each active or unacknowledged alarm whose limit is gone.
@@ -70,11 +71,14 @@ class AlarmBook:
         return [AlarmEvent(*key, AlarmEventKind.REMOVED, at, text=alarm.text) for key, alarm in alarms.items()]
 
     def take(self, batch: SampleBatch, now: float) -> Sequence[AlarmEvent]:
-        """Pass the samples of a read to the alarms of their points, and return the events (raised, cleared, …).
+        """Pass the samples of a read to the alarms of their points, and return the alarm events: raised or cleared.
 
         Args:
             batch: the samples.
             now: when they were read, seconds of the monotonic clock.
+
+        Returns:
+            The events, to be written into the journal; empty if no alarm was raised or cleared.
         """
         group = batch.group
         if group.device not in self._devices:
@@ -105,7 +109,7 @@ class AlarmBook:
         Args:
             key: device, point and limit.
             by: who acknowledges it.
-            at: nanoseconds since 1970 UTC.
+            at: time of the acknowledgement, nanoseconds since 1970 UTC.
         """
         machine = self.machines.get(key)
         return None if machine is None else machine.acknowledge(by, at)

@@ -2,8 +2,8 @@
 
 Knows the book, the committer and asyncio; for the thread of the event loop.
 
-1. What is shown and handed on was committed: an event is in the journal first.
-2. An acknowledgement returns when it is in the journal.
+1. Lists, counts and followers show committed events only: an event is in the journal of the store first.
+2. `CollectorAlarms.acknowledge` returns when its event is in the journal.
 3. A reader of events that is too slow loses the oldest, which is counted.
 """
 
@@ -31,14 +31,14 @@ class _Changed(Protocol):
 
 
 MOST_UNCOMMITTED: Final = 20_000
-"""Events that wait for their commit and are known here; a store that cannot be written keeps fewer."""
+"""Most events that are remembered until they are committed; a store that cannot be written drops events before that."""
 
 MOST_WAITING: Final = 10_000
-"""Events that wait for a reader, at most."""
+"""Most events that wait for one program that follows events; beyond it the oldest are dropped."""
 RECENT: Final = 1000
-"""Events of the journal that are kept in memory, for the page."""
+"""How many of the newest events of the journal are kept in memory, for the page."""
 ACKNOWLEDGE_WITHIN: Final = 5.0
-"""Seconds in which an acknowledgement has to be in the journal."""
+"""Seconds that `CollectorAlarms.acknowledge` waits for its event to be in the journal."""
 
 
 class _EventReader:
@@ -71,7 +71,8 @@ class CollectorAlarms:
         wall: returns nanoseconds since 1970 UTC.
 
     Attributes:
-        readers_lost: number of events dropped because readers of `events` were too slow.
+        readers_lost: number of events dropped because programs that follow `events` were too slow; those of a program
+            are added when it stops following.
     """
 
     def __init__(
@@ -95,13 +96,13 @@ class CollectorAlarms:
         return list(self._raised.values())
 
     def pending(self) -> list[AlarmKey]:
-        """Return device, point and limit of each alarm that is not raised yet because its delay runs."""
+        """Return device, point and limit of each normal alarm whose value is beyond the limit while its delay runs."""
         return [key for key, machine in self._book.machines.items() if machine.state is AlarmState.PENDING]
 
     def reason(self, key: AlarmKey) -> int:
-        """Return the number of the reason why the last value of an alarm's point is not good; 0 for a good one.
+        """Return the number of the reason why the last sample of an alarm's point is not good; 0 if it is good.
 
-        0 also for a key without an alarm limit.
+        0 also if there was no sample since the start, or if there is no alarm limit with this key.
         """
         machine = self._book.machines.get(key)
         return 0 if machine is None else machine.reason
@@ -114,7 +115,7 @@ class CollectorAlarms:
         return list(self._journal)[: -limit - 1 : -1]
 
     def counts(self) -> tuple[int, int]:
-        """Return two numbers: of active alarms, and of alarms that are not acknowledged."""
+        """Return how many alarms are active, and how many are not acknowledged; an alarm can count in both numbers."""
         states = [alarm.state for alarm in self._raised.values()]
         return sum(each.is_active for each in states), sum(each.is_unacknowledged for each in states)
 
@@ -130,7 +131,7 @@ class CollectorAlarms:
             The event.
 
         Raises:
-            InvalidRequest: there is no such alarm to acknowledge.
+            InvalidRequest: there is no such alarm, or it needs no acknowledgement now.
             Overloaded: the store could not be written within `ACKNOWLEDGE_WITHIN` seconds. The alarm is acknowledged,
                 and the event is stored as soon as the store can be written.
         """
@@ -153,7 +154,8 @@ class CollectorAlarms:
     async def events(self) -> AsyncGenerator[AlarmEvent, None]:
         """Yield alarm events from now on, each once it is in the journal, until the collector ends.
 
-        For a reader that is too slow the oldest of `MOST_WAITING` events are dropped, and counted in ``readers_lost``.
+        If more than `MOST_WAITING` events wait for a program that is too slow, its oldest are dropped, and counted in
+        ``readers_lost``.
         """
         reader = _EventReader()
         self._readers.append(reader)
@@ -174,8 +176,10 @@ class CollectorAlarms:
     def begin(self, journal: Sequence[AlarmEvent], devices: Mapping[str, Sequence[Point]]) -> None:
         """At the start of the collector, restore the alarms that the journal shows as active or unacknowledged.
 
+        An alarm whose limit is no longer in the configuration ends with an event `AlarmEventKind.REMOVED`.
+
         Args:
-            journal: the stored alarm events, in their order.
+            journal: all stored alarm events, in the order in which they were stored.
             devices: the points of each device.
         """
         self._raised = alarms_after(journal)
@@ -190,22 +194,25 @@ class CollectorAlarms:
 
         Args:
             devices: the points of each device.
-            moved: new names of points that were renamed, by device and name before. Alarms and events get the new
-                names.
+            moved: new names of points that were renamed, by device and old name; alarms and events get the new names.
+                None if none were renamed.
         """
         moved = moved or {}
         self._show_anew(lambda named: _renamed(named, moved))
         self._tell(self._book.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
-        """Return the alarm events that the samples of a read cause; the caller stores both in one commit."""
+        """Return the alarm events that the samples of a read cause; the caller stores events and samples together."""
         events = self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
         if events:
             self._note(events)
         return events
 
     def committed(self, events: Sequence[AlarmEvent]) -> None:
-        """Show alarm events, and hand them to programs that follow them; called once the journal has the events."""
+        """Show alarm events in `active`, `journal` and `counts`, and hand them to programs that follow `events`.
+
+        Called in the event loop once the events are in the journal of the store.
+        """
         shown = [self._told.pop(id(event), (event, event))[1] for event in events]
         for event, as_shown in zip(events, shown, strict=True):
             fold_event(self._raised, as_shown)
@@ -217,9 +224,9 @@ class CollectorAlarms:
             reader.take(shown)
 
     def mend(self, correction: ClockCorrection) -> None:
-        """Correct those times of alarms and events that were taken before the wall clock was right.
+        """Correct the times of alarms and events that this process took from a wall clock that was not right yet.
 
-        Only times that this process took from the wrong clock are changed.
+        Times that an earlier process stored are not changed.
         """
         self._show_anew(lambda named: _moved(named, correction, self._earlier))
 
@@ -235,7 +242,7 @@ class CollectorAlarms:
             self._keep(events)
 
     def _note(self, events: Iterable[AlarmEvent]) -> None:
-        """Remember events that are not in the journal yet: their names or times may still change before."""
+        """Remember events until they are in the journal: a rename or clock correction may change them meanwhile."""
         self._told.update((id(event), (event, event)) for event in events)
         while len(self._told) > MOST_UNCOMMITTED:
             self._told.pop(next(iter(self._told)))
@@ -254,12 +261,12 @@ def _renamed(named: Named, moved: Mapping[PointKey, str]) -> Named:
 
 
 def _moved(named: Named, correction: ClockCorrection, earlier: Container[int]) -> Named:
-    """Return an alarm or event with its times from before the wall clock was right corrected.
+    """Return an alarm or event with its times corrected, as far as they were taken from a wrong wall clock.
 
     Args:
         named: the alarm or event.
-        correction: the correction.
-        earlier: times that an earlier process gave; these are not changed.
+        correction: which times are wrong, and by how much.
+        earlier: times that an earlier process stored, nanoseconds since 1970 UTC; these are not changed.
     """
     names = ("at",) if isinstance(named, AlarmEvent) else ("since", "acknowledged_at", "cleared_at")
     found = {name: getattr(named, name) for name in names}

@@ -1,7 +1,7 @@
 """The events of alarms (raised, acknowledged, cleared, removed), and what an alarm is after each.
 
-Pure. The journal is a list of `AlarmEvent`; the alarms that there are follow from it, so a start after a crash knows
-what was active and acknowledged by reading the journal.
+Pure. The journal is a list of `AlarmEvent`. The state of every alarm follows from it: after a crash, a collector reads
+the journal to know which alarms were active and which were acknowledged.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,7 +20,7 @@ class AlarmEventKind(StrEnum):
     ACKNOWLEDGED = "acknowledged"
     CLEARED = "cleared"
     REMOVED = "removed"
-    """The limit, the point or the device is no longer in the file."""
+    """The alarm ended because its limit, its point or its device is no longer in the configuration."""
 
 
 class AlarmState(StrEnum):
@@ -31,9 +31,9 @@ class AlarmState(StrEnum):
     """The value is beyond the limit, and the delay is not over."""
     UNACKNOWLEDGED = "active, not acknowledged"
     ACKNOWLEDGED = "active"
-    """Active, and acknowledged or without need of it."""
+    """Active, and acknowledged already or an alarm that needs no acknowledgement."""
     CLEARED = "cleared, not acknowledged"
-    """The value has come back, and the alarm is not acknowledged yet."""
+    """No longer active, because the value has come back; not acknowledged yet."""
 
     @property
     def is_active(self) -> bool:
@@ -57,10 +57,12 @@ NEXT_STATE: Final = {
     (AlarmState.ACKNOWLEDGED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
     (AlarmState.CLEARED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
 }
-"""The state after an event; what is not here changes nothing. A rule without acknowledgement raises to ACKNOWLEDGED."""
+"""The next state, by state and event; any other pair changes nothing. If the raised alarm needs no acknowledgement, the
+next state is ACKNOWLEDGED instead of UNACKNOWLEDGED.
+"""
 
 AlarmKey = tuple[str, str, str]
-"""Device, point, and the kind of the limit: at most one alarm each."""
+"""Key of an alarm: device, point, and kind of the limit. There is at most one alarm with each key."""
 
 
 def renamed_key(key: AlarmKey, moved: Mapping[PointKey, str]) -> AlarmKey:
@@ -68,7 +70,7 @@ def renamed_key(key: AlarmKey, moved: Mapping[PointKey, str]) -> AlarmKey:
 
     Args:
         key: device, point and limit.
-        moved: new names of renamed points, by device and name before.
+        moved: new names of renamed points, by device and old name.
     """
     device, point, limit = key
     return device, moved.get((device, point), point), limit
@@ -85,8 +87,8 @@ class AlarmEvent:
         at: nanoseconds since 1970 UTC; the time of the sample if a sample caused the event.
         value: the point's value; None if no sample caused the event.
         by: who acknowledged the alarm; empty for other events.
-        needs_acknowledgement: whether a person has to acknowledge the alarm that was raised.
-        text: the condition in words: ``above 80 °C``.
+        needs_acknowledgement: in an event `AlarmEventKind.RAISED`, whether a person has to acknowledge the alarm.
+        text: the condition of the alarm in words: ``above 80 °C``.
     """
 
     device: str
@@ -101,7 +103,7 @@ class AlarmEvent:
 
     @property
     def key(self) -> AlarmKey:
-        """The key of the alarm that had this event: device, point and limit."""
+        """The key of the alarm that this event belongs to: device, point and limit."""
         return self.device, self.point, self.limit
 
 
@@ -114,7 +116,7 @@ class RaisedAlarm:
         state: its state, neither normal nor pending.
         since: nanoseconds since 1970 UTC at which it was raised.
         value: the value with which it was raised.
-        acknowledged_by, acknowledged_at: who acknowledged it, and when in nanoseconds; None if it is not acknowledged.
+        acknowledged_by, acknowledged_at: who acknowledged it, and when, nanoseconds since 1970 UTC; None if nobody did.
         cleared_at: when the value came back, nanoseconds since 1970 UTC; None while it has not.
     """
 
@@ -162,7 +164,7 @@ def alarm_after(alarm: RaisedAlarm | None, event: AlarmEvent) -> RaisedAlarm | N
 def alarms_after(journal: Iterable[AlarmEvent]) -> dict[AlarmKey, RaisedAlarm]:
     """Return the alarms that are active or unacknowledged after all events of a journal, by key.
 
-    They are in the order in which they were raised.
+    The dict has the order in which the alarms were raised.
     """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
     for event in journal:

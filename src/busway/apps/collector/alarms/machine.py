@@ -2,10 +2,10 @@
 
 Pure: knows a rule, values and the time as a number.
 
-1. A good or uncertain value decides. A bad sample raises and clears nothing, and does not interrupt a delay; what is
-   shown beside the alarm is its reason.
-2. The delay runs from the first value beyond the limit, and begins again after a value that is not. It is measured by
-   samples: an alarm is raised by the first one beyond the limit that is at least the delay later, in nanoseconds.
+1. A good or uncertain value decides. A bad sample raises and clears nothing, and does not interrupt a delay; its reason
+   is shown beside the alarm (`AlarmMachine.reason`).
+2. The delay runs from the first value beyond the limit, and starts anew after a value that is not beyond it. It is
+   measured by samples: the first sample beyond the limit that is at least the delay later raises the alarm.
 3. An active alarm is cleared, at once, by a value that has come back by the hysteresis.
 4. The machine reports every change as an event, and its state is what `alarm_after` makes of these events. So the
    journal of events is enough to restore the state.
@@ -24,13 +24,13 @@ class AlarmMachine:
 
     Args:
         device, point: names.
-        rule: the limit.
-        unit_of_measure: the point's unit of measure, for texts.
+        rule: the limit, with delay and hysteresis.
+        unit_of_measure: the point's unit of measure, for the texts of events.
         alarm: the alarm as it was before a restart; None if it was normal.
 
     Attributes:
         alarm: the alarm while it is active or unacknowledged, else None.
-        reason: number of the reason of the last sample, 0 for good.
+        reason: number of the reason why the last sample is not good; 0 if it is good, or before the first sample.
     """
 
     __slots__ = ("_beyond_since", "alarm", "device", "point", "reason", "rule", "unit_of_measure")
@@ -48,7 +48,10 @@ class AlarmMachine:
 
     @property
     def state(self) -> AlarmState:
-        """The state of the alarm now; `AlarmState.PENDING` while the value is beyond the limit and the delay runs."""
+        """The state of the alarm now: `AlarmState.PENDING` if it would be normal but its delay runs.
+
+        An alarm that is cleared and not acknowledged stays `AlarmState.CLEARED` while its delay runs again.
+        """
         if self.alarm is not None:
             return self.alarm.state
         return AlarmState.NORMAL if self._beyond_since is None else AlarmState.PENDING
@@ -65,11 +68,13 @@ class AlarmMachine:
     def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
         """Change the state of the alarm by a sample of its point.
 
+        A bad sample, a text or NaN changes nothing but ``reason``.
+
         Args:
             value: the point's value; None if there is none.
-            reason: number of the reason why it is not good; 0 for good.
-            at: nanoseconds since 1970 UTC of the sample.
-            now: seconds of a monotonic clock, of the same moment.
+            reason: number of the reason why the sample is not good; 0 for good.
+            at: time of the sample, nanoseconds since 1970 UTC.
+            now: the same moment in seconds of a monotonic clock; the delay is measured by it.
 
         Returns:
             The event to write into the journal; None if the alarm is neither raised nor cleared.
@@ -96,7 +101,7 @@ class AlarmMachine:
 
         Args:
             by: who acknowledges it.
-            at: nanoseconds since 1970 UTC.
+            at: time of the acknowledgement, nanoseconds since 1970 UTC.
         """
         return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
 

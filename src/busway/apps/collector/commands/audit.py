@@ -5,19 +5,19 @@ Pure: knows what happened; writes nothing. `busway.access.audit_log` keeps the l
 =================  ======================================================================================
 of a command       meaning
 =================  ======================================================================================
-``time``           when it ended, UTC
+``time``           when it ended or was refused, UTC
 ``event``          ``command``
-``by``, ``origin`` who gave it, and on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``,
+``by``, ``origin`` who gave it, and by which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``,
                    ``sparkplug``, ``fleet``
 ``key``            the name of the command
 ``device``,
-``point``          whose value
-``old``            what the point was known to be; null where that is not known
+``point``          the point to write
+``old``            the last known value of the point before; null if none was known
 ``new``            the value of the command
 ``outcome``        ``done``, ``failed``, ``unknown``, ``expired``, ``refused``
-``read_back``      what the device showed afterwards; null where it was not asked
-``reason``         why it is not done; empty where it is
-``repeated``       of refusals that the journal does not keep: how many there were from the same since the line before
+``read_back``      what the device showed afterwards; null if the point was not read back
+``reason``         why it is not done, or a remark; empty if there is nothing to say
+``repeated``       only in lines of repeated refusals that the journal does not keep: how many the line stands for
 =================  ======================================================================================
 
 =================  ======================================================================================
@@ -28,7 +28,7 @@ of a configuration meaning
 ``outcome``        ``applied`` or ``refused``
 ``revision``       of the new text: the first 16 hexadecimal digits of its SHA-256; ``before`` that of the old one
 ``difference``     lines of the difference, ``LONGEST_DIFFERENCE`` at most; ``more`` counts the others
-``done``           what changed, or all that is wrong, as sentences
+``done``           what changed, or everything that is wrong, as sentences
 =================  ======================================================================================
 """
 
@@ -49,8 +49,9 @@ def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
 
     Args:
         result: the result of the command.
-        time: when it ended, UTC.
-        repeated: how many further refusals of the same origin this line counts; 0 for none.
+        time: when it ended or was refused, UTC, as text.
+        repeated: how many refusals with the same origin, person and device the line stands for, if these were only
+            counted; 0 for a line about one command.
     """
     command = result.command
     more = {"repeated": repeated} if repeated else {}
@@ -80,10 +81,10 @@ def configuration_line(
 
     Args:
         old, new: the text of the configuration file before and after.
-        done: what changed, or all that is wrong, as sentences.
+        done: what changed, or everything that is wrong, as sentences.
         is_applied: whether the new text was applied; else it was refused.
         by, origin: who changed it, and how: ``api``, ``signal``, ``program`` or ``fleet``.
-        time: when, UTC.
+        time: when, UTC, as text.
     """
     lines = [
         each.rstrip("\n")[:_LONGEST_LINE]

@@ -11,7 +11,7 @@ from .command import CommandResult
 
 
 class KeysUnavailable(ModbusError):
-    """Error: it cannot be known now whether a command's key was used before. Nothing was sent."""
+    """Error: it is unknown whether a command's key was used before, and cannot be found out now. Nothing was sent."""
 
 
 class KeyClaims(Protocol):
@@ -33,10 +33,10 @@ class KeyClaims(Protocol):
         """
 
     def known(self, result: CommandResult) -> CommandResult | None:
-        """Return what `claim` would return for a key that this collector knows to be taken; else None. Takes no key."""
+        """Return the result of the first command with this key if this collector knows it; else None. Takes no key."""
 
     async def finish(self, result: CommandResult) -> None:
         """Record the result of a command whose key was taken.
 
-        If that fails, the other collectors take the command as unknown.
+        Raises nothing. If recording fails, other collectors see the command as ``unknown``.
         """

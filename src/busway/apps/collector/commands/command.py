@@ -2,10 +2,10 @@
 
 Pure: knows no device, no file and no clock.
 
-1. A key names a command for ever. Keys that are made here begin with `MADE`; those of callers must not.
+1. A key names a command for ever. Keys that the collector makes begin with `MADE`; keys of callers must not.
 2. Times are seconds since 1970 UTC.
-3. What a caller gives has limits: lengths of texts, items of a list, how far away the expiry is. Texts can be written
-   as UTF-8, or else no journal and no answer could hold them; who gives a command has a name that can be seen.
+3. What a caller gives has limits: lengths of texts and lists, and how far away the expiry is. Texts must be possible in
+   UTF-8, because journal and answers hold them; the name of the giver has only printable characters.
 """
 
 import json
@@ -22,19 +22,19 @@ from ....values.refusal import shown
 from ..samples import Value
 
 MADE: Final = "busway-"
-"""The beginning of keys that are made here."""
+"""Prefix of the keys that the collector makes itself; a key of a caller must not have it."""
 USUAL_SECONDS: Final = 30.0
-"""Seconds in which a command is sent where it does not say until when."""
+"""Seconds within which a command without an expiry may be sent."""
 LONGEST_VALUE: Final = 2000
-"""Characters of a value, as JSON."""
+"""Most characters of a text, and most items of a list, in the value of a command."""
 
 CommandValue = Value | list[Value]
-"""What is written: a state, a number, a text, the name of a number; a list of names of flags, or of numbers."""
+"""Value of a command: a state, a number, a text or the name of a number; or a list of numbers or of names of flags."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9._:@-]{1,100}")
 _PRINTABLE: Final = re.compile(r"[^\x00-\x1f\x7f\ud800-\udfff]{1,200}")
 _HALF_PAIR: Final = re.compile(r"[\ud800-\udfff]")
-"""Halves of surrogate pairs, which JSON can have: they are no characters, and no answer could hold them."""
+"""Matches half of a surrogate pair: JSON can have it, but it is no character, and no answer could hold it."""
 
 
 class CommandState(StrEnum):
@@ -53,7 +53,7 @@ class OldValue:
     """The last known value of a point before a command wrote it.
 
     Attributes:
-        value: the value; None where it is not known.
+        value: the value; None if the last sample had none.
         quality: ``good``, ``uncertain`` or ``bad``.
         time: when it was read, seconds since 1970 UTC.
     """
@@ -68,15 +68,15 @@ class PointCommand:
     """A request of a person or program to write a value to a point of a collector.
 
     Attributes:
-        key: names the command; it is sent at most once.
+        key: names the command for ever; a command with this key is sent at most once.
         device, point: the point to write.
         value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
         by: name of the person or program that gives it.
-        origin: on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``, ``fleet``.
+        origin: by which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``, ``fleet``.
         expires: until when it may be sent, seconds since 1970 UTC.
 
     Raises:
-        InvalidRequest: one of these is out of its limits.
+        InvalidRequest: an attribute has the wrong type or is out of its limits.
     """
 
     key: str
@@ -102,12 +102,12 @@ class PointCommand:
         _check_value(self.value)
 
     def is_same(self, other: "PointCommand") -> bool:
-        """Whether another command writes the same value to the same point; who gave it does not matter."""
+        """Whether another command writes the same value to the same point; key, giver and expiry do not matter."""
         return (self.device, self.point) == (other.device, other.point) and same_value(self.value, other.value)
 
 
 def is_key(key: object) -> bool:
-    """Whether a key can be that of a command."""
+    """Whether an object is a valid key of a command: a text of 1…100 letters, digits or ``. _ : @ -``."""
     return isinstance(key, str) and _KEY.fullmatch(key) is not None
 
 
@@ -129,7 +129,7 @@ def _check_value(value: object) -> None:
 
 
 def same_value(one: CommandValue, other: CommandValue) -> bool:
-    """Whether two values of a point are equal. A state and a number never are; an integer and a float may be."""
+    """Whether two values of a point are equal. A state never equals a number; an integer can equal a float (1, 1.0)."""
     if isinstance(one, list) and isinstance(other, list):
         return len(one) == len(other) and all(same_value(*pair) for pair in zip(one, other, strict=True))
     return isinstance(one, bool) is isinstance(other, bool) and one == other
@@ -138,7 +138,7 @@ def same_value(one: CommandValue, other: CommandValue) -> bool:
 def new_key(now: float) -> str:
     """Return a new, unique key for a command.
 
-    It has the time, so that keys sort by it, and 96 random bits.
+    It contains ``now``, so that keys sort by time, and 96 random bits.
 
     Args:
         now: seconds since 1970 UTC.
@@ -153,10 +153,10 @@ class CommandResult:
     Attributes:
         command: the command.
         state: what became of it; `CommandState.OPEN` while it is not finished.
-        at: when it was accepted, seconds since 1970 UTC.
-        old: the last known value before; None if none was known.
+        at: when the collector got the command, seconds since 1970 UTC.
+        old: the point's last known value before the command; None if none was known.
         read_back: the value read back afterwards, if the point's rule asks for that; else None.
-        reason: why it is not done, as a sentence; empty if it is done without a remark.
+        reason: why the command is not done, or a remark about one that is done, as a sentence; else empty.
     """
 
     command: PointCommand
@@ -168,7 +168,7 @@ class CommandResult:
 
     @property
     def is_done(self) -> bool:
-        """Whether the value was written to the point, and read back if the point's rule requires that."""
+        """Whether the device has accepted the value, and shows it if the point's rule asks to read it back."""
         return self.state is CommandState.DONE
 
     def finished(
@@ -183,14 +183,17 @@ class CommandResult:
 
         Args:
             state: the final state.
-            reason: why the command is not done, as a sentence.
-            read_back: the value that was read back afterwards.
-            old: the value before; None to keep the present one.
+            reason: why the command is not done, or a remark, as a sentence; empty for none.
+            read_back: the value that was read back afterwards; None if none was.
+            old: the point's value before the command; None to keep the one that this result has.
         """
         return replace(self, state=state, reason=reason, read_back=read_back, old=old or self.old)
 
     def content(self) -> dict[str, Any]:  # JSON
-        """Return the result of the command as JSON data, for responses and lists."""
+        """Return the result of the command as JSON data, for responses and lists.
+
+        ``old`` is the old value without its quality and time; an empty reason is null. The expiry is left out.
+        """
         command = self.command
         return {
             "key": command.key,

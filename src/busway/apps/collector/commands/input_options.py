@@ -3,7 +3,7 @@
 Knows sections; connects to nothing.
 
 1. Off unless the section has ``commands``. It names the points that may be written, and where their commands come from.
-2. Commands come on topics of their own: one on which samples are sent, or answers, is refused.
+2. Commands come on topics of their own: a topic on which samples are sent is refused.
 """
 
 from ....config.files.sinks import (
@@ -24,13 +24,15 @@ def make_input(section: SinkSection, sink: object = None) -> CommandInput | None
 
     Args:
         section: the table of the sink.
-        sink: the sink itself. Commands by Sparkplug come over its connection: the receiver is set as its ``commands``.
+        sink: the sink of this table. Commands by Sparkplug come over its connection: its attribute ``commands`` is set
+            to the receiver. Other kinds of sinks are not used.
 
     Returns:
         The receiver; None if the table has no key ``commands``.
 
     Raises:
-        ConfigError: a topic or subject of commands cannot be used, or other values exclude each other; names the key.
+        ConfigError: the topic or subject of commands, the URL, a certificate, a password or a token cannot be used;
+            names the key or the file.
         MissingExtra: a package that the receiver needs is not installed.
     """
     if isinstance(section, MqttSinkSection) and section.commands is not None:

@@ -1,20 +1,20 @@
-"""Commands that arrive as messages by MQTT or NATS: which points they may write, how they are read and answered.
+"""Commands that arrive as messages (MQTT, NATS, Sparkplug): which points they may write, how they are answered.
 
 Knows messages and the runner of commands; knows no broker.
 
 1. Nothing is taken unless the file names where commands come from, the points that they may write, and their role.
    Brokers do not say who sends, so all messages of one server have the same role; `rights` decides what that permits.
-2. A message is JSON: the value alone, or ``{"value": 21.5, "key": "…", "expires": 1800000000, "by": "…"}``. What is no
-   JSON is a text: a name of a number. One that does not say until when it may be sent is sent within ``seconds``. With
+2. A message is JSON: the value alone, or ``{"value": 21.5, "key": "…", "expires": 1800000000, "by": "…"}``. A message
+   that is not JSON is a text: the name of a number. Without ``expires`` a command may be sent within ``seconds``. With
    ``"arm": true`` it is checked and armed, and sent by ``{"confirm": "KEY"}`` on the same topic within a minute.
 3. A retained message is refused: a broker would hand it on again at every connection.
-4. A name as one level of a topic stands for one point; where it stands for two of the plant, neither is written, also
-   where the file names only one of them.
-5. In a fleet the owner of a link executes its commands. A server that can gives each message to one collector, which
-   passes it on to the owner; where messages go to all collectors, the owner alone answers. A link without an owner is
-   answered with one error. Where messages go to all, one may reach a collector late: the owner before it has executed
-   it already. So a command without a key is refused for `SETTLED` seconds after a link came here.
-6. The time of a message counts from its arrival, also while it waits for others.
+4. The topic of a command must stand for one point. Some characters of names are replaced in topics, so one topic can
+   stand for two points of the plant; then neither is written, even if the file permits only one of them.
+5. In a fleet the owner of a link executes the commands for its devices. If the server gives each message to only one
+   collector, that one passes it on to the owner. If messages go to all collectors, only the owner answers; for a link
+   without an owner one collector answers with an error. A message to all may reach a new owner late, when the owner
+   before has executed it already: so a command without a key is refused for `SETTLED` seconds after a link came here.
+6. The seconds in which a command may be sent count from the arrival of its message, also while it waits for others.
 """
 
 import json
@@ -37,11 +37,11 @@ from .rights import WriterRights
 from .runner import CommandRunner
 
 LONGEST_REQUEST: Final = 16_384
-"""Bytes of a message."""
+"""Most bytes of a message with a command."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
 SETTLED: Final = 30.0
-"""Seconds after which no message is still on its way that an earlier owner of the link has executed."""
+"""Seconds after a change of a link's owner in which a message may arrive that the earlier owner has executed."""
 _LONGEST_NAME: Final = 100
 _KNOWN: Final = frozenset({"value", "key", "expires", "by"})
 _TWO_STEPS: Final = ({"value", "arm", "by"}, {"confirm", "by"})
@@ -56,9 +56,9 @@ class InputRights:
 
     Attributes:
         where: topic or subject of commands, with ``{device}`` and ``{point}`` as levels of their own.
-        points: patterns ``device/point`` of what may be written.
-        seconds: seconds within which a command without an expiry may be sent.
-        role: the role of all these commands.
+        points: patterns ``device/point`` of the points that may be written.
+        seconds: seconds from its arrival within which a command without an expiry may be sent.
+        role: the role of all commands from this server: ``view``, ``operate`` or ``configure``.
     """
 
     where: str
@@ -82,10 +82,10 @@ class InputMessage:
     Attributes:
         where: its topic or subject.
         payload: its content.
-        by: name of the sender, as the message says itself; empty if it does not say.
-        seconds_left: seconds until it expires; None if it does not expire.
+        by: name of the sender, as a header or property of the message says; empty if none says.
+        seconds_left: seconds from its arrival until it expires; None if the broker sets no limit.
         is_retained: whether a broker keeps it for later subscribers.
-        arrived: when it came, seconds of the monotonic clock; None for now.
+        arrived: when it arrived, seconds of the monotonic clock; None for now.
     """
 
     where: str
@@ -98,10 +98,10 @@ class InputMessage:
 
 @dataclass(frozen=True, slots=True)
 class InputStatus:
-    """The status of one server that commands come from.
+    """The status of one server that commands come from, such as an MQTT broker.
 
     Attributes:
-        name: the name of the sink that it belongs to.
+        name: the name of the sink whose table asks for its commands.
         taken: number of messages received since the start.
         refused: number of them that were refused before a command was given to the runner, or that could not be armed
             or confirmed. What the runner refuses with a result is not counted.
@@ -140,7 +140,7 @@ class CommandInput(Protocol):
     Attributes:
         kind: the protocol, as the origin of its commands: ``mqtt``, ``nats`` or ``sparkplug``.
         rights: the points that its commands may write.
-        separator: separates the levels of topics or subjects.
+        separator: the character between two levels of a topic or subject.
     """
 
     kind: str
@@ -148,7 +148,7 @@ class CommandInput(Protocol):
     separator: str
 
     def level(self, name: str) -> str:
-        """Return a device or point name as one level of a topic or subject, with other characters replaced."""
+        """Return a device or point name as one level of a topic or subject; forbidden characters are replaced."""
 
     def join(self, group: str, member: str) -> bool:
         """Receive as one of the collectors of a fleet; called before `run`.
@@ -158,7 +158,7 @@ class CommandInput(Protocol):
             member: the name of this collector.
 
         Returns:
-            Whether each message goes to one collector only.
+            True if the server gives each message to one collector only; False if every collector gets it.
         """
 
     async def run(self, receiver: "CommandReceiver") -> None:
@@ -171,11 +171,11 @@ class CommandInput(Protocol):
 class CommandReceiver:
     """Turns the messages from one server into commands, has them executed, and returns the answers.
 
-    In a fleet it joins the group of the collectors when it is made (`CommandInput.join`).
+    In a fleet, creating it makes ``made`` join the group of the collectors (`CommandInput.join`).
 
     Args:
-        name: the name of the sink that the server belongs to.
-        made: receives the messages.
+        name: the name of the sink whose table asks for the commands; it begins the name of their giver.
+        made: receives the messages from the server.
         runner: executes the commands.
         configuration: returns the present configuration.
         plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this collector
@@ -229,11 +229,11 @@ class CommandReceiver:
         self._error = error
 
     def is_for_commands(self, where: str) -> bool:
-        """Whether commands arrive on a topic or subject, so that it must not be used for answers."""
+        """Whether a topic or subject can be one on which commands arrive; no answer must be sent there."""
         return overlap(self._input.rights.where, where, self._input.separator)
 
     def drop(self, where: str) -> None:
-        """Count and log a message that was not read because too many wait, as received and refused.
+        """Count a message that was dropped, because too many wait, as received and refused, and log it.
 
         Args:
             where: its topic or subject.
@@ -248,8 +248,9 @@ class CommandReceiver:
             message: the message.
 
         Returns:
-            The answer as JSON: the result of the command, or why it is refused. None if this collector does not answer:
-                the device is not its own, or another collector of the fleet answers.
+            The answer as JSON: the result of the command, or why it is refused; for an armed command its key, its
+                expiry and the question to confirm. None if this collector does not answer: the device is not its own,
+                or another collector of the fleet answers.
         """
         self._taken += 1
         device = None
@@ -313,9 +314,12 @@ class CommandReceiver:
 
         Args:
             where: topic or subject of the message.
-            given: the keys of the message.
-            command: the command, for its device, point, sender and time.
+            given: the keys and values of the message, with ``arm`` or ``confirm``.
+            command: the command; for ``confirm`` only its device, point, sender and expiry are used.
             rights: what messages from this server may do.
+
+        Returns:
+            The answer as JSON; an error of arming or confirming is a refusal in it, and not raised.
         """
         runner, left = self._runner, command.expires - self._now()
         try:
@@ -370,7 +374,7 @@ class CommandReceiver:
         """Return the device and the point that a topic or subject stands for.
 
         Raises:
-            InvalidRequest: it stands for no point that may be written from there, or for several.
+            InvalidRequest: the topic stands for no point that commands from this server may write, or for several.
         """
         plant = self._plant()
         if self._places is None or self._places[0] is not plant:
@@ -402,11 +406,12 @@ class CommandReceiver:
 
 
 def parsed(payload: bytes) -> dict[str, Any]:
-    """Parse a message with a command: JSON, or a plain text as the value.
+    """Parse the payload of a message with a command: JSON, or a plain text as the value.
 
     Returns:
-        The keys of the message: ``value``, perhaps with ``key``, ``expires`` and ``by``. For a command in two steps
-        ``value`` and ``arm``, or ``confirm`` without ``value``, perhaps with ``by``.
+        A dict with the key ``value``, and ``key``, ``expires`` and ``by`` if the message has them. For a command in two
+        steps it has ``value`` and ``arm``, or ``confirm`` without ``value``, and ``by`` if the message has it. Types of
+        values are not checked.
 
     Raises:
         InvalidRequest: the message is too long or cannot be parsed, or a key is unknown or missing.

@@ -3,12 +3,13 @@
 Knows commands and results; knows no device and no clock.
 
 1. A command is recorded, durably, before anything is sent (``synchronous=FULL``: each transaction ends with an fsync),
-   and its result before it is told.
-2. What is found open when the journal is opened was cut off by the end of a process: it may have been sent. It ends as
-   unknown, and is not sent again.
-3. `MOST_KEPT` results are kept, the newest, and none for longer than samples. Of older ones that had a key of their
-   caller the key alone is remembered, as 16 bytes, `MOST_KEYS` at most; beyond that, commands with keys of callers are
-   refused, and never sent twice. What is no longer kept goes when further commands come, and is told in the log.
+   and its result before the caller gets it.
+2. A command that is open when the collector starts was cut off by the end of an earlier process: it may have been sent.
+   It ends as unknown, and is not sent again.
+3. The newest `MOST_KEPT` results are kept, and none for longer than samples. Of an older result whose key was given by
+   a caller, only the key is remembered, as 16 bytes. If `MOST_KEYS` of these are remembered, further commands with
+   keys of callers are refused, so that none is sent twice. Old results are deleted, and the log says so, when further
+   commands are recorded.
 4. The lock of the store makes this process the only one that writes here.
 """
 
@@ -32,7 +33,7 @@ MOST_KEYS: Final = 10_000_000
 CUT_OFF: Final = "the collector ended before the answer was recorded: it may have been written, and is not sent again"
 
 _AGED_AT_ONCE: Final = 100
-"""Results that are deleted for their age with one further command, at most."""
+"""Most results that are deleted for their age when one further command is recorded."""
 _log = logging.getLogger("busway.collector")
 
 _SCHEMA: Final = """
@@ -51,9 +52,9 @@ class CommandJournal:
 
     Args:
         folder: the folder of the store, whose lock this process holds.
-        most: number of results that are kept.
-        most_keys: number of keys given by callers that are remembered beyond these results.
-        keep: seconds for which results are kept; None for ever.
+        most: most results that are kept.
+        most_keys: most keys given by callers that are remembered without their results.
+        keep: seconds for which results are kept; None for ever. The attribute ``keep`` can be set later.
 
     Raises:
         ConfigError: the file cannot be opened; names it.
@@ -87,7 +88,7 @@ class CommandJournal:
     def end_cut_off(self) -> list[CommandResult]:
         """Record commands that an earlier process left open as unknown, and return their results; for the start.
 
-        A command that was being sent when the process ended may have been executed (rule 2). Call this once.
+        Such a command may have been executed before that process ended (rule 2). Call this once, before other methods.
 
         Raises:
             OSError: the file cannot be read or written.
@@ -103,14 +104,14 @@ class CommandJournal:
     def take(self, result: CommandResult) -> CommandResult | None:
         """Record a command under its key, durably. If the key was used before, record nothing.
 
-        Results beyond the limits of the journal are deleted with it (rule 3).
+        In the same transaction, results beyond the limits of the journal are deleted (rule 3).
 
         Args:
             result: open for a command that will be sent, or finished for one that will not.
 
         Returns:
-            None if the command is recorded now. Else the result of the first command with this key, or a refusal if
-            that is no longer kept.
+            None if the command is recorded now. Else the result of the first command with this key, which may still be
+            open; or a refusal if that result is no longer kept.
 
         Raises:
             Overloaded: no further keys of callers can be remembered (rule 3); nothing is recorded.
@@ -208,9 +209,9 @@ class CommandJournal:
         self._drop_old(result.at)
 
     def _drop_old(self, now: float) -> None:
-        """Delete results that are too old, `_AGED_AT_ONCE` at most, or the oldest tenth of too many.
+        """Delete the oldest tenth of the results if there are too many, and up to `_AGED_AT_ONCE` that are too old.
 
-        Keys of callers are remembered. Open commands are not deleted.
+        Keys of callers are remembered. Open commands are not deleted. Call in a transaction.
 
         Args:
             now: seconds since 1970 UTC.

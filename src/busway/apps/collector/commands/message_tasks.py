@@ -2,10 +2,11 @@
 
 Knows tasks; knows no message and no broker.
 
-1. At most `MOST_AT_ONCE` messages are handled at once, and `MOST_WAITING` wait, in the order of their coming; further
-   ones are dropped. None waits in the library of a broker, where it would have no time of its arrival.
-2. Leaving ends every task and awaits it. Each that did not have to wait has begun by then, so that its command has been
-   taken, is done by the runner, recorded and audited; what is lost is the answer.
+1. At most `MOST_AT_ONCE` messages are handled at once, and at most `MOST_WAITING` wait, in the order of their arrival;
+   further ones are dropped. None waits in the library of a broker, where the time of its arrival would be unknown.
+2. Leaving the ``async with`` block cancels every task and awaits it. A task that did not have to wait has begun by
+   then: the runner has taken its command, executes it, and records it in journal and audit log. Only the answer is
+   lost.
 """
 
 import asyncio
@@ -15,9 +16,9 @@ from types import TracebackType
 from typing import Final, Self
 
 MOST_AT_ONCE: Final = 32
-"""Messages of one connection that are handled at once."""
+"""Most messages of one connection that are handled at once."""
 MOST_WAITING: Final = 4 * MOST_AT_ONCE
-"""Messages of one connection that wait for that."""
+"""Most messages of one connection that wait to be handled."""
 
 _log = logging.getLogger("busway.collector.commands")
 

@@ -2,7 +2,7 @@
 
 Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 
-1. The session is clean: a broker keeps no command for the time in which this collector is away.
+1. The session is clean: a broker keeps no commands while this collector is not connected.
 2. The answer goes to the response topic of the message, with its correlation data; without one, to the topic of the
    command with ``/result`` behind it. No answer goes to a topic of commands.
 3. Collectors of a fleet share their subscription: the broker gives each message to one of them. It is one of QoS 0,
@@ -79,7 +79,7 @@ class MqttCommands:
             member: the name of this collector, which is added to the client identifier.
 
         Returns:
-            Whether the subscription is shared, so that each message goes to one collector only.
+            True if the subscription is shared, so that each message goes to one collector only: ``group`` is not empty.
         """
         self._group = group
         if self._address["identifier"] is not None:  # a broker ends a connection when another one has its name

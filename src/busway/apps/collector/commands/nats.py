@@ -2,8 +2,8 @@
 
 Knows subjects and headers; the protocol is nats-py's (``busway[nats]``). The header ``by`` says who sends.
 
-1. Plain subscription: nothing is kept for the time in which this collector is away.
-2. A request gets its answer; a message without a reply subject is done and not answered.
+1. Plain subscription: the server keeps no commands while this collector is not connected.
+2. The answer goes to the reply subject of the message; the command of a message without one is executed, not answered.
 3. Collectors of a fleet are a queue group: the server gives each message to one of them.
 """
 
@@ -75,7 +75,7 @@ class NatsCommands:
             member: the name of this collector.
 
         Returns:
-            Whether there is a group, so that each message goes to one collector only.
+            True if there is a group, so that each message goes to one collector only: ``group`` is not empty.
         """
         self._group = group
         return bool(group)
@@ -121,7 +121,7 @@ class NatsCommands:
     async def _note(self, error: Exception) -> None:
         """Remember the text of an error, to be shown as the cause when connecting fails or the connection ends.
 
-        Called by the NATS library (``error_cb``): the error that its `connect` raises does not tell the cause.
+        Called by the NATS library (``error_cb``), because the error that its `connect` raises does not name the cause.
         """
         self._cause = self._words(error)
 

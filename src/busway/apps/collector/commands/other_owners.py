@@ -14,20 +14,22 @@ class OtherOwners(Protocol):
     member: str
     """The name of this collector."""
     group: str
-    """The name under which the collectors share messages, so that each goes to one of them; empty where messages go to
-    all, because no command can be passed on."""
+    """The name under which the collectors share messages, so that each message goes to one of them. Empty if every
+    collector gets every message, because commands cannot be passed on."""
 
     def owned_since(self, device: str) -> float | None:
-        """Return since when this collector polls the link of a device, in seconds of the monotonic clock; else None.
+        """Return since when this collector owns the link of a device; None if it does not own it now.
 
-        It executes the commands for devices of links that it polls.
+        The time is in seconds of the monotonic clock. A collector polls the links that it owns, and executes the
+        commands for their devices.
         """
 
     async def answers(self, device: str | None) -> bool:
         """Return whether this collector answers a message for a device, where each message goes to all collectors.
 
-        The owner of the device's link answers; for a link without an owner, or a message without a device, one of the
-        others. If a link seems to have no owner, ownership is looked up again after a pause.
+        The owner of the device's link answers. For a link without an owner, and for a message without a device, one
+        collector answers, the same in the view of all. If a link seems to have no owner, ownership is looked up again
+        after a pause.
 
         Args:
             device: name of the device; None for a message that names none.
@@ -36,9 +38,10 @@ class OtherOwners(Protocol):
     async def pass_on(self, command: PointCommand, role: str) -> dict[str, Any]:
         """Have the owner of the device's link execute a command, and return its answer, as JSON data.
 
-        Nothing is raised: an error is told in the answer.
+        Raises nothing: an error is part of the answer, as a refusal with its reason.
 
         Args:
             command: the command.
-            role: the role of its writer. The owner decides by its own configuration, which may be a newer one.
+            role: the role of its writer. The owner decides what the role permits by its own configuration, which may be
+                newer than that of this collector.
         """

@@ -2,8 +2,9 @@
 
 Pure: knows points, rules and requests; knows no link.
 
-1. A block that is read whole or not at all is read whole; the point's part is cut out of the reply.
-2. What no read may touch is not read.
+1. If the point is in a block that must be read as a whole, the block is read, and the point's part is cut out of the
+   reply.
+2. A point in a range that no read may include is not read.
 """
 
 from dataclasses import dataclass
@@ -27,7 +28,7 @@ _READS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class PointRead:
-    """How one point is read alone: the request, and where the point is in the reply.
+    """The read of one point alone: its request, and where the point is in the reply.
 
     Attributes:
         point: the point.
@@ -43,10 +44,10 @@ class PointRead:
         return _READS[self.point.table](self.span.start, self.span.width)
 
     def own(self, data: bytes) -> bytes:
-        """Return the point's own part of the data of a reply: its registers, or for a bit one byte, 0 or 1.
+        """Return the point's own part of a reply's data: the bytes of its registers, or for a bit one byte, 0 or 1.
 
         Raises:
-            InvalidRequest: the reply has another number of bytes than was asked for.
+            InvalidRequest: the reply has not the number of bytes that the request asked for.
         """
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
@@ -65,7 +66,7 @@ def point_read(point: Point, rules: ReadRules) -> PointRead:
         rules: the limits for reading its device.
 
     Raises:
-        InvalidRequest: no read may touch the point's items, or they do not exist; nothing was sent.
+        InvalidRequest: the point is in a range that no read may include, or beyond the last address. Nothing was sent.
     """
     span = ItemRange(point.start, point.end)
     for block in rules.exact.get(point.table, ()):

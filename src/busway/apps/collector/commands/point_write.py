@@ -2,12 +2,12 @@
 
 Pure: knows points, requests and replies; knows no link and no clock.
 
-1. A value is judged whole before anything is sent: writable, type, scale, names, minimum, maximum, step. Nothing is
+1. All checks of a value come before anything is sent: writable, type, scale, names, minimum, maximum, step. Nothing is
    rounded, and no text is taken for a number.
-2. A point that is only some bits of a register is written into what the register holds, read just before; with
-   function 22 the device does that itself.
-3. Only a reply says that a write was executed. An exception says that it was not; every other end is unknown, unless
-   nothing was sent.
+2. If a point is only some bits of a register, the register is read just before, so that its other bits keep their
+   values; with function 22 the device itself keeps them.
+3. Only a reply proves that a write was executed. An exception proves that it was not, apart from codes 05 and 0B (see
+   `judged`). In every other case the outcome is unknown, unless nothing was sent.
 """
 
 from collections.abc import Mapping
@@ -54,10 +54,11 @@ class PointWrite:
 
     Attributes:
         point: the point.
-        value: the value.
+        value: the value to write.
         exponents: the values of the points named in ``scale_from``, by name.
-        function: the function code that writes it.
-        before: the read that comes first, because the point is a part of its register; None if none is needed.
+        function: the function code of the write: 5, 6, 15, 16 or 22.
+        before: the read that must come first, because the point is only some bits of its register; None if none is
+            needed.
         shown: the read of the place where the device shows the written value; None if the point's rule asks for no
             check.
     """
@@ -73,10 +74,10 @@ class PointWrite:
         """Return the request that writes the value.
 
         Args:
-            held: what the register holds, if ``before`` was read; else empty.
+            held: the register's bytes as ``before`` read them; empty if nothing had to be read.
 
         Raises:
-            InvalidRequest: the value does not fit.
+            InvalidRequest: the value cannot be encoded as the point's type.
         """
         point = self.point
         data = self._encoded(held)
@@ -97,19 +98,19 @@ class PointWrite:
         return self.point.encode(self.value, held, exponent)
 
     def held_value(self, held: bytes) -> CommandValue | None:
-        """Return the point's value as ``held``, the bytes of its registers, have it; None for no value."""
+        """Decode the bytes ``held`` of the point's registers and return the value; None if they hold no value."""
         return plain(decode_point(self.point, held, self.exponents).value)
 
     # Confirming.
 
     def shows(self, data: bytes) -> tuple[bool, Reading]:
-        """Compare what was read back with the written value.
+        """Compare data that was read back with the written value. Only if ``shown`` is not None.
 
         Args:
-            data: the bytes of the registers, or of the bit, of the place ``shown``.
+            data: the bytes that the read ``shown`` returned for its point (`PointRead.own`).
 
         Returns:
-            Whether they are the written value; and the value that they are, with its quality.
+            Whether the data are the written value; and the value that was decoded from them, with its quality.
         """
         assert self.shown is not None
         place = self.shown.point
@@ -119,7 +120,7 @@ class PointWrite:
         return found.value is not None and expected == found.value, found
 
     def reading(self) -> Reading:
-        """Return the value, with its quality, that the point will have after the write, as a read would decode it."""
+        """Return the value, with its quality, that a read of the point would decode after the write."""
         return decode_point(self.point, self._encoded(b""), self.exponents)
 
 
@@ -135,7 +136,8 @@ def point_write(
         rules: the limits for reading the device; None for no limits.
 
     Raises:
-        InvalidRequest: the value is against the rule of the point, or the point is only read. Nothing was sent.
+        InvalidRequest: the point is read-only, the value is against its rule or type, its scale (``scale_from``) was
+            not read yet, or a read before or after the write is not allowed. Nothing was sent.
     """
     rule = point.writing
     if rule is None or point.formula:
@@ -159,7 +161,10 @@ def point_write(
 
 
 def _check_number(made: PointWrite) -> None:
-    """Raise `InvalidRequest` for a number outside the limits of the point's rule, or one that means "no value"."""
+    """Raise `InvalidRequest` for a number outside the limits of the point's rule, or one that means "no value".
+
+    Values of switches and of points that are no numbers are not checked.
+    """
     point, conversion, rule = made.point, made.point.conversion, made.point.writing
     assert rule is not None
     if rule.on is not None or not point.is_number:
@@ -194,7 +199,7 @@ def _function_of(point: Point) -> int:
 
 
 def plain(value: Any) -> CommandValue | None:  # what the point's type says
-    """Return a decoded value of a point as commands record it: a list for a tuple, every other value as it is."""
+    """Return a decoded value of a point as commands record it: a tuple becomes a list, other values stay unchanged."""
     return list(value) if isinstance(value, tuple) else value
 
 
@@ -222,16 +227,16 @@ def _own_bits(over_zeros: bytes, over_ones: bytes) -> int:
 
 
 def judged(outcome: object) -> tuple[CommandState, str]:
-    """Return the state and the reason of a command, from the answer to its write.
+    """Return the state of a command and the reason for it, from the outcome of its write.
 
-    `CommandState.DONE` if the device has accepted the write, `CommandState.FAILED` if the write was refused or not
-    sent, `CommandState.UNKNOWN` if it may have been executed.
+    The state is `CommandState.DONE` if the device has accepted the write (also with exception 05, acknowledge),
+    `CommandState.FAILED` if the write was refused or not sent, `CommandState.UNKNOWN` if it may have been executed.
 
     Args:
-        outcome: the reply, or the error that came instead of one.
+        outcome: the reply, or the error in place of one.
 
     Returns:
-        The state; and why the command is not done, or a remark; empty if there is nothing to say.
+        The state; and a sentence, why the command is not done or a remark, empty if there is nothing to say.
     """
     if not isinstance(outcome, ModbusError):
         return CommandState.DONE, ""
@@ -247,7 +252,10 @@ def judged(outcome: object) -> tuple[CommandState, str]:
 
 
 def was_not_sent(error: ModbusError) -> bool:
-    """Whether an error says that no byte of a write was sent, so that it was certainly not executed."""
+    """Whether an error proves that no byte of a write was sent, so that it was certainly not executed.
+
+    True for `NoReply`: a write that was sent and not answered ends with `WriteOutcomeUnknown` instead.
+    """
     if isinstance(error, LinkDown):
         return not error.sent
     if isinstance(error, BadReply):

@@ -2,10 +2,11 @@
 
 Pure: knows the rule of a point and a role; knows no caller, no message and no clock.
 
-1. Every way to write has a role: a caller of the page and the API its own, messages from a broker or server that of
-   their ``commands``, a program and a request to a fleet `configure`, because they could change the file as well.
-2. A point asks for `operate`, or by its rule for `configure`.
-3. A point whose rule says so is written only by a command that was armed and then confirmed by the same writer.
+1. Every way to write has a role. A caller of the page or the API has a role of its own; messages from a broker or
+   server have the role in their table ``commands``; a program and a request to a fleet have `configure`, because they
+   could change the configuration as well.
+2. Writing a point needs the role `operate`, or `configure` if the point's rule says so.
+3. If its rule says so, a point is written only by a command that was armed and then confirmed by the same writer.
 """
 
 from dataclasses import dataclass
@@ -21,15 +22,19 @@ class WriterRights:
     """What the writer of a command may do.
 
     Attributes:
-        role: ``view``, ``operate`` or ``configure``; each includes those before it.
-        has_armed: whether the command was armed and is confirmed now.
+        role: ``view``, ``operate`` or ``configure``; each includes the rights of those before it.
+        has_armed: whether the command was armed and has been confirmed.
     """
 
     role: str = "configure"
     has_armed: bool = False
 
     def refusal(self, rule: WriteRule | None) -> str:
-        """Return why a point with this rule may not be written, as a sentence; empty if it may."""
+        """Return why the writer may not write a point, as the end of a sentence; empty if the writer may.
+
+        Args:
+            rule: the point's rule for writing; None for a point without one, for which the role ``operate`` is enough.
+        """
         needed = "operate" if rule is None else rule.role
         if _RANKS[self.role] < _RANKS[needed]:
             return f"needs the role {needed}, and the writer has {self.role}; nothing was sent"

@@ -2,20 +2,20 @@
 
 Knows the journal, the audit log and the pollers of links; decides by `point_write`. Runs in one event loop.
 
-1. A key is sent at most once, ever. The first command with a key takes it; it is recorded before the wire (`journal`),
-   in a fleet for all collectors (`claims`). The same command again gives the result of the first; another one with its
-   key is refused.
-2. What is against a rule, or too late, is refused before any byte, and recorded as such. What finds too many commands
-   open, a link that is begun anew, or a log or journal that cannot be written, is refused without a record: it may be
-   asked again. Its key is looked up before: a command that was sent is never said to be refused.
-   Who may write, and what, is judged when a command is taken and again in its turn: another file may hold by then.
-3. One command of a device runs at a time, in the order of their coming. It is sent in a turn of the poller, before
-   reads, and never repeated, whatever the options of the link say. Its time is over when the wall clock or the
-   monotonic clock says so: a clock that is set makes it shorter, never longer.
-4. The end of a command is in the audit log before it is in the journal, and in the journal before it is told. A
-   command goes on when its caller has stopped waiting. It ends with its link at the latest.
-5. `CommandState.DONE` means: answered by the device, and shown by it where the rule asks for that. A device may need
-   some time to show a value, so it is asked at `SHOWN_AFTER`.
+1. A command with a key is sent at most once, ever. The first command with a key takes it; the key is recorded before
+   anything is sent (`journal`), in a fleet for all collectors (`claims`). If the same command comes again, it gets the
+   result of the first; another command with the same key is refused.
+2. A command that is against a rule, or too late, is refused before any byte is sent, and its refusal is recorded. If
+   too many commands are open, the link is begun anew, or audit log or journal cannot be written, it is refused without
+   a record, so that it can be given again. Its key is looked up before: a command that was sent never appears refused.
+   Rights and value are checked when a command is taken and again in its turn: the configuration may have changed.
+3. One command of a device runs at a time, in the order in which they came. It is sent in a turn of the poller, before
+   reads, and never repeated, whatever the options of the link are. Its time is over as soon as the wall clock or the
+   monotonic clock says so: setting the clock can shorten the time, never lengthen it.
+4. The result of a command is in the audit log before it is in the journal, and in the journal before the caller gets
+   it. A command goes on when its caller has stopped waiting. It ends with its link at the latest.
+5. `CommandState.DONE` means: the device has answered, and shows the value if the point's rule asks to read it back. A
+   device may need some time to show a value, so it is read at the times `SHOWN_AFTER`.
 """
 
 import asyncio
@@ -55,16 +55,16 @@ from .point_write import PointWrite, judged, plain, point_write
 from .rights import WriterRights
 
 PROGRAM: Final = WriterRights()
-"""What a program may do that has the collector in it."""
+"""The rights of a program that runs the collector in its own process: role ``configure``, nothing armed."""
 MOST_OPEN: Final = 16
-"""Commands of one device that wait or run."""
+"""Most commands of one device that may wait or run; further ones are refused."""
 MOST_OPEN_IN_ALL: Final = 1000
 MOST_ARMED: Final = 256
 ARMED_SECONDS: Final = 60.0
-"""How long an armed command waits to be confirmed."""
+"""Seconds within which an armed command must be confirmed."""
 _NOT_ARMED: Final = "there is no command with this key; arm it anew"
 SHOWN_AFTER: Final = (0.0, 0.5, 2.0)
-"""Seconds before each of the reads that look whether the device shows the value."""
+"""Seconds to wait before the first, second and third read that looks whether the device shows the written value."""
 
 _log = logging.getLogger("busway.collector.commands")
 _T = TypeVar("_T")
@@ -128,8 +128,8 @@ class ArmedCommand:
         old: the point's last known value; None if none is known.
         sentence: the question for the person who confirms.
         until: until when it may be confirmed, seconds of the monotonic clock.
-        poller: the poller of the device when the command was armed; with another poller, device and point may be
-            others.
+        poller: the poller of the device when the command was armed. If the device has another poller later, its link
+            was begun anew, and the names of device and point may mean something else.
     """
 
     command: PointCommand
@@ -141,12 +141,13 @@ class ArmedCommand:
 
 @dataclass(frozen=True, slots=True)
 class _Permission:
-    """What a command may do; it is looked at when the command is taken, and again when it is its turn.
+    """The rights and limits of one command, checked when it is taken and again in its turn.
 
     Attributes:
         rights: what its writer may do.
-        poller: polls the link since before the command was armed: another one may poll another point. None for any.
-        until: until when it may be sent, beside its expiry, by the clock of the event loop.
+        poller: the poller that the device had when the command was armed; with another one the command is refused. None
+            for any poller.
+        until: until when the command may be sent, seconds of the event loop's clock; its expiry holds too.
     """
 
     rights: WriterRights
@@ -175,7 +176,7 @@ class _Running:
 
 
 def _ignore_step(name: str) -> None:
-    """Do nothing. The default of ``step``, which is called after each step of a command; tests give another."""
+    """Do nothing. This is the default of ``step``, which is called after each step of a command; tests give another."""
 
 
 class CommandRunner:
@@ -183,12 +184,13 @@ class CommandRunner:
 
     Args:
         targets: finds points and their pollers.
-        journal: where commands are recorded; commands that it has as open end as unknown now. Closed by `close`.
+        journal: where commands are recorded. Commands that an earlier process left open in it end as unknown now.
+            `close` closes it.
         audit: gets a line for each command.
         claims: takes keys for all collectors of a fleet; None for a collector that works alone.
         now: returns seconds since 1970 UTC.
         moment: returns seconds of the monotonic clock, for commands that wait to be confirmed.
-        step: is told the name of each step that a command has taken: ``claimed``, ``answered``, ``recorded``.
+        step: called with the name of each step that a command has reached: ``claimed``, ``answered``, ``recorded``.
 
     Raises:
         OSError: the journal cannot be read or written.
@@ -262,17 +264,18 @@ class CommandRunner:
         Args:
             device, point: the point to write.
             value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
-            by, origin: who gives the command, and on which way it came.
+            by, origin: who gives the command, and by which way it came.
             expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.
-            key: names the command for ever; None for a new key.
+            key: names the command for ever, without the prefix `MADE`; None for a new key.
             rights: what the writer may do.
 
         Returns:
             The result; also for a command that was refused, failed or expired: its state says so.
 
         Raises:
-            InvalidRequest: there is no such point, or an argument is out of its limits. Nothing was sent or recorded.
-            OSError: there is no such point now, and the journal cannot be read for the key. Nothing was sent.
+            InvalidRequest: an argument is out of its limits, or there is no such point and the key is new. Nothing was
+                sent or recorded.
+            OSError: there is no such point, and the journal cannot be read to look up the key. Nothing was sent.
         """
         now = self._now()
         if key is not None and isinstance(key, str) and key.startswith(MADE):
@@ -307,18 +310,22 @@ class CommandRunner:
         origin: str,
         rights: WriterRights = PROGRAM,
     ) -> ArmedCommand:
-        """Check a command, and keep it for `ARMED_SECONDS` until `confirm` sends it. Nothing is sent to the device now.
+        """Check a command and keep it, so that `confirm` can send it within `ARMED_SECONDS`; send nothing now.
 
         A command that is against a rule gets a line in the audit log.
 
         Args:
             device, point: the point to write.
             value: as for `write`.
-            by, origin: who gives the command, and on which way it came.
+            by, origin: who gives the command, and by which way it came.
             rights: what the writer may do.
+
+        Returns:
+            The armed command, with its new key and the question for the person who confirms.
 
         Raises:
             NoSuchPoint: there is no such point.
+            NotPolledNow: the link is not polled by this collector at this moment.
             InvalidRequest: the command is against a rule; the message says which.
             Overloaded: too many commands wait to be confirmed.
         """
@@ -350,23 +357,26 @@ class CommandRunner:
         seconds: float = math.inf,
         rights: WriterRights = PROGRAM,
     ) -> CommandResult:
-        """Send an armed command and return its result; for a command that runs or is recorded, return its result only.
+        """Send an armed command and return its result. For a command that runs or is recorded, only return its result.
 
-        A command whose link was begun anew is no longer armed after this call. Of a command that runs or is recorded
-        only ``point`` is compared.
+        The result is expired if `ARMED_SECONDS` have passed since the command was armed. A command whose link is not
+        polled now, or was begun anew, is no longer armed after this call. For a command that runs or is recorded,
+        ``by`` and ``origin`` are not compared.
 
         Args:
             key: the key of the armed command.
-            by: who confirms; it must be who armed the command.
-            origin: on which way the confirmation comes; it must be that of the command. None for any.
+            by: who confirms; must be the one who armed the command.
+            origin: by which way the confirmation came; must be that of the command. None for any.
             point: device and point that the command must be for; None for any.
-            seconds: for how long it may be sent, beside the time for which it was armed.
-            rights: what the writer may do now; it may be less than when the command was armed.
+            seconds: seconds from now within which the command may be sent; `ARMED_SECONDS` limit it too.
+            rights: what the writer may do now, possibly less than when the command was armed.
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
-            InvalidRequest: another person armed the command, or on another way, it is for another point, or its link
-                was begun anew since, so that the point may be another. Nothing was sent.
+            InvalidRequest: the command was armed by someone else, by another way or for another point, or its link was
+                begun anew since, so that the point may be another. Nothing was sent.
+            NotPolledNow: the link is not polled by this collector at this moment; nothing was sent.
+            NoSuchPoint: the point is no longer in the configuration; nothing was sent.
             OSError: the journal cannot be read; nothing was sent.
         """
         if not is_key(key):
@@ -408,15 +418,15 @@ class CommandRunner:
         seconds: float = math.inf,
         poller: LinkPoller | None = None,
     ) -> CommandResult:
-        """Execute a command and return its result; if the same command is in execution, wait for that one.
+        """Execute a command and return its result; if the same command is in execution, wait for that one instead.
 
-        The command is refused if the collector ends or too many are open.
+        The command is refused if the collector ends or too many commands are open.
 
         Args:
             command: the command.
             rights: what its writer may do.
-            seconds: for how long it may be sent, beside its expiry.
-            poller: polls the link since before it was armed; None for any.
+            seconds: seconds from now within which it may be sent; its expiry holds too.
+            poller: the poller that the device had when the command was armed; None for any.
         """
         left = min(seconds, command.expires - self._now())
         permission = _Permission(rights, poller, asyncio.get_running_loop().time() + left)
@@ -447,8 +457,8 @@ class CommandRunner:
 
         Args:
             command: the command.
-            lock: held while a command of the device is sent.
-            permission: what it may do.
+            lock: the lock of the device, held while one of its commands is sent and read back.
+            permission: rights and limits of the command.
         """
         result = self._result(command)
         try:
@@ -518,7 +528,7 @@ class CommandRunner:
     async def _refused_now(self, command: PointCommand, why: str) -> CommandResult:
         """Refuse a command without recording it, so that it may be sent again later.
 
-        If its key was used before, return the result of the first command instead.
+        If its key was used before, return the result of the first command with this key instead.
         """
         try:
             known = await self._known(command)
@@ -528,9 +538,9 @@ class CommandRunner:
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
 
     async def _known(self, command: PointCommand) -> CommandResult | None:
-        """Return the result for a command whose key was used before; None for a new key, or one that was made here.
+        """Return the result for a command whose key was used before; None for a new key, or one made by the collector.
 
-        Waits for a command with this key that runs.
+        If a command with this key runs, wait for its end.
 
         Raises:
             OSError: the journal cannot be read.
@@ -552,7 +562,8 @@ class CommandRunner:
     async def _joined(self, command: PointCommand) -> CommandResult | None:
         """Wait for a running command with the same key, and return its result; None if none is running.
 
-        If that is another command, return a refusal; but if its key is not recorded yet, wait for its end.
+        If the running command writes another value or point, return a refusal at once if its key is recorded; else wait
+        for its end, and look again.
         """
         while (running := self._other_running(command)) is not None:
             if running.command.is_same(command):
@@ -605,9 +616,9 @@ class CommandRunner:
         return result
 
     def refused(self, result: CommandResult, reason: str) -> CommandResult:
-        """Return the result of a command that is refused and not recorded; the audit log gets a line.
+        """Return a refusal as the result of a command. It goes to the audit log, and not to the journal.
 
-        For repeated refusals of one origin, person and device the audit log counts, instead of a line each.
+        Repeated refusals with the same origin, person and device are counted in the audit log, without a line for each.
 
         Args:
             result: the command, as an open result.
@@ -637,7 +648,9 @@ class CommandRunner:
         """Check whether a command can be sent now, and return its write and the poller of its link.
 
         Raises:
-            InvalidRequest: it is against a rule, or its device is in maintenance or does not answer; nothing was sent.
+            InvalidRequest: it is against a rule, its device is in maintenance or does not answer, its link was begun
+                anew, or its scale was not read when due. Nothing was sent.
+            NotPolledNow: the link is not polled by this collector at this moment.
         """
         target = self._targets.target(command.device, command.point)
         refusal = permission.rights.refusal(target.point.writing)
@@ -695,9 +708,10 @@ class CommandRunner:
         return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
 
     async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
-        """Read a written point back until the device shows the value, at `SHOWN_AFTER` at most; return the result.
+        """Read a written point back at the times `SHOWN_AFTER` until the device shows the value; return the result.
 
-        The command is done if the value is shown, failed if another value is, and unknown if the point cannot be read.
+        The command is done if the value is shown. Else the last read decides: failed if it showed another value,
+        unknown if it failed.
         """
         value: CommandValue | None = None
         problem: ModbusError | None = None
@@ -728,11 +742,11 @@ class CommandRunner:
 
 
 class _WriteTurn:
-    """The turn on a link in which a command's write is sent; a register that is written in part is read before.
+    """The turn on a link in which a command's write is sent, after a read if the point is only a part of its register.
 
     Attributes:
         has_begun: whether the write may have been sent.
-        before: the point's value as it was read before the write; None if it was not read.
+        before: the point's value as it was read in this turn before the write; None if it was not read or had none.
     """
 
     def __init__(self, write: PointWrite, poller: LinkPoller, device: str, left: Callable[[], float]) -> None:
@@ -741,9 +755,10 @@ class _WriteTurn:
         self.before: CommandValue | None = None
 
     async def make(self) -> tuple[CommandState, str]:
-        """Send the write to the device, after a read if its register is written in part; return state and reason.
+        """Send the write, after a read if the point is only a part of its register; return its state and reason.
 
-        Nothing is sent if the command's time is over or the device is in maintenance. Sets `before` and `has_begun`.
+        No write is sent if the command's time is over, the device is in maintenance, or the read failed. Sets
+        ``before`` and ``has_begun``.
         """
         held = b""
         if self._left() <= 0:
@@ -772,9 +787,10 @@ class _ReadTurn:
         self._write, self._poller, self._device = write, poller, device
 
     async def make(self) -> tuple[bool, CommandValue | None]:
-        """Read the place of the written value once.
+        """Read once the place where the device shows the written value.
 
-        If that is the point itself, the value becomes a sample of it too, unless its device is in maintenance by then.
+        If that place is the point itself, the value becomes a sample of the point too, unless the device has come into
+        maintenance meanwhile.
 
         Returns:
             Whether the device shows the written value, and the value that it shows.
@@ -798,7 +814,7 @@ def _begun_anew(command: PointCommand) -> str:
 
 
 def _check_place(command: PointCommand, point: tuple[str, str] | None) -> None:
-    """Raise `InvalidRequest` if a command that is confirmed is not for this device and point; None is any."""
+    """Raise `InvalidRequest` if a command to be confirmed is not for this device and point; None permits any point."""
     if point is not None and (command.device, command.point) != point:
         raise InvalidRequest(f"it was armed for {command.device}/{command.point}; nothing was sent")
 
@@ -809,7 +825,9 @@ def _is_in_maintenance(poller: LinkPoller, device: str) -> bool:
 
 
 async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float) -> bytes:
-    """Read one point of a device within some seconds, and return the bytes of its registers, or one byte for a bit.
+    """Read one point of a device, and return the bytes of its registers, or for a bit one byte, 0 or 1.
+
+    ``seconds`` is the deadline of the read, as for `_asked`.
 
     Raises:
         ModbusError: it could not be read.
@@ -821,9 +839,10 @@ async def _read(poller: LinkPoller, device: str, read: PointRead, seconds: float
 
 
 async def _asked(poller: LinkPoller, device: str, request: Request, seconds: float) -> Any:  # a reply or an error
-    """Send one request to a device, once and within some seconds; return the reply, or the error as an object.
+    """Send one request to a device, once; return the reply, or the error instead of raising it.
 
     Waits first for the pause that the device needs between two requests, and begins the next pause afterwards.
+    ``seconds`` is the deadline of the request after that pause; infinite for none.
     """
     # `idempotent` with no retries: else `write_retries` of the link would repeat a write.
     options: dict[str, Any] = {"timeout": poller.schedule.timeout, "retries": 0, "idempotent": True}
@@ -871,7 +890,7 @@ def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
 
 
 def _text(value: CommandValue | None, point: Point) -> str:
-    """Return a value of a point as text for people: with its name, or with the unit of measure."""
+    """Return a value of a point as text for people: with its name if it has one, else with the unit of measure."""
     unit, name = point.unit_of_measure, point.label(value)
     if name:
         return f"{name} ({value})"

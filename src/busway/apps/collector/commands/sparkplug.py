@@ -3,11 +3,12 @@
 Knows messages of the sink, whose connection they come over: an edge node has one. Knows no topic and no payload.
 
 1. A command is sent within ``seconds`` of the time at which the host sent it by its own clock, and within ``seconds``
-   of its arrival. A host whose clock is slow by more writes nothing, and the log says that its time was over.
-2. A metric is the point of this name, exactly. A command has no key, since the standard has none: two are two writes.
-3. Nothing is answered: the standard has no answers. The host sees the value that the device shows; journal, audit log
-   and page have what became of the command.
-4. The sink calls in a thread of its own; commands are executed in the event loop of the collector.
+   of its arrival. If the clock of a host is slow by more than that, its commands expire, and the audit log says so.
+2. A metric is the point with exactly this name. The standard has no keys of commands, so two equal commands are two
+   writes.
+3. Nothing is answered, because the standard has no answers. The host sees the value that the device shows; journal,
+   audit log and page show the result of the command.
+4. The sink runs in another thread, and calls from there; commands are executed in the event loop of the collector.
 """
 
 import asyncio
@@ -82,7 +83,7 @@ class SparkplugCommands:
             receiving.call(partial(receiving.begin, self._message(command)))
 
     def note(self, error: str | None) -> None:
-        """Show in the status why no commands can arrive; None if they can. Called by the sink, from its thread."""
+        """Set why no commands can arrive, for the status; None if they can. Called by the sink, from its thread."""
         self._error = error
         receiving = self._receiving
         if receiving is not None:
@@ -91,7 +92,7 @@ class SparkplugCommands:
     # In the event loop of the collector.
 
     def join(self, group: str, member: str) -> bool:
-        """Return False: each collector of a fleet gets all commands of its host."""
+        """Return False: messages are not shared. Each collector of a fleet is an edge node of its own."""
         return False
 
     async def run(self, receiver: CommandReceiver) -> None:

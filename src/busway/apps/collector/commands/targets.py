@@ -20,7 +20,7 @@ class CollectedTargets:
     Args:
         configuration: returns the present configuration.
         poller_of: returns the poller of a device; raises `ConfigError` if the device is not polled.
-        values: the last values.
+        values: the last stored sample of each point.
         plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this collector
             polls now; None for a collector that works alone.
     """
@@ -65,7 +65,10 @@ class CollectedTargets:
         )
 
     def last(self, device: str, point: str) -> OldValue | None:
-        """Return the last sample of a point that is in the store; None if there is none."""
+        """Return the last stored value of a point, with its quality and time; None if there is no sample of it.
+
+        The quality is the one to show now: it is no longer good if the device is not read.
+        """
         found = self._values.last(device, point)
         if found is None:
             return None
@@ -74,10 +77,10 @@ class CollectedTargets:
 
 
 def _obeys_broadcasts(configuration: CollectorConfiguration, device: CollectedDevice) -> bool:
-    """Whether a write to a device is a broadcast: its unit is 0, and several units can hear it.
+    """Whether a write to a device is a broadcast: its unit is 0, and several units can receive it.
 
-    With MBAP framing, unit 0 can be the one device behind an address; it is a broadcast if there are units other than 0
-    and 255, on this link or on another one to the same address.
+    Without MBAP framing, unit 0 always is a broadcast. With it, unit 0 can be the one device behind an address: it is a
+    broadcast only if the configuration has units other than 0 and 255 on this or another link to the same address.
     """
     if device.unit != 0:
         return False

@@ -1,4 +1,4 @@
-"""Dashboards for Grafana: one for the collector's page for Prometheus, one for the table of a PostgreSQL sink."""
+"""Dashboards for Grafana, as JSON: for the collector's page for Prometheus, and for the table of a PostgreSQL sink."""
 
 from importlib.resources import files
 from typing import Final
@@ -12,10 +12,11 @@ def dashboard(kind: str) -> str:
     """Return a dashboard as JSON that Grafana imports.
 
     Args:
-        kind: one of `KINDS`: for the collector's page for Prometheus, or for the table of a PostgreSQL sink.
+        kind: ``prometheus`` for the collector's page for Prometheus, or ``postgresql`` for the table of a PostgreSQL
+            sink.
 
     Raises:
-        ConfigError: there is no such dashboard.
+        ConfigError: ``kind`` is neither of them.
     """
     if kind not in KINDS:
         raise ConfigError(f"there are dashboards for {' and '.join(KINDS)}, not for {kind!r}", key="dashboard")

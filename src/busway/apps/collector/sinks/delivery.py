@@ -2,21 +2,21 @@
 
 Knows when to send, to wait, to drop and to set aside; knows no receiver.
 
-1. At least once: the cursor moves after the receiver has taken a batch, and is in the manifest then.
+1. At least once: the cursor moves, and is saved in the manifest, only after the receiver has taken a batch.
 2. A sink that is down is tried again after a pause that doubles up to `PAUSE_LIMIT`. Samples wait in the store.
-3. They wait for `keep` seconds at most. Older ones are dropped for this sink, oldest first, and counted. So are those
-   that retention takes from the store before they were sent.
-4. A sample is handed on where the rule of the sink says so, or where it has none that of the point, measured from the
-   sample that this sink got before; in any case where its quality has changed. What it got before is in the manifest
-   with the cursor: after a crash the same samples come again, wherever batches are cut then.
+3. Samples wait for at most `DeliveryOptions.keep` seconds. Older ones are dropped for this sink, oldest first, and
+   counted; so are samples that retention deletes from the store before they were sent.
+4. The report rule of the sink decides whether a sample is sent; without one, that of the point. The sample is compared
+   with the one that this sink got before, and always sent if its reason has changed. What the sink got before is in
+   the manifest with the cursor: after a crash the same samples are sent again, wherever batches are cut then.
 5. Samples and events of alarms that the receiver refuses are found by halving the batch, and set aside in a file, up to
    `ASIDE_LIMIT` bytes; then they are only counted. All others are sent.
-6. Samples from before the wall clock was set wait until they are mended, so that the receiver gets them once with their
-   right time; after `CLOCK_WAIT` seconds they are handed on as they are, and not again.
-7. A sink that shows current values is connected while nothing is to be sent, too, and told which points there are.
-   After a restart it knows the last samples of points that are sent in part.
-8. A full disk ends no delivery: it goes on with what the store gives, and keeps its cursor when there is room. Until
-   then a crash has the samples since then sent again.
+6. Samples from before the wall clock was set wait until their times are corrected, so that the receiver gets them once,
+   with the right time. After `CLOCK_WAIT` seconds they are sent as they are, and not again.
+7. A sink that shows current values stays connected while nothing is to be sent, and is told which points exist. After a
+   restart it gets the last sent samples of points of which only some samples are sent.
+8. If the cursor cannot be saved (a full disk), the delivery goes on, and saves it when there is room. After a crash
+   before that, the samples since the saved cursor are sent again.
 """
 
 import asyncio
@@ -43,7 +43,7 @@ from .interface import AlarmSink, CurrentSink, Sink, SinkDown, SinkRefused
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
 CLOCK_WAIT: Final = 600.0
-"""Seconds for which samples from before the wall clock was set wait for it."""
+"""Most seconds that samples from before the wall clock was set wait for the correction of their times."""
 ASIDE: Final = "set-aside"
 ASIDE_LIMIT: Final = 16 * 1024 * 1024
 _EVERY: Final = ReportRule()
@@ -53,15 +53,15 @@ _log = logging.getLogger("busway.sinks")
 
 @dataclass(frozen=True, slots=True)
 class SinkStatus:
-    """The status of one sink: what it has got, how far behind it is, and what is wrong.
+    """The status of one sink: what its receiver has got, what was lost, and what is wrong.
 
     Attributes:
         name: the name of the sink.
         cursor: number of the last commit up to which everything is delivered.
-        sent: samples that the receiver has taken since the start.
-        lost: samples that were dropped for the sink before they were sent, ever.
-        set_aside: samples and alarm events that the receiver refused since the start.
-        error: why nothing can be sent now, or else what was refused last since the start; None if all is well.
+        sent: number of samples that the receiver has taken since the start; repeated ones count again.
+        lost: number of samples that were dropped for the sink before they were sent, over all restarts.
+        set_aside: number of samples and alarm events that the receiver refused since the start.
+        error: why nothing can be sent now; else the reason of the last refusal since the start; None if all is well.
     """
 
     name: str
@@ -76,7 +76,7 @@ class ClockWait:
     """Decides whether commits wait because their times are from before the wall clock was set (rule 6).
 
     Args:
-        now: returns the time in seconds, by a clock that is never set.
+        now: returns seconds of a clock that is never set.
     """
 
     def __init__(self, now: Callable[[], float]) -> None:
@@ -84,9 +84,10 @@ class ClockWait:
         self._since: float | None = None
 
     def must_wait(self, found: CommitRange) -> bool:
-        """Whether these commits, the next to be sent, must wait until their times are corrected.
+        """Whether ``found``, the next commits to be sent, must wait until their times are corrected.
 
-        They wait for at most `CLOCK_WAIT` seconds from the first call with such times on.
+        True if a time in them is from before the clock was set, for at most `CLOCK_WAIT` seconds from the first such
+        call on.
         """
         if all(sample.time >= EARLIEST for sample in found.samples) and all(
             alarm.event.at >= EARLIEST for alarm in found.alarms
@@ -99,7 +100,7 @@ class ClockWait:
 
     @property
     def waits(self) -> bool:
-        """Whether the commits of the last call of `must_wait` still have to wait."""
+        """Whether the commits that were given to `must_wait` last still have to wait."""
         return self._since is not None and self._now() - self._since < CLOCK_WAIT
 
 
@@ -136,8 +137,9 @@ class Delivery:
             folder: the folder of the store.
             manifest: the store's manifest, opened for writing.
             options: the options of the delivery.
-            point_rules: by device and point, the report rules of points of which only some samples are sent.
-            points: device and name of each point that the configuration has; None for all of the store.
+            point_rules: by device and point, the report rules of points of which only some samples are sent; used if
+                ``options`` has no report rule. None for no rules.
+            points: device and name of each point in the configuration; None for all points of the store.
             now: returns the time, nanoseconds since 1970 UTC.
             monotonic: returns seconds of a clock that is never set.
             pause: waits some seconds.
@@ -172,7 +174,7 @@ class Delivery:
             sink.remember(self._last_reported())
 
     def _last_reported(self) -> list[CommittedSample]:
-        """Return the last sample that the sink got of each point of which it gets only some samples."""
+        """Return, for each point of which the sink gets only some samples, the last sample that it got."""
         units = {(each.device, each.point): each.unit_of_measure for each in self._manifest.points()}
         return [
             CommittedSample(self._cursor, row.device, row.point, row.time, 0, row.value, row.reason, units.get(key, ""))
@@ -190,7 +192,7 @@ class Delivery:
         """Use the points and report rules of a configuration that was read again. Safe from any thread.
 
         Args:
-            points: device and name of each point that the configuration has; None for all of the store.
+            points: device and name of each point in the configuration; None for all points of the store.
             rules: by device and point, the report rules of points of which only some samples are sent.
         """
         self._points, self._point_rules = points, rules
@@ -223,7 +225,7 @@ class Delivery:
             await self._sink.close()
 
     async def finish(self, seconds: float) -> None:
-        """Let the batch that is being sent arrive, and begin no other; return then, after ``seconds`` at most."""
+        """Begin no further batch, and wait until the one that is being sent has arrived, for at most ``seconds``."""
         self._is_finishing = True
         if self._step_ended is not None:
             with contextlib.suppress(TimeoutError):
@@ -243,8 +245,8 @@ class Delivery:
         """Send the next commits of the store to the sink, and move its cursor.
 
         Returns:
-            Whether later commits wait already. False also if the store cannot be read now, or if the samples must wait
-                for the clock to be set.
+            Whether the store already has later commits. False also if the store cannot be read now, or if the samples
+                must wait for the clock to be set.
 
         Raises:
             SinkDown: some samples may have arrived; the cursor stays, so that all of them are sent again.
@@ -270,9 +272,9 @@ class Delivery:
         return found.more
 
     def _forget_all_but(self, points: Collection[tuple[str, str]] | None) -> None:
-        """Forget the last sent samples of all points but these; None keeps them all.
+        """Forget the last sent sample of each point that is not in ``points``; None forgets none.
 
-        A point that was removed from the configuration and comes back is sent again.
+        If such a point comes back to the configuration, its first sample is sent whatever its value.
         """
         if points is not None:
             self._reported = {key: row for key, row in self._reported.items() if key in points}
@@ -348,7 +350,7 @@ class Delivery:
         self._unkept.clear()
 
     def _lost_in_all(self) -> int:
-        """Return the samples that were lost for the sink, with those that retention has dropped meanwhile."""
+        """Return the number of samples lost for the sink, including those that retention has deleted meanwhile."""
         return max(self._lost, self._manifest.cursors().get(self.name, (0, 0))[1])
 
     def _note_store_error(self, error: Exception) -> None:
@@ -379,7 +381,7 @@ class Delivery:
         """Return the samples that the sink gets, by its patterns of points and the report rules (rule 4).
 
         Returns:
-            These samples; and of each point of which only some samples are sent, the last of them.
+            The samples to send; and the last of them of each point with a report rule, by device and point.
         """
         wanted = []
         fresh = dict[tuple[str, str], ReportedSample]()
@@ -405,7 +407,10 @@ class Delivery:
         return named
 
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
-        """Send samples to the sink; find those that it refuses for good by halving, and set them aside."""
+        """Send samples to the sink; those that it refuses for good are found by halving and set aside.
+
+        Raises `SinkDown`.
+        """
         try:
             await self._sink.send(samples)
             self._sent += len(samples)
@@ -422,7 +427,10 @@ class Delivery:
             await asyncio.to_thread(self._set_aside, samples[0], str(error))
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
-        """Send alarm events to the sink; find those that it refuses for good by halving, and set them aside."""
+        """Send alarm events to the sink; those that it refuses for good are found by halving and set aside.
+
+        Raises `SinkDown`.
+        """
         try:
             await sink.send_alarms(alarms)
         except SinkRefused as error:

@@ -2,9 +2,10 @@
 
 Pure.
 
-1. A sample that is sent again has the same document with the same key, because a commit does not change.
-2. A key ends with a digest of the document, so that a document with other content has another key. The content differs
-   at a repetition if the file was read again and other points are sent on, or if a part of the batch was refused.
+1. If samples are sent again, their document and its key are the same, because a commit does not change.
+2. A key ends with a digest of the document, so that a document with other content has another key. A repeated commit
+   has other content if the sink gets other points since the configuration was read again, or if a part of its samples
+   was refused.
 """
 
 import hashlib
@@ -25,7 +26,7 @@ class Document:
 
     Attributes:
         device: name of the device.
-        key: identifies the document; the same when it is sent again, and different for every other document.
+        key: identifies the document: the same when the same content is sent again, else another one.
         content: the data that become JSON.
     """
 
@@ -41,9 +42,10 @@ class Document:
 def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
     """Yield one document for each commit, device and revision of some samples, in the order of commits.
 
-    Its content has ``device``, ``key`` and ``reads``. ``reads`` has one entry for each time: ``time`` (nanoseconds
-    since 1970 UTC), ``half_width``, ``values`` by point, and where there are any, ``uncertain`` and ``bad`` with the
-    reason by point. In a fleet it has ``revision`` too, that of the configuration with which the samples were taken.
+    The content of a document has ``device``, ``key`` and ``reads``. ``reads`` is a list with one entry for each time:
+    ``time`` (nanoseconds since 1970 UTC), ``half_width`` (nanoseconds), ``values`` by point, and if there are any,
+    ``uncertain`` and ``bad`` with the reason in words by point. A sample without a value is only in ``bad``. In a fleet
+    the content also has ``revision``, that of the configuration with which the samples were taken.
     """
     for (commit, device, revision), group in groupby(sorted(samples, key=_place), key=lambda each: _place(each)[:3]):
         reads = [_read(moment, list(each)) for moment, each in groupby(group, key=lambda each: each.time)]
@@ -82,7 +84,7 @@ def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
 def sample_document(sample: CommittedSample) -> dict[str, Any]:
     """Return one sample as JSON data: ``time``, ``half_width``, ``value``, ``quality`` and ``reason`` in words.
 
-    Times are nanoseconds; the names of device and point are not in it. ``revision`` is, in a fleet.
+    Times are nanoseconds. In a fleet it also has ``revision``. It has no names of device and point.
     """
     return {
         "time": sample.time,
@@ -95,15 +97,15 @@ def sample_document(sample: CommittedSample) -> dict[str, Any]:
 
 
 def sample_key(sample: CommittedSample) -> str:
-    """Return a key that only this sample has, so that a receiver recognises a repeated sample."""
+    """Return a key that identifies a sample: a receiver recognises a sample that is sent again by it."""
     return f"{sample.commit}-{sample.device}/{sample.point}-{_digest(sample_document(sample))}"
 
 
 def alarm_document(alarm: CommittedAlarm) -> Document:
     """Return an alarm event as a JSON document.
 
-    Its content has device, point, limit, ``event`` (its kind, such as ``raised`` or ``cleared``), time in nanoseconds
-    since 1970 UTC, value, text, by and key.
+    The content has ``device``, ``point``, ``limit``, ``event`` (its kind, such as ``raised``), ``time`` (nanoseconds
+    since 1970 UTC), ``value``, ``text`` (the condition in words), ``by`` (who acknowledged) and ``key``.
     """
     event = alarm.event
     content: dict[str, Any] = {
@@ -121,5 +123,5 @@ def alarm_document(alarm: CommittedAlarm) -> Document:
 
 
 def json_number(value: Any) -> Any:  # whatever a sample can be
-    """Return a value as JSON can represent it: infinities and NaN become texts, other values stay."""
+    """Return a value as JSON can represent it: infinities and NaN become texts, other values stay unchanged."""
     return str(value) if isinstance(value, float) and not math.isfinite(value) else value

@@ -2,11 +2,11 @@
 
 Knows formats; knows nothing of cursors.
 
-1. Lines are appended and made durable before `send` returns; a line that was cut off by a crash is completed by a line
-   break first. A batch that comes again is there twice, with the same commit.
-2. A Parquet file is one batch, and is named after its first commit. A batch that comes again replaces its file, even if
-   it ends with another commit then. It also replaces files that an earlier process wrote of the same commits: a full
-   disk may have left several.
+1. Lines are appended and made durable before `send` returns. If a crash has cut off the last line, a line break is
+   written first. A batch that is sent again is in the file twice, with the same commit numbers.
+2. A Parquet file is one batch, named by its first commit. A batch that is sent again replaces its file, even if it ends
+   with another commit then. It also replaces files of the same commits that an earlier process wrote: after a full
+   disk there may be several.
 3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample of the batch.
 4. Alarm events go to files of their own: with ``-alarms`` before the ending of the name; for Parquet, in the folder
    ``alarms``.
@@ -41,15 +41,16 @@ Written = TypeVar("Written", CommittedSample, CommittedAlarm)
 class FileSink:
     """Sink that writes samples and alarm events to files: CSV, JSON lines or Parquet.
 
-    CSV and JSON lines are appended to a file, Parquet is one file for each batch. Errors of writing are `SinkDown`.
+    CSV and JSON lines are appended to a file, Parquet is one file for each batch. A file that cannot be written raises
+    `SinkDown`.
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
         """Set where the sink writes its files; nothing is opened yet.
 
         Args:
-            path: the file, with ``{date}`` for one file a day; for Parquet a folder.
-            kind: the format; None for the format that the name of the file ends with.
+            path: the file, with ``{date}`` in its name for one file a day; for Parquet a folder.
+            kind: the format: ``csv``, ``jsonl`` or ``parquet``; None to take the ending of the file's name.
 
         Raises:
             ConfigError: there is no such format.
@@ -67,7 +68,7 @@ class FileSink:
 
     @property
     def is_named_by_commits(self) -> bool:
-        """Whether each batch is a file named by its first commit, so that the folder can be for one store only."""
+        """Whether files are named by commit numbers (Parquet), so that two stores must not share the folder."""
         return self._format is FileFormat.PARQUET
 
     async def open(self) -> None:
@@ -101,9 +102,9 @@ class FileSink:
             self._append(self._path, samples[0].time, HEADER, lines)
 
     def _remove_repeated(self, first: int, last: int) -> None:
-        """Remove the Parquet files that an earlier process began after commit ``first``, and not after commit ``last``.
+        """Remove an earlier process's Parquet files whose first commit is after ``first``, up to ``last`` and with it.
 
-        Their samples are sent again: in the batch of these commits, or in the next one.
+        Their samples are sent again: in the batch with commits ``first`` to ``last``, or in the next batch.
         """
         folder = Path(self._path)
         if self._ahead is None:

@@ -11,7 +11,7 @@ class HiddenSecrets:
     """Hides the passwords and tokens of a connection in error texts of its server.
 
     Args:
-        secrets: passwords and tokens; None and empty ones are ignored.
+        secrets: the passwords and tokens; None and empty texts are ignored.
     """
 
     def __init__(self, *secrets: str | None) -> None:
@@ -21,7 +21,7 @@ class HiddenSecrets:
         self._pattern = re.compile("|".join(map(re.escape, longest_first)), re.IGNORECASE) if given else None
 
     def hide(self, text: object) -> str:
-        """Return a text, or the text of an error, with ``***`` in place of each secret."""
+        """Return ``str(text)`` with ``***`` in place of each secret, in any case of letters and as JSON escapes it."""
         return str(text) if self._pattern is None else self._pattern.sub("***", str(text))
 
     def __repr__(self) -> str:

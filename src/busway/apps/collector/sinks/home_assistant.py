@@ -1,4 +1,4 @@
-"""What Home Assistant is told about a point: its kind of entity, device class and state class.
+"""Describes a point to Home Assistant: kind of entity, device class and state class.
 
 Pure. Knows points and units of measure; knows no topics.
 
@@ -44,17 +44,17 @@ Left out: ``K``, because temperature differences have it, and a display in °C w
 DEVICE_CLASSES: Final[Mapping[str, str]] = {unit: name for name, units in UNITS.items() for unit in units}
 """The device class of each unit of measure."""
 _GROWING_UNITS: Final = frozenset({"varh", "kvarh", "Mvarh", "VAh", "kVAh", "MVAh"})
-"""Of energies without a device class."""
+"""Units of energies that get no device class here; a number with such a unit counts as a total that only grows."""
 _STATE_CLASSES: Final[Mapping[str, str]] = {
     **dict.fromkeys(("energy", "gas", "reactive_energy", "volume", "water"), "total_increasing"),
     "monetary": "total",
     **dict.fromkeys(("date", "enum", "timestamp", "wind_direction"), ""),
 }
-"""State classes by device class, where these are not measurements: others are refused with them."""
+"""State classes by device class, for classes whose numbers are not measurements; empty for no state class."""
 
 
 class EntityKind(Enum):
-    """Kinds of values that an entity of Home Assistant can show, such as a number or a state."""
+    """Kinds of values that a point can have for Home Assistant, such as a number or a state."""
 
     STATE = auto()
     NUMBER = auto()
@@ -66,7 +66,7 @@ class EntityKind(Enum):
 
 
 def kind_of(point: Point) -> EntityKind:
-    """Return the kind of value that a point's entity shows in Home Assistant."""
+    """Return the kind of value that a point has for Home Assistant, by the point's type and conversion."""
     if point.type == "bit":
         return EntityKind.STATE
     if not point.is_number:
@@ -77,7 +77,7 @@ def kind_of(point: Point) -> EntityKind:
 
 
 def kind_of_value(value: Value | None) -> EntityKind | None:
-    """Return the kind of an entity by a value of its point, for a point without description; None for no value."""
+    """Return the kind of a point by one of its values, for a point without description; None if there is no value."""
     if value is None:
         return None
     if isinstance(value, bool):
@@ -86,12 +86,16 @@ def kind_of_value(value: Value | None) -> EntityKind | None:
 
 
 def entity(kind: EntityKind, unit_of_measure: str, meta: Mapping[str, Any]) -> tuple[str, dict[str, str]]:
-    """Return how Home Assistant shows a value: the component (``sensor``, …) and the options of the entity.
+    """Return how Home Assistant shows a point: the component, and the options of its entity that depend on the kind.
 
     Args:
         kind: the kind of the value.
         unit_of_measure: such as ``kWh``; empty for none.
-        meta: free facts of the point (rule 3). Any: what TOML has.
+        meta: free facts of the point; only ``device_class`` and ``state_class`` are used (rule 3). Any: what TOML has.
+
+    Returns:
+        ``binary_sensor`` for a state, else ``sensor``; and those of ``unit_of_measurement``, ``device_class`` and
+        ``state_class`` that apply.
     """
     is_number = kind in (EntityKind.NUMBER, EntityKind.TOTAL)
     device_class = _text(meta, "device_class", DEVICE_CLASSES.get(unit_of_measure, "") if is_number else "")

@@ -5,7 +5,7 @@ Knows lines and what the answers mean; the protocol is httpx's (``busway[influxd
 1. A line is ``measurement,device=…,point=… value=…,reason=…i time``. Tags and time are the key, so a line that comes
    again replaces itself. Texts are in the field ``text``: a field has one type. A bad sample has ``reason`` alone.
 2. A line of an event of an alarm is ``alarms,device=…,point=…,limit=H,event=raised commit=…i,place=…i,value=… time``,
-   with the texts ``text`` and ``by``: tags and time are its key likewise.
+   with the fields ``text`` and ``by``: its tags and time are its key too.
 3. 400, 413 and 422 mean that these lines are refused. Any other error is one of the server or of the credentials, and
    the lines are sent again later.
 """
@@ -44,11 +44,11 @@ class InfluxSink:
 
         Args:
             url: where lines are posted, with its query: ``http://host:8086/api/v2/write?org=o&bucket=b`` or
-                ``http://host:8428/write``. ``precision=ns`` is added.
-            measurement: the measurement of samples.
-            alarm_measurement: the measurement of alarm events.
-            token: sent as ``Authorization: Token …``.
-            tls: how to encrypt ``https``; None for the system's authorities.
+                ``http://host:8428/write``. ``precision=ns`` is added unless the URL has a precision.
+            measurement: name of the measurement of samples.
+            alarm_measurement: name of the measurement of alarm events.
+            token: sent as ``Authorization: Token …``; None for none.
+            tls: the TLS context for ``https``; None for one that trusts the system's authorities.
             timeout: seconds for each request.
 
         Raises:
@@ -82,13 +82,13 @@ class InfluxSink:
         """Post samples to the database; when it returns, the server has accepted them.
 
         Raises:
-            SinkDown: the server cannot be reached, or answers with an error of its own; samples may have arrived.
+            SinkDown: the server cannot be reached, or answers with another error; samples may have arrived.
             SinkRefused: the server refuses the lines (400, 413, 422).
         """
         await self._post(line_of(sample, self._measurement) for sample in samples)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Post alarm events to the database; when it returns, the server has accepted them. Raises as `send`."""
+        """Post alarm events to the database; when it returns, the server has accepted them. Raises like `send`."""
         await self._post(alarm_line_of(alarm, self._alarm_measurement) for alarm in alarms)
 
     async def _post(self, lines: Iterable[str]) -> None:
@@ -104,6 +104,8 @@ class InfluxSink:
 
 def line_of(sample: CommittedSample, measurement: str) -> str:
     """Return a sample as one line of InfluxDB line protocol, with its time in nanoseconds.
+
+    Without a value, or with NaN or an infinity, the line has the field ``reason`` alone.
 
     Args:
         sample: the sample.

@@ -11,11 +11,11 @@ from ..store.committed_samples import CommittedAlarm, CommittedSample
 
 
 class SinkDown(ModbusError):
-    """Error: a sink's receiver cannot be reached or accepts nothing now. The same samples are sent again later."""
+    """Error: a sink's receiver cannot be reached or accepts nothing now. The same samples will be sent again later."""
 
 
 class SinkRefused(ModbusError):
-    """Error: a sink's receiver refuses these samples for good. They are set aside; others are sent."""
+    """Error: a sink's receiver refuses some of the samples for good. The delivery finds these and sets them aside."""
 
 
 class Sink(Protocol):
@@ -32,8 +32,8 @@ class Sink(Protocol):
         """Send samples; when it returns, the receiver has accepted them.
 
         Raises:
-            SinkDown: some may have arrived. `close` and `open` follow before it is called again.
-            SinkRefused: the receiver would refuse them again.
+            SinkDown: some samples may have arrived. The caller calls `close` and `open` before it sends them all again.
+            SinkRefused: the receiver refuses at least one of them for good.
         """
 
     async def close(self) -> None:
@@ -47,9 +47,9 @@ class DeviceGap:
     Attributes:
         device: name of the device.
         points: names of its points that the sink gets.
-        epoch: the ownership that ended the gap; with the device it identifies the gap.
-        begin: nanoseconds since 1970 UTC. The true begin is the newest sample of the device in the gap, if there is one
-            or one comes later.
+        epoch: identifies the ownership of the link that ended the gap, as text; with the device it identifies the gap.
+        begin: nanoseconds since 1970 UTC. If the sink has, or gets later, samples of the device within the gap, the
+            newest of them is the true begin.
         end: nanoseconds since 1970 UTC.
     """
 
@@ -62,14 +62,14 @@ class DeviceGap:
 
 @runtime_checkable
 class GapSink(Protocol):
-    """Interface of a sink that keeps gaps of ownership as intervals, and lets samples that arrive later shrink them."""
+    """Interface of a sink that stores gaps of ownership as intervals; samples that arrive later move their begin."""
 
     async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
         """Send gaps; when it returns, the receiver has accepted them.
 
         Raises:
-            SinkDown: some may have arrived; all are sent again.
-            SinkRefused: the receiver would refuse them again.
+            SinkDown: some gaps may have arrived; all will be sent again.
+            SinkRefused: the receiver refuses at least one of them for good.
         """
 
 
@@ -81,33 +81,33 @@ class AlarmSink(Protocol):
         """Send alarm events; when it returns, the receiver has accepted them.
 
         Raises:
-            SinkDown: some may have arrived; all are sent again.
-            SinkRefused: the receiver would refuse them again.
+            SinkDown: some events may have arrived; all will be sent again.
+            SinkRefused: the receiver refuses at least one of them for good.
         """
 
 
 @runtime_checkable
 class CurrentSink(Protocol):
-    """Interface of a sink whose receiver shows current values separately from historical values, which arrive late.
+    """Interface of a sink whose receiver shows current values, apart from historical values that arrive late.
 
-    It stays connected while nothing is to be sent, and is connected again after the connection was lost.
+    The delivery keeps it connected while nothing is to be sent, and connects it again after the connection was lost.
     """
 
     def remember(self, samples: Sequence[CommittedSample]) -> None:
-        """Learn the last samples that the receiver got before a restart; called once, before `open`."""
+        """Learn which samples the receiver got last before a restart; called once, before `open`."""
 
     async def show_current(self, points: Collection[tuple[str, str]] | None) -> None:
         """Have the receiver show the current values; called while open, whenever no stored samples wait any more.
 
         Args:
-            points: device and name of each point that there is; the receiver is to show no others. None for all points.
+            points: device and name of each point that exists; the receiver must show no others. None for all points.
 
         Raises:
             SinkDown: the connection is lost, or the receiver must not be sent anything now.
         """
 
     async def disturbed(self) -> None:
-        """Return as soon as `show_current` should be called, because the connection may have ended; until then wait."""
+        """Wait until `show_current` should be called again, because the connection may have ended."""
 
 
 @runtime_checkable
@@ -115,12 +115,12 @@ class DescribedSink(Protocol):
     """Interface of a sink that also sends its receiver descriptions of the points, such as their units of measure."""
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
-        """Use the points of a configuration, by device and name; called again for another one, from any thread."""
+        """Set the points to describe, by device and name. Called again for each new configuration, from any thread."""
 
 
 @runtime_checkable
 class TopicSink(Protocol):
-    """Interface of a sink that replaces some characters of names in topics, so that two names may become one."""
+    """Interface of a sink that replaces some characters of names in topics, so that two names can become the same."""
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
         """Return the names that the receiver uses for a device and a point.
@@ -132,7 +132,7 @@ class TopicSink(Protocol):
 
 
 async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
-    """Wait until all messages are sent, accepted or failed; raise the most important error.
+    """Wait until all messages are accepted or have failed, then raise the most important error, if any.
 
     Args:
         sendings: one awaitable for each message.

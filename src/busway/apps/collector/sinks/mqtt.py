@@ -2,8 +2,8 @@
 
 Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
 
-1. QoS 1: `send` returns when the broker has taken every message. A message carries the user property ``key``, which is
-   the same at a repetition.
+1. QoS 1: `send` returns when the broker has taken every message. A message carries the user property ``key``; if the
+   message is sent again, its key is the same.
 2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
 3. ``{prefix}/status`` is ``online``, retained, and by the last will ``offline``.
 4. Events of alarms go to ``{prefix}/alarms``, one message each.
@@ -33,7 +33,7 @@ from .mqtt_connection import MqttPublisher, connect
 
 _USUAL: Final = MqttOptions()
 IN_FLIGHT: Final = 64
-"""Messages that are sent before the first is acknowledged."""
+"""Messages that are sent together; the next ones are sent when all of these are acknowledged."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,10 +84,10 @@ class MqttSink:
         Args:
             host, port: the broker.
             topic: the topic of samples, with ``{device}``; with ``per_point``, ``/{point}`` is added if it is missing.
-            per_point: whether each sample is a message; else each device and commit is one.
-            retain: whether the broker keeps the last message of each topic.
-            discovery: prefix of Home Assistant's discovery topics, ``homeassistant``; needs ``per_point``. None for
-                none.
+            per_point: whether there is a message for each sample; else there is one for each device and commit.
+            retain: whether the broker keeps the last message of each topic of samples.
+            discovery: prefix of Home Assistant's discovery topics, such as ``homeassistant``; needs ``per_point``. None
+                for no discovery.
             user, password: credentials for the broker.
             tls: the TLS context; None for no encryption.
             client_id: names this client to the broker; None for one that the library makes.
@@ -117,7 +117,7 @@ class MqttSink:
         self._announced_by: Mapping[tuple[str, str], Point] = self._points
 
     def describe(self, points: Mapping[tuple[str, str], Point]) -> None:
-        """Set the points, by device and name, whose descriptions are sent to Home Assistant. Safe from any thread."""
+        """Set the points, by device and name, that are described to Home Assistant. Safe from any thread."""
         self._points = points
 
     async def open(self) -> None:
@@ -148,7 +148,7 @@ class MqttSink:
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Publish samples, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`.
 
-        With discovery, the descriptions of points that were not announced yet are published before.
+        With discovery, points that were not announced to Home Assistant in this connection are announced before.
         """
         fresh: dict[tuple[str, str], _Message] = {} if self._discovery is None else self._discoveries(samples)
         await self._publish([*fresh.values(), *self._messages(samples)])
@@ -164,8 +164,8 @@ class MqttSink:
         """Publish messages, and wait until the broker has taken them all.
 
         Raises:
-            SinkRefused: the broker refuses a message for good. Others of the messages may not have arrived. If the
-                broker ended the connection for it, the sink is connected again.
+            SinkRefused: the broker refuses a message for good; the other messages may have arrived or not. If the
+                broker ended the connection because of that message, the sink is connected again before.
             SinkDown: no answer came, or the connection is lost.
         """
         mqtt = import_module("aiomqtt")
@@ -218,7 +218,7 @@ class MqttSink:
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
         """Return discovery messages for the points of samples that were not announced to Home Assistant yet.
 
-        After `describe` with other points all points count as not announced.
+        After `describe` has set other points, all points count as not announced.
         """
         points = self._points
         if points is not self._announced_by:
@@ -241,7 +241,7 @@ class MqttSink:
         return found
 
     def _entity(self, sample: CommittedSample, component: str) -> dict[str, Any]:
-        """Return the part of a Home Assistant entity's configuration that is the same for all kinds of values."""
+        """Return the names, topics and templates of a Home Assistant entity, without the options from `entity`."""
         topic = self._name(sample.device, sample.point)
         value = "{{ value_json.value }}" if component == "sensor" else "{{ 'ON' if value_json.value else 'OFF' }}"
         return {

@@ -3,14 +3,15 @@
 Knows the library's client and that of paho below it; knows no topic.
 
 1. If a client gets no answer while it connects, or is cancelled, the library leaves its socket and a task open. Here
-   such a client is closed.
-2. The thread in which a client connects cannot be stopped: a caller that gives up waits for it for at most
-   `GIVE_UP_SECONDS`.
+   `connect` closes both.
+2. The thread in which a client connects cannot be stopped: if connecting fails or is cancelled, `connect` waits for it,
+   for at most `GIVE_UP_SECONDS`.
 3. The library takes each acknowledgement for a success, even one that says that the message was thrown away. Here such
    an answer is an error: `SinkRefused` for a message that can never be taken, `SinkDown` if the broker, its rights or
    its quota can change.
-4. A message above the size that a broker has announced is not sent. A broker that has announced none closes the
-   connection, or answers in a way that paho takes for a broken protocol; then the message that was sent is refused.
+4. A message above the size that a broker has announced is not sent. A broker that has announced none may close the
+   connection at a large message, or answer in a way that paho takes for a broken protocol; then that message counts as
+   refused.
 """
 
 import asyncio
@@ -21,17 +22,17 @@ from .interface import SinkDown, SinkRefused
 
 GIVE_UP_SECONDS: Final = 0.5
 REFUSED: Final = frozenset({0x90, 0x95, 0x99})
-"""Answers about the message itself: its topic, its size, the format of its payload (MQTT 5.0 §3.4.2.1, §3.14.2.1)."""
+"""Reason codes of a message that can never be taken: topic, size, format of payload (MQTT 5.0 §3.4.2.1, §3.14.2.1)."""
 _PROTOCOL_ERROR: Final = 0x82
 _LEAST_SUSPECT: Final = 1024
-"""Bytes from which on the size of a message can be why its connection ended."""
+"""Bytes of payload from which on the size of a message can be the reason why the broker ended the connection."""
 
 
 async def connect(client: Any) -> None:  # aiomqtt is loaded when it is used
     """Connect an MQTT client to its broker; ``client.__aexit__`` disconnects it.
 
     Raises:
-        aiomqtt.MqttError, OSError: it is not connected; nothing of it is left open.
+        aiomqtt.MqttError, OSError: the client is not connected, and nothing of it is left open.
     """
     connecting = asyncio.ensure_future(client.__aenter__())
     try:
@@ -49,7 +50,8 @@ async def connect(client: Any) -> None:  # aiomqtt is loaded when it is used
 class MqttPublisher:
     """Publishes messages over one connection of an MQTT client, and waits for the broker's answers.
 
-    Puts callbacks of its own before those of the client for connecting, acknowledgements and disconnecting.
+    It replaces the client's callbacks for connecting, acknowledgements and disconnecting by its own, which call those
+    of the client; an acknowledgement that is awaited here is not passed on.
 
     Args:
         client: a client of aiomqtt, not connected yet.
@@ -71,7 +73,7 @@ class MqttPublisher:
         return bool(self._client._disconnected.done())
 
     def check_size(self, topic: str, payload: bytes, properties: Any = None) -> None:
-        """Raise `SinkRefused` if a message is larger than the broker has announced to accept."""
+        """Raise `SinkRefused` if a message is larger than the broker accepts. Nothing if it has announced no limit."""
         told = 1 if properties is None else len(properties.pack())
         size = 5 + 2 + len(topic.encode()) + 2 + told + len(payload)
         if self._most is not None and size > self._most:
@@ -81,11 +83,11 @@ class MqttPublisher:
         """Publish a message with QoS 1, and wait for the broker's answer.
 
         Returns:
-            The reason code of the answer (MQTT 5.0 §3.4.2.1); from 0x80 on the broker threw the message away.
+            The reason code of the answer (MQTT 5.0 §3.4.2.1), 0…255; 0x80 and more: the broker threw the message away.
 
         Raises:
-            SinkRefused: the message is too large for this broker. The connection may have ended.
-            aiomqtt.MqttError: no answer came; the message may have arrived.
+            SinkRefused: the message is too large for this broker, or seems to be: then the connection has ended.
+            aiomqtt.MqttError: no answer came, or the message could not be sent; it may have arrived.
         """
         mqtt = import_module("aiomqtt")
         self.check_size(topic, payload, properties)
@@ -110,9 +112,9 @@ class MqttPublisher:
         """Publish a message with QoS 1, and wait until the broker has accepted it.
 
         Raises:
-            SinkRefused: the broker would refuse the message again.
+            SinkRefused: the broker refuses the message for good.
             SinkDown: the broker does not accept the message now.
-            aiomqtt.MqttError: no answer came; the message may have arrived.
+            aiomqtt.MqttError: no answer came, or the message could not be sent; it may have arrived.
         """
         answer = await self.publish(topic, payload, retain=retain, properties=properties)
         if answer >= 0x80:
@@ -138,7 +140,7 @@ class MqttPublisher:
 
 
 def _words(answer: int) -> str:
-    """Return the meaning of a reason code that a broker answered to a message, as text."""
+    """Return the meaning of a reason code in a broker's answer to a message, as text."""
     codes = import_module("paho.mqtt.reasoncodes")
     kinds = import_module("paho.mqtt.packettypes").PacketTypes
     try:

@@ -2,12 +2,13 @@
 
 Knows subjects and messages; the protocol is nats-py's (``busway[nats]``).
 
-1. A message is one device and commit (`documents`). Its ``Nats-Msg-Id`` is the same at a repetition, so the server
-   drops what it has already within its window (two minutes by default).
+1. A message is one device and commit (`documents`). If it is sent again, its ``Nats-Msg-Id`` is the same, so that the
+   server drops a repetition within its window (two minutes by default).
 2. `send` returns when the stream has acknowledged every message.
 3. Alarm events go to one subject: ``alarms`` after the part of the subject that stands before ``{device}``, such as
    ``busway.alarms``.
-4. With ``stream``, that stream is created if it does not exist. Without it, some stream must have the subjects already.
+4. With the option ``stream``, that stream is created if it is missing. Without it, a stream with the subjects must
+   exist already.
 """
 
 import contextlib
@@ -28,9 +29,9 @@ from .nats_connection import nats_client_kind
 
 _USUAL: Final = NatsOptions()
 IN_FLIGHT: Final = 64
-"""Messages that are sent before the first is acknowledged."""
+"""Messages that are sent together; the next ones are sent when all of these are acknowledged."""
 REFUSED: Final = frozenset({10054})
-"""Errors of JetStream that are about the message itself: it is larger than the stream takes."""
+"""Error codes of JetStream for a message that can never be taken: it is larger than the stream permits."""
 _HEADER_BYTES: Final = len("NATS/1.0\r\nNats-Msg-Id: \r\n\r\n")
 
 
@@ -54,8 +55,8 @@ class NatsSink:
         Args:
             url: ``nats://host:4222``.
             subject: the subject of samples, with ``{device}``.
-            stream: name of a stream that is created, if it is missing, for the subjects of this sink; None to create
-                none.
+            stream: name of a stream that is created for the subjects of this sink if it is missing; None to create no
+                stream.
             user, password, token: credentials for the server.
             tls: the TLS context; None for no encryption.
             timeout: seconds for connecting, and for an acknowledgement.
@@ -105,9 +106,9 @@ class NatsSink:
         return self._secrets.hide(error) or type(error).__name__
 
     async def _note(self, error: Exception) -> None:
-        """Keep the text of an error that the NATS library reports while connecting; the library calls this.
+        """Keep the text of an error as the cause to be shown if connecting fails.
 
-        The error that `connect` raises later does not name this cause.
+        Called by the NATS library (``error_cb``), because the error that its `connect` raises does not name the cause.
         """
         self._cause = self._words(error)
 
@@ -129,7 +130,7 @@ class NatsSink:
                 await client.close()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the stream has them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish samples, and wait until the stream has acknowledged them. Raises `SinkDown`, `SinkRefused`."""
         messages = [
             (self._subject.replace("{device}", subject_token(each.device)), each.encode(), each.key)
             for each in documents(samples)
@@ -137,7 +138,7 @@ class NatsSink:
         await self._publish(messages)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish alarm events, and wait until the stream has them.
+        """Publish alarm events, and wait until the stream has acknowledged them.
 
         Raises:
             SinkDown: the server or the stream does not accept messages now; some events may have arrived.
@@ -157,12 +158,12 @@ class NatsSink:
         """Publish messages, and wait until the stream has acknowledged them all.
 
         Args:
-            messages: subject, payload and key of each; the stream recognises repeated messages by the key
-                (``Nats-Msg-Id``).
+            messages: subject, payload and key (``Nats-Msg-Id``) of each; the stream recognises repeated messages by the
+                key.
 
         Raises:
             SinkRefused: a message is too large for the server or the stream. Some of the messages may have arrived.
-            SinkDown: the server or the stream does not accept messages now. Some of them may have arrived.
+            SinkDown: the server or the stream does not accept messages now. Some of the messages may have arrived.
         """
         nats = import_module("nats")
         if self._client is None or self._jetstream is None:

@@ -1,8 +1,8 @@
-"""The client of NATS that all connections to its servers have (nats-py).
+"""Makes the class of NATS clients (nats-py) that all connections to NATS servers use.
 
-1. With a URL that asks for TLS nothing is sent to a server that offers none. The library encrypts only where the server
-   asks for it, and else sends name, password and token as they are: to whatever answers in the server's place, too.
-2. A connection that was refused is closed; the library leaves its socket open.
+1. If the URL asks for TLS, nothing is sent to a server that offers none. The library alone encrypts only if the server
+   asks for it; else it sends name, password and token in clear text, even to an impostor.
+2. If connecting is refused, the connection is closed; the library alone would leave its socket open.
 """
 
 from functools import cache
@@ -12,9 +12,9 @@ from typing import Any
 
 @cache
 def nats_client_kind() -> Any:  # Any: the package is loaded when it is used
-    """Return the class of NATS clients to use: a subclass of nats-py's that keeps the rules of this file.
+    """Return the class of NATS clients to use: a subclass of nats-py's client that keeps the rules of this file.
 
-    Set its ``must_encrypt`` before `connect`.
+    Set ``must_encrypt`` of a client before `connect`: whether nothing may be sent to a server that offers no TLS.
     """
     nats = import_module("nats")
 

@@ -36,11 +36,14 @@ _LONGEST_SECRET: Final = 4096
 
 
 def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, DeliveryOptions]:
-    """Create a sink and the options of its delivery from a table of the collector file; nothing is connected.
+    """Create a sink and the options of its delivery from a table of the collector file. Nothing is connected yet.
 
     Args:
         section: the sink's table ``[[sink]]``, with paths that can be opened.
-        folder: the store's folder, for what a sink keeps over a restart; None to keep nothing.
+        folder: the store's folder, where a Sparkplug sink keeps a number over a restart; None to keep nothing.
+
+    Returns:
+        The sink; and the options, in which a device alone has become the pattern ``device/*``.
 
     Raises:
         ConfigError: values exclude each other, or a password or token cannot be read; names the key.
@@ -90,17 +93,18 @@ def _login(section: SentSection) -> dict[str, str | None]:
 
 
 def secret(section: SentSection, key: str) -> str | None:
-    """Return a password or token, read from the file or the environment variable that a table of the file names.
+    """Return a password or token, read from the file or the environment variable that a table names.
 
     Args:
-        section: the table.
+        section: the table of the collector file.
         key: ``password`` or ``token``.
 
     Returns:
         The secret; None if the table names neither file nor variable.
 
     Raises:
-        ConfigError: both are named, the variable is not set, or the file cannot be read or can be read by others.
+        ConfigError: the table names file and variable, the variable is not set, or the file cannot be read, is longer
+            than 4096 bytes or can be read by other users.
     """
     file, variable = getattr(section, f"{key}_file"), getattr(section, f"{key}_variable")
     if file is not None and variable is not None:
@@ -127,7 +131,7 @@ def tls(section: SentSection, wanted: bool) -> ssl.SSLContext | None:
         wanted: whether the URL of the table asks for TLS.
 
     Raises:
-        ConfigError: a file cannot be used, or certificate options are given without TLS.
+        ConfigError: a file cannot be used, or the table has certificate options and its URL asks for no TLS.
     """
     given = section.options_of(CertificateOptions)
     if wanted:
@@ -143,7 +147,7 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
     Args:
         authority: file with the certificates of trusted authorities; None for the system's own.
         certificate: file with the client's own certificate; None for none.
-        key: file with its private key; None if ``certificate`` has it.
+        key: file with the private key of ``certificate``; None if the certificate file contains it.
 
     Raises:
         ConfigError: a file cannot be used.

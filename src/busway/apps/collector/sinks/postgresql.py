@@ -2,13 +2,13 @@
 
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
-1. A batch is one transaction. The key is (device, point, time): a batch that comes again changes nothing.
+1. A batch is one transaction. The key is (device, point, time): a batch that is sent again changes nothing.
 2. PostgreSQL has microseconds: ``time`` is rounded down, and ``nanoseconds`` has the rest.
 3. The table is created if it does not exist; with ``timescale`` it becomes a hypertable.
-4. Alarm events go to a table of their own, which is created at the first of them. They are upserted by the number of
-   the event: its commit, and its place in that commit.
-5. Samples of a fleet have the revision of its configuration. The column for it is added at the first of them; if the
-   table belongs to another user, they are written without it.
+4. Alarm events go to a table of their own, which is created with the first event. An event is identified by device,
+   point, time, its commit number and its place in that commit: one that is sent again replaces itself.
+5. Samples of a fleet have the revision of its configuration. The column for it is added with the first such sample; if
+   the table belongs to another user, samples are written without it.
 6. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
    of the device within the gap, in the transaction that writes the gap or the sample: the order in which they come does
    not matter.
@@ -48,7 +48,7 @@ CREATE TEMPORARY TABLE arriving (
     time timestamptz, device text, point text, value double precision, text text, reason smallint, half_width bigint,
     nanoseconds smallint, revision bigint
 )"""
-"""Has types of its own: the server judges what fits the table, in one way for all of its columns."""
+"""The temporary table to which samples are copied. The server checks whether they fit the real table at the upsert."""
 _ALARM_COLUMNS: Final = (
     "time", "device", "point", "kind", "event", "value", "value_text", "text", "by", "nanoseconds", "commit_number",
     "place",
@@ -106,12 +106,12 @@ class PostgresqlSink:
 
         Args:
             url: ``postgresql://user@host:5432/database``, without a password.
-            table: name of the table of samples, ``schema.table`` if it is not in the search path; small letters,
-                digits, ``_``.
-            alarm_table: name of the table of alarm events, likewise.
-            gap_table: name of the table of gaps of ownership, likewise.
-            password: the user's password.
-            tls: how to encrypt; None to leave that to the server and the URL.
+            table: name of the table of samples, or ``schema.table``; each name has small letters, digits and ``_``, 63
+                at most, and begins with no digit.
+            alarm_table: name of the table of alarm events, in the same form.
+            gap_table: name of the table of gaps of ownership, in the same form.
+            password: the user's password; None for none.
+            tls: the TLS context; None to leave encryption to the server and the URL.
             timescale: whether the tables of samples and alarm events become hypertables of TimescaleDB; the extension
                 must be in the database.
             timeout: seconds for each command.
@@ -168,7 +168,7 @@ class PostgresqlSink:
                 connection.terminate()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Write samples to the table, and shrink gaps of ownership by them, in one transaction (rules 1 and 6).
+        """Write samples to the table, and move the begin of gaps that contain them, in one transaction (rules 1 and 6).
 
         If a sample has a revision, the column for it is added before (rule 5). Raises `SinkDown`, `SinkRefused`.
         """
@@ -192,7 +192,7 @@ class PostgresqlSink:
                 await self._connection.execute(_SHRINK_GAPS.format(table=self._gap_table, reason=int(Reason.OWNERSHIP)))
 
     async def _add_revision(self) -> None:
-        """Add the column for revisions to the table of samples, unless it is there or the user may not."""
+        """Add the column for revisions to the table of samples if it is missing; if the user may not, only log that."""
         pg = import_module("asyncpg")
         asked = (
             "SELECT count(*) FROM pg_attribute"
@@ -300,8 +300,8 @@ def number_and_text(value: Value | None) -> tuple[float | None, str | None]:
     """Return a value for the columns ``value`` and ``text`` of the table.
 
     Returns:
-        The value as float, None for a text or no value; and a text, or the digits of an integer that no float can
-        represent, else None.
+        The value as float, None for a text or no value; and the text, or the digits of an integer that no float can
+        represent exactly, else None.
     """
     if value is None or isinstance(value, str):
         return None, value

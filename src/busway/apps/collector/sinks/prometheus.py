@@ -2,15 +2,15 @@
 
 Knows what was committed last; the format is prometheus-client's (``busway[metrics]``).
 
-1. Only points that the list names are shown: each is a time series that Prometheus keeps.
+1. Only points that the patterns name are shown, because each is a time series that Prometheus keeps.
 2. Bad values, texts and values older than ``stale`` seconds are left out, so that a series ends instead of standing
    still.
-3. A device that is not read (suspended, without connection, in maintenance) has bad last values for that reason, from
-   the begin of that interval until each point is read again: no value stays good while it only grows old.
-4. While the store cannot be written, no value is replaced by a newer one, so all are bad for that reason.
-5. A good value that was not read again when it was due is held, and so uncertain (`held_values`): the link is
-   overloaded or waits for a reply, or polling has ended by a defect. It was read when its transaction ended, however
-   long its commit had to wait.
+3. If a device is not read (suspended, without connection, in maintenance), its last values are shown as bad with that
+   reason, until each point is read again: no value stays good while it only grows old.
+4. While the store cannot be written, no value is replaced by a newer one, so all values are shown as bad.
+5. A good value that was not read again when it was due is shown as held, which is uncertain (`held_values`): the link
+   is overloaded or waits for a reply, or polling has ended by a defect. Its age counts from the end of its transaction,
+   however long its commit had to wait.
 6. A point that is no longer in the configuration has no last value.
 7. When the clock is set, earlier last values move with the samples of the store, so that later ones replace them.
 """
@@ -44,21 +44,22 @@ from ..samples import (
 from ..store.writer import Commit
 
 _FORGET_ABOVE: Final = 10_000
-"""Batches that are kept before those are looked for that later ones cover."""
+"""Number of kept batches above which batches are removed whose points all have a newer sample."""
 
 
 class LastValues:
     """The last stored sample of each point. Safe from any thread.
 
-    `update` is called with each commit, by the thread that commits.
+    The thread that commits calls `update` with each commit.
 
     Args:
-        is_behind: whether commits have failed or hung for some seconds, so that there may be newer samples (rule 4).
-        limits: by device and point, seconds after which a value is held (rule 5); points that are missing never are.
+        is_behind: returns whether commits have failed or hung for some seconds, so that newer samples wait (rule 4).
+        limits: by device and point, seconds after which a value is held (rule 5); points without a limit never are.
         moment: returns seconds of the monotonic clock.
 
     Attributes:
-        is_behind, limits: the same.
+        is_behind: the argument.
+        limits: the present limits; `configure` replaces them.
     """
 
     def __init__(
@@ -78,9 +79,9 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples of a commit that the store has just made, and its intervals, skipped rounds apart.
+        """Take over the samples and intervals of a commit that the store has just made, except skipped rounds.
 
-        If the commit corrects earlier times, those of the known samples and intervals are corrected too (rule 7).
+        If the commit has a correction of times, the known samples and intervals are corrected before (rule 7).
         """
         with self._lock:
             correction = commit.correction
@@ -100,7 +101,7 @@ class LastValues:
     def configure(self, limits: Mapping[tuple[str, str], float], points: Collection[tuple[str, str]]) -> None:
         """Use the limits and points of a configuration that was read again (rule 6).
 
-        Values of devices without points are forgotten.
+        `last` and `samples` no longer give values of other points. Values of devices without points are forgotten.
 
         Args:
             limits: by device and point, seconds after which a value is held.
@@ -113,9 +114,9 @@ class LastValues:
             self._taken_at = {group: self._taken_at[group] for group in self._batches}
 
     def reads(self) -> list[tuple[SampleBatch, float]]:
-        """Return the last read of each group of points, each with when it ended, seconds of the monotonic clock.
+        """Return the last read of each group of points, with the time of its end in seconds of the monotonic clock.
 
-        A point that is in several groups has its last value in the latest of their reads.
+        If a point is in several groups, its last value is in the latest of their reads.
         """
         with self._lock:
             return [(batch, self._taken_at[group]) for group, batch in self._batches.items()]
@@ -124,7 +125,7 @@ class LastValues:
         return self._points is None or (device, point) in self._points
 
     def _forget_covered(self) -> None:
-        """Remove batches that are not needed any more: all their points have a newer sample.
+        """Remove batches whose points all have a newer sample in another batch.
 
         Call with the lock held.
         """
@@ -143,7 +144,7 @@ class LastValues:
         return found
 
     def _reason(self, batch: SampleBatch, point: str, reason: int) -> int:
-        """Return the number of the reason to show for a last value; not good while it only grows old (rules 3 to 5).
+        """Return the number of the reason to show for a last value now, 0 for good (rules 3 to 5).
 
         Call with the lock held.
 
@@ -180,10 +181,10 @@ class LastValues:
             return dict(self._intervals)
 
     def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
-        """Return value, number of the reason (0 for good) and time in nanoseconds of the last sample of one point.
+        """Return value, number of the reason and time of the last sample of one point; None if there is no sample.
 
-        None if there is no sample of the point. The reason is the one to show now, which may be another than that of
-        the sample (rules 3 to 5).
+        The time is in nanoseconds since 1970 UTC. The reason, 0 for good, is the one to show now, which may differ from
+        that of the sample (rules 3 to 5).
         """
         found: tuple[Value | None, int, int] | None = None
         with self._lock:
@@ -199,7 +200,8 @@ class LastValues:
     def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
         """Yield device, point, value, number of the reason and time of the last sample of each point, ordered by name.
 
-        Times are nanoseconds since 1970 UTC; a reason of 0 is good. It is the one to show now (rules 3 to 5).
+        Times are nanoseconds since 1970 UTC. The reason, 0 for good, is the one to show now, which may differ from that
+        of the sample (rules 3 to 5).
         """
         with self._lock:
             found = []
@@ -229,15 +231,16 @@ class PrometheusPage:
         more: Callable[[], Iterable[Any]] = tuple,
         now: Callable[[], int] = time.time_ns,
     ) -> None:
-        """Begin to listen for scrapes.
+        """Begin to listen for scrapes, in a new thread.
 
         Args:
-            where: ``127.0.0.1:9503``; port 0 takes a free one. Every host that reaches it can read the values.
-            points: patterns ``device/point`` of what is shown; at least one.
+            where: address and port, such as ``127.0.0.1:9503``; port 0 takes a free port. Every host that reaches the
+                address can read the values.
+            points: patterns ``device/point`` of the points to show, at least one; alarms of these points are shown too.
             values: the last values.
             stale: seconds after which a value is left out.
-            alarms: returns the alarms that are active or not acknowledged; called from another thread.
-            more: returns further families of metrics of prometheus-client; called from another thread.
+            alarms: returns the alarms that are active or not acknowledged; called in the thread of the service.
+            more: returns further families of metrics of prometheus-client; called in the thread of the service.
             now: returns nanoseconds since 1970 UTC.
 
         Raises:
@@ -256,11 +259,11 @@ class PrometheusPage:
         self._service.start()
 
     def configure(self, points: Sequence[str], stale: float) -> None:
-        """Show other points from now on, and leave values out after other seconds; arguments as when it was made."""
+        """Set new patterns ``device/point`` of the points to show, and new seconds after which a value is left out."""
         self._points, self._stale = tuple(points), stale
 
     def close(self) -> None:
-        """Stop listening for scrapes, and end the thread."""
+        """Stop listening for scrapes, and end the thread of the service."""
         self._service.stop()
 
     def _answer(self, request: HttpRequest) -> HttpResponse:
@@ -316,7 +319,7 @@ class PrometheusPage:
 
 
 class _Collected:
-    """Collector for the Prometheus client library, which asks it for all metrics at each scrape."""
+    """Gives the metrics to the Prometheus client library, which calls `collect` at each scrape."""
 
     def __init__(self, families: Callable[[], Iterator[Any]]) -> None:
         self._families = families

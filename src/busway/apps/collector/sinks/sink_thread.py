@@ -1,6 +1,6 @@
 """Runs all sinks of a store in a thread with an event loop of its own, so that no sink delays polling.
 
-Knows threads and tasks; knows nothing of what a delivery does.
+Knows threads and tasks; does not know what a delivery does.
 """
 
 import asyncio
@@ -20,14 +20,14 @@ from .delivery import PAUSE_LIMIT, Delivery, SinkStatus
 from .interface import DescribedSink, Sink
 
 FINISH: Final = 2.0
-"""Seconds for which a sink that is removed, or a program that ends, may finish what it sends."""
+"""Seconds within which a sink that is removed, or a program that ends, may finish the batch that it is sending."""
 
 _log = logging.getLogger("busway.sinks")
 
 
 @dataclass(slots=True, eq=False)
 class _RunningSink:
-    """A sink with the delivery to it, and the task of that; None until the task has begun."""
+    """A sink, the delivery to it, and the task that runs the delivery; the task is None until it has begun."""
 
     sink: Sink
     delivery: Delivery
@@ -37,7 +37,7 @@ class _RunningSink:
 class SinkThread:
     """The thread that sends the samples of a store to all its sinks, from its creation until `close`.
 
-    `add`, `remove` and `set_points` are for one thread, that of the collector.
+    `add`, `remove` and `set_points` must be called in one thread, that of the collector.
     """
 
     def __init__(
@@ -51,9 +51,10 @@ class SinkThread:
 
         Args:
             writer: the open store; the cursors of the sinks are in its manifest.
-            sinks: each sink with the options of its delivery, by name; a name keeps its cursor over a restart.
-            point_rules: by device and point, the report rules of points of which only some samples are sent.
-            points: by device and name, the points that the configuration has; None for all of the store.
+            sinks: each sink with the options of its delivery, by name; a sink continues at the cursor of its name.
+            point_rules: by device and point, the report rules of points of which only some samples are sent. None for
+                no rules.
+            points: by device and name, the points in the configuration; None for all points of the store.
 
         Raises:
             ConfigError: a name is empty or has a character that a file's name cannot have.
@@ -74,7 +75,7 @@ class SinkThread:
         self._thread.start()
 
     def add(self, name: str, sink: Sink, options: DeliveryOptions) -> None:
-        """Begin to send to one more sink; it continues after the last commit that a sink of this name has got.
+        """Begin to send to one more sink, after the last commit that a sink of this name has got, if any.
 
         Args:
             name: name of the sink; none of this name is running.
@@ -96,15 +97,18 @@ class SinkThread:
         self._loop.call_soon_threadsafe(self._begin, running)
 
     def reserve(self, name: str) -> None:
-        """Have the store list a sink that will be added, so that `add` cannot fail for it. Raises `sqlite3.Error`."""
+        """Write the cursor of a sink into the manifest, so that a later `add` cannot fail at that.
+
+        Raises `sqlite3.Error`.
+        """
         manifest = self._writer.manifest
         manifest.set_cursor(name, *manifest.cursors().get(name, (0, 0)))
 
     def remove(self, name: str, timeout: float = 10.0) -> None:
-        """Stop sending to a sink, and wait for that; one that is added under its name later goes on there.
+        """Stop sending to a sink, and wait until its delivery has ended. A later sink of its name continues there.
 
-        What is being sent arrives first, if that takes `FINISH` seconds at most: it is not sent again then.
-        A sink that has not ended after ``timeout`` seconds is left as it is, which is logged.
+        The batch that is being sent may arrive first, within `FINISH` seconds, so that it is not sent again. If the
+        delivery has not ended after ``timeout`` seconds, this is logged, and the method returns.
         """
         running = self._running.pop(name)
         ended = asyncio.run_coroutine_threadsafe(_finish(running), self._loop)
@@ -117,7 +121,7 @@ class SinkThread:
         """Use the points and report rules of a configuration that was read again.
 
         Args:
-            points: by device and name, the points that the configuration has.
+            points: by device and name, the points in the configuration.
             rules: by device and point, the report rules of points of which only some samples are sent.
         """
         self._points, self._rules = points, rules
@@ -131,10 +135,10 @@ class SinkThread:
         return [each.delivery.status() for each in list(self._running.values())]
 
     def close(self, timeout: float = 10.0) -> None:
-        """Stop sending to all sinks, and wait at most ``timeout`` seconds for their end.
+        """End the deliveries to all sinks, and wait for at most ``timeout`` seconds until the thread has ended.
 
-        What is being sent arrives first, if that takes `FINISH` seconds at most: it is not sent again then. Samples
-        that are not sent yet are sent after the next start.
+        A batch that is being sent may arrive within `FINISH` seconds; one that is interrupted is sent again after the
+        next start, and samples that are not sent yet are sent then.
         """
         with contextlib.suppress(RuntimeError):  # the loop has ended
             self._loop.call_soon_threadsafe(self._ending.set)
@@ -156,7 +160,7 @@ class SinkThread:
 
 
 def _check_name(name: str) -> None:
-    """Raise `ConfigError` for a name that no sink can have: it is part of the name of a file."""
+    """Raise `ConfigError` for a name that a sink cannot have, because it could not be part of a file's name."""
     if not name or not all(each.isalnum() or each in "-_." for each in name) or name.startswith("."):
         raise ConfigError(f"{name!r} is no name of a sink: letters, digits, - _ . are possible", key="name")
 

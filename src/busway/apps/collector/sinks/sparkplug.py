@@ -1,10 +1,10 @@
-"""Sink for Sparkplug B 3.0: the collector is an edge node of a group, and each of its devices a device of that.
+"""Sink for Sparkplug B 3.0: the collector is an edge node of a group; its devices are the devices of the edge node.
 
 Knows topics, births, deaths and their order (Sparkplug 3.0 §5, §6); the payload is `sparkplug_payload`'s, the protocol
 is aiomqtt's (``busway[sparkplug]``).
 
-1. One connection, one edge node. Its last will is the death of the node, with the number (bdSeq) that its birth has
-   too; the number is kept in a file, so that it goes on after a restart.
+1. One connection, one edge node. Its last will is the death of the node, with the same number (bdSeq) as its birth. The
+   number is kept in a file, so that it goes on after a restart.
 2. A device is born with the last samples of all of its metrics known so far, and again when a metric is new, has
    another type, or no longer exists. Data are sent only after a birth. Samples from before the connection are marked as
    historical, and hosts do not show these. So when no more of them follow, a device whose last values were among them
@@ -13,16 +13,15 @@ is aiomqtt's (``busway[sparkplug]``).
    broker takes the messages of a connection in order, so it has the data too.
 4. With a primary host, nothing is sent while the host is offline: the edge node dies at once, and samples wait in the
    store. A host that comes back does not know earlier births, so it gets births before data.
-5. A host that asks for the births again gets them, once in `REBIRTH_PAUSE` seconds at most.
+5. If a host asks for the births, they are published again, but at most once in `REBIRTH_PAUSE` seconds.
 6. Events of alarms are values of the metric `ALARM_METRIC` of the edge node, JSON as over MQTT, whether their device is
    born or not.
-7. If the file permits it, values that a host writes to metrics of devices (DCMD) are handed to the commands of the
-   collector, as they come, by `SparkplugCommandTaker`. Their topics are subscribed to before the births are sent;
-   retained messages are not taken.
+7. If the configuration permits it, values that a host writes to metrics of devices (DCMD) are passed to the commands of
+   the collector as they arrive (`SparkplugCommandTaker`). Their topics are subscribed to before the births are sent;
+   messages that were retained before are not delivered.
 8. A device dies when the collector suspends it, when it has no connection, or when its maintenance begins; its next
-   sample that has none of these reasons is a birth. Until then the device is left out of births that hosts ask for, or
-   that follow a connection.
-9. A birth that is too large for the broker goes without values.
+   sample that has none of these reasons causes a birth. Until then no birth of the device is published.
+9. If a birth is too large for the broker, it is published without values.
 """
 
 import asyncio
@@ -54,13 +53,13 @@ REBIRTH_METRIC: Final = "Node Control/Rebirth"
 ALARM_METRIC: Final = "Alarms/Event"
 """The metric of the edge node whose values are events of alarms."""
 MOST_METRICS: Final = 1000
-"""Metrics in one message at most."""
+"""Most metrics in one data message."""
 _NUMBERS: Final = 256
-"""Sequence numbers and numbers of connections begin again behind 255."""
+"""Sequence numbers and numbers of connections are 0…255; 0 follows 255."""
 _MOST_EXACT: Final = 2**53
-"""Whole numbers below it are floats too."""
+"""Every integer whose absolute value is below it is exactly representable as float."""
 _NO_DEVICE: Final = frozenset({Reason.SUSPENDED, Reason.NO_CONNECTION, Reason.MAINTENANCE})
-"""Reasons that mean that a device is not there."""
+"""Reasons of samples that mean that the device is not there, so that it has no birth (rule 8)."""
 _QUALITIES: Final = {Quality.BAD: SparkplugQuality.BAD, Quality.UNCERTAIN: SparkplugQuality.STALE}
 
 _log = logging.getLogger("busway.sinks")
@@ -72,9 +71,9 @@ class _Device:
     """A device as a Sparkplug host sees it: its metrics with their last samples and types.
 
     Attributes:
-        last: the last sample of each metric.
-        kinds: the type of each metric.
-        untyped: metrics that never had a value, whose type is a guess.
+        last: the last sample of each metric, by name of its point.
+        kinds: the type of each metric, by name of its point.
+        untyped: metrics that never had a value; their type is DOUBLE until the first value.
         behind: metrics whose last values were sent as historical ones since the birth, so that hosts do not show them.
         is_born: whether its birth was published in this connection, and no death after it.
         is_gone: whether it is suspended, without connection, or in maintenance.
@@ -109,7 +108,7 @@ class _Device:
         return kind is not known or not self.is_born
 
     def forget(self, points: Collection[str]) -> None:
-        """Remove the metrics of points that no longer exist; each point has a metric here."""
+        """Remove the metrics of points that no longer exist. Each of these points must have a metric."""
         for point in points:
             del self.last[point], self.kinds[point]
         self.untyped.difference_update(points)
@@ -136,7 +135,7 @@ class SparkplugCommand:
     Attributes:
         device, point: names.
         value: the value; None if the message has none.
-        sent: when it was sent by the host's clock, seconds since 1970 UTC; None if the message does not say.
+        sent: when the host sent it, by the host's clock, seconds since 1970 UTC; None if the message has no time.
         is_retained: whether the broker keeps the message for later subscribers.
     """
 
@@ -148,27 +147,28 @@ class SparkplugCommand:
 
 
 class SparkplugCommandTaker(Protocol):
-    """Interface of the receiver of commands from Sparkplug hosts. Its methods are called in the sink's thread.
+    """Interface of the receiver of commands from Sparkplug hosts.
 
-    They must return at once.
+    The sink calls its methods in its own thread; they must return at once.
     """
 
     def take(self, command: SparkplugCommand) -> None:
         """Take a command to write a point and return at once; the Sparkplug host gets no reply."""
 
     def note(self, error: str | None) -> None:
-        """Learn why no commands can arrive now; None when they can arrive."""
+        """Learn why no commands can arrive now; ``error`` is None if they can arrive."""
 
 
 COLLECTOR: Final = "{collector}"
-"""What stands for the name of the collector in the name of an edge node."""
+"""Placeholder for the name of the collector in the name of an edge node."""
 
 
 class SparkplugSink:
     """Sink that publishes samples and alarm events as a Sparkplug B edge node, and receives commands of hosts.
 
     Attributes:
-        edge_node: the name of the edge node in all topics.
+        edge_node: the name of the edge node in all topics; `join` replaces ``{collector}`` in it.
+        commands: takes the values that hosts write; None if hosts may write nothing. May be set before `open`.
     """
 
     def __init__(
@@ -193,9 +193,9 @@ class SparkplugSink:
         Args:
             host, port: the broker.
             group, edge_node: names in all topics; without ``/``, ``+`` and ``#``.
-            primary_host: name of the host application that must be online for anything to be sent; None for none.
-            number_file: file that keeps the number of the last connection (bdSeq) over a restart; None to begin again
-                at 1.
+            primary_host: name of the host application that must be online before anything is sent; None for none.
+            number_file: file that keeps the number of the last connection (bdSeq) over a restart; None to keep it in
+                memory only, where the first connection has 1.
             user, password: credentials for the broker.
             tls: the TLS context; None for no encryption.
             client_id: names this client to the broker; None for one that the library makes.
@@ -261,10 +261,10 @@ class SparkplugSink:
     async def open(self) -> None:
         """Connect to the broker, wait for the primary host, and publish the births of the edge node and its devices.
 
-        Devices that are not there have no birth (rule 8). The number of the connection is kept in a file before.
+        Devices that are not there have no birth (rule 8). The number of the connection is written to its file before.
 
         Raises:
-            SinkDown: the broker cannot be reached, or the primary host is not online.
+            SinkDown: the broker cannot be reached, the primary host is not online, or the file cannot be written.
         """
         mqtt = import_module("aiomqtt")
         self._number = await asyncio.to_thread(self._next_number)
@@ -297,7 +297,7 @@ class SparkplugSink:
             raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
 
     async def close(self) -> None:
-        """Publish the death of the edge node, and disconnect. Births follow with the next connection."""
+        """Publish the death of the edge node, and disconnect. `open` publishes the births again."""
         self._note_commands(f"the broker {self._where} is not connected")
         self._passed.clear()  # the broker may not have them
         tasks = [task for task in (self._listener, self._rebirth) if task is not None]
@@ -321,7 +321,8 @@ class SparkplugSink:
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Publish samples, with the births and deaths that they need, and wait until the broker has them.
 
-        Samples of a refused batch that were published are not published again. Raises `SinkDown`, `SinkRefused`.
+        If the broker refuses a part of a batch, the samples that were published are left out when the batch is sent
+        again in parts. Raises `SinkDown`, `SinkRefused`.
         """
         with self._once(samples) as fresh:
             async with self._delivering():
@@ -339,7 +340,7 @@ class SparkplugSink:
                     self._published.append(alarm)
 
     def remember(self, samples: Sequence[CommittedSample]) -> None:
-        """Learn the last samples that were sent before a restart; births have them until newer samples are sent."""
+        """Learn which samples were sent last before a restart; births contain them until newer samples are sent."""
         for sample in sorted(samples, key=lambda each: each.time):
             device = self._devices.setdefault(sample.device, _Device())
             device.learn(sample)
@@ -348,11 +349,11 @@ class SparkplugSink:
     async def show_current(self, points: Collection[tuple[str, str]] | None = None) -> None:
         """Publish births again for devices of which hosts show old values or removed points.
 
-        Hosts do not show values that were sent as historical. A device that has lost all of its points is reported
-        dead.
+        Hosts show old values if newer ones were sent as historical. A device of which no point exists any more is
+        reported dead and forgotten.
 
         Args:
-            points: device and name of each point that there is; None for all that were sent.
+            points: device and name of each point that exists; None if all points that were sent exist.
 
         Raises:
             SinkDown: the connection is lost, or the primary host is offline.
@@ -373,9 +374,9 @@ class SparkplugSink:
         await self._disturbance.wait()
 
     def _without(self, points: Collection[tuple[str, str]]) -> dict[str, list[str]]:
-        """Return for each device the names of its metrics whose points no longer exist.
+        """Return for each device the names of its metrics whose points are not in ``points``; others are left out.
 
-        ``points`` has those that do.
+        ``points`` has device and name of each point that exists.
         """
         found = {
             name: [point for point in device.last if (name, point) not in points]
@@ -384,14 +385,15 @@ class SparkplugSink:
         return {name: gone for name, gone in found.items() if gone}
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the name of a device in topics, and the name of a point's metric (`TopicSink`)."""
+        """Return the name of a device in topics, and the name of a point's metric: its own name (`TopicSink`)."""
         return topic_level(device), point
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
         """Context manager that yields the samples or alarm events of ``wanted`` that are not published yet.
 
-        After the broker has refused one, the batch is sent again in parts: what was published before is then left out.
+        If the block raises `SinkRefused`, the batch is sent again in parts: then those that the block has published are
+        left out.
         """
         first = min((each.commit for each in wanted), default=0)
         self._passed = {each for each in self._passed if each.commit >= first}
@@ -421,7 +423,7 @@ class SparkplugSink:
         self._check_host()
 
     async def _publish_acknowledged(self) -> None:
-        """Publish one more message with QoS 1 and wait for its answer: then the broker has all messages so far."""
+        """Publish an empty message with QoS 1 and wait for its answer: then the broker has all messages before it."""
         topic = f"busway/sparkplug/{self._group}/{self.edge_node}/delivered"
         await self._connected().publish(topic, b"")  # any answer, also that this topic is not permitted
 
@@ -476,7 +478,8 @@ class SparkplugSink:
     async def _show_device(self, name: str, gone: Collection[str]) -> None:
         """Forget the metrics ``gone`` of a device, and publish its birth without them.
 
-        A device without other metrics is forgotten, and its death published. If it is not born, nothing is published.
+        A device without other metrics is forgotten, and its death published. Nothing is published for a device that is
+        not born.
         """
         device = self._devices[name]
         device.forget(gone)
@@ -539,7 +542,7 @@ class SparkplugSink:
         return encode_payload([Metric("bdSeq", now, DataType.INT64, self._number)], now, None)
 
     def _next_number(self) -> int:
-        """Return the number of this connection (bdSeq, 0…255), one more than the last; keep it in the file, if any.
+        """Return the number of the next connection (bdSeq, 0…255), one more than the last, and write it to the file.
 
         Raises:
             SinkDown: the file cannot be written.
@@ -607,7 +610,7 @@ class SparkplugSink:
             self._rebirth = asyncio.create_task(self._births_again(), name="busway sparkplug rebirth")
 
     async def _births_again(self) -> None:
-        """Publish all births again, as often as hosts ask, but once in `REBIRTH_PAUSE` seconds at most (rule 5)."""
+        """Publish all births again until no host asks for them, at most once in `REBIRTH_PAUSE` seconds (rule 5)."""
         with contextlib.suppress(import_module("aiomqtt").MqttError, SinkDown, SinkRefused):  # sending finds that out
             while self._asked_at is not None:
                 await asyncio.sleep(max(0.0, self._last_birth + REBIRTH_PAUSE - self._asked_at))
@@ -618,7 +621,10 @@ class SparkplugSink:
                         await self._births()
 
     def _take_device_command(self, topic: str, content: bytes, *, is_retained: bool) -> None:
-        """Decode a host's message that writes to a device (DCMD), and hand each value to the collector's commands."""
+        """Decode a host's message that writes to a device (DCMD), and pass each value to ``commands``.
+
+        A message that cannot be decoded, or for a device that is not known, is logged.
+        """
         assert self.commands is not None
         level = topic.rpartition("/")[2]
         devices = [name for name in self._devices if topic_level(name) == level]
@@ -664,8 +670,8 @@ def _device_of(sample: CommittedSample) -> str:
 def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
     """Yield the samples of a device in groups for one message each, in order.
 
-    A group has at most `MOST_METRICS` samples, and values of one type for each metric. There is at least one group,
-    empty if there are no samples.
+    A group has at most `MOST_METRICS` samples, and only values of one type for each metric. Without samples there is
+    one empty group.
     """
     begin = 0
     kinds: dict[str, DataType] = {}
@@ -695,8 +701,8 @@ def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = Fa
     Args:
         sample: the sample.
         kind: the type of the metric.
-        is_historical: whether the sample is from before the connection.
-        unit: whether the unit of measure is a property too, as in births.
+        is_historical: whether to mark the sample as historical, because it is from before the connection.
+        unit: whether to add the unit of measure as a property, as in births.
     """
     properties: list[tuple[str, str | SparkplugQuality]] = []
     if sample.quality is not Quality.GOOD:

@@ -62,7 +62,7 @@ class Metric:
         kind: its type.
         value: the value; None if it has none.
         is_historical: whether the value is from before the connection, so that hosts do not show it as current.
-        properties: texts and qualities by name.
+        properties: pairs of a name and its text or quality, such as ``engUnit`` or ``Quality``.
     """
 
     name: str
@@ -108,9 +108,9 @@ class CommandPayload:
     """The payload of a command that a host application sends to an edge node or a device: values for metrics.
 
     Attributes:
-        time: when it was sent, milliseconds since 1970 UTC by the host's clock; None if the payload does not say.
-        values: name and value of each metric, in order; None for a metric without a value, or of a type that no sample
-            has.
+        time: when it was sent, milliseconds since 1970 UTC by the host's clock; None if the payload has no time.
+        values: pairs of name and value of each metric, in order. The value is None if the metric has none, or one of a
+            type that samples cannot have.
     """
 
     time: int | None
@@ -122,7 +122,7 @@ def decode_command(content: bytes, kinds: Mapping[str, DataType] | None = None) 
 
     Args:
         content: the payload.
-        kinds: types of metrics by name, as their birth announced them; a command need not repeat them.
+        kinds: types of metrics by name, as their birth announced them, for metrics whose type the command leaves out.
 
     Raises:
         ValueError: the bytes are no Sparkplug payload.
@@ -149,7 +149,7 @@ def _value_in(metric: Any, born: DataType | None) -> Value | None:  # a message 
 
 
 def _signed(value: int, bits: int) -> int:
-    """Return the integer that a number of ``bits`` bits, sent as two's complement, stands for."""
+    """Convert an unsigned number of ``bits`` bits that is two's complement to the signed integer that it stands for."""
     return value - (1 << bits) if value >= 1 << (bits - 1) else value
 
 
@@ -203,7 +203,7 @@ def _messages() -> dict[str, Any]:
 
 
 _Field = tuple[int, int, int, str]
-"""Number, type, label, and the message that it refers to."""
+"""A field of a protobuf message: number, type, label, and name of the message that it contains, empty for none."""
 
 
 def _values(first: int) -> dict[str, _Field]:

@@ -5,7 +5,7 @@
 `manifest`            the list of a store's files, points and sinks, with the cursor of each sink
 `segment`             the SQLite file that samples are written to, and when it ends and the next begins
 `writer`              commits samples one after the other; survives a full disk
-`recovery`            closes what an earlier process left open, and records the time since as a gap
+`recovery`            closes what an earlier process left open, and finds the gap since its end
 `commit_thread`       the thread that commits for an event loop, several times a second
 `sealing`             turns a segment that has ended into Parquet files
 `sealed_part`         writes the Parquet files of a segment; runs as a program of its own
@@ -16,13 +16,13 @@
 `clock_correction`    corrects the times of samples stored before the wall clock was set
 `parts`               reads samples and sums from one file of the store, segment or Parquet
 `sealed_files`        reads samples and sums from Parquet files, with DuckDB where it is installed
-`file_rows`           samples and sums as files of the store give them: rows, and sums by time bucket
+`file_rows`           forms of samples read from files of a store: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
 `reading`             `Store`: reads rows and buckets of all files as one
-`query_results`       what a query gives: columns of samples or buckets; as Arrow, pandas or polars tables too
+`query_results`       results of queries: columns of samples or buckets; also as Arrow, pandas or polars tables
 `committed_samples`   reads samples in the order of their commits, for sinks
-`check`               tells what is wrong with a store, while it is written
-`backup`              backs up a store, while it is written, and restores it
+`check`               checks the files of a store for damage, also while it is written
+`backup`              backs up a store, also while it is written, and restores it
 `database`            connections to the SQLite files of a store, and transactions on them
 ====================  ==========================================================================================
 

@@ -1,6 +1,6 @@
 """States of accumulators (running totals) in a store, from which a collector goes on counting after a restart.
 
-Knows the manifest, to which they move when a segment ends; knows no segment.
+Knows the manifest, into which the states are copied when a segment ends; knows no segment.
 """
 
 from ..samples import CounterState
@@ -9,9 +9,9 @@ from .segment import sample_value
 
 
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
-    """Return for each device the states of its accumulators (running totals) at the end of the finished segments.
+    """Return for each device the last states of its accumulators (running totals) in the finished segments.
 
-    The states in the open segment are not included. Points that are no longer listed are left out.
+    Newer states in the open segment are not read. Devices without accumulators are left out.
     """
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}

@@ -17,7 +17,7 @@ from .manifest import AlarmRow, Manifest
 from .segment import alarms_of, is_unmade, open_for_reading, sample_value
 
 MOST_EVENTS: Final = 100_000
-"""Events that are kept at most; those of alarms that are still active are kept beyond it."""
+"""Most alarm events that are kept; events of alarms that are active or not acknowledged are kept beyond it."""
 
 
 def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRow]:
@@ -26,7 +26,7 @@ def alarm_rows(folder: Path, manifest: Manifest, after: int = 0) -> list[AlarmRo
     Args:
         folder: the folder of the store.
         manifest: its manifest.
-        after: number of a commit, whose own events are not returned; 0 for all events.
+        after: number of a commit; events of this commit and earlier ones are left out. 0 for all events.
     """
     rows: dict[tuple[int, int], AlarmRow] = {}
     for part in manifest.parts():
@@ -79,8 +79,8 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
 
     Args:
         manifest: the manifest of the store.
-        before: nanoseconds since 1970 UTC; earlier events are deleted.
-        most: number of events; the oldest beyond it are deleted too.
+        before: nanoseconds since 1970 UTC; events of earlier times are deleted.
+        most: number of events to keep; if there are more, the oldest are deleted too.
 
     Returns:
         The number of deleted events.
@@ -114,7 +114,8 @@ def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
 def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:
     """Yield the position of each event, the last first, and the time (nanoseconds since 1970 UTC) that decides its age.
 
-    An event from before the clock was set gets the time of the next event after it that has a right time.
+    An event from before the clock was set gets the time of the next event that has a right time; without one a time
+    later than all others.
     """
     known = 2**63
     for place in range(len(rows) - 1, -1, -1):

@@ -2,13 +2,14 @@
 
 Knows files and what the manifest says of them; changes nothing in the store that it copies.
 
-1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. Segments are
-   copied first, by SQLite, so the open one has every commit up to a moment; then the points, which are in the manifest
-   before their first sample, and the reserved numbers: a commit after the restore has a number that none of the copied
-   ones has. Sealed parts come last. If a part was removed meanwhile, all of this is done again.
-2. The journal of commands and the record of ownership of a fleet are copied at the very end: what the record says of
-   later commits is true of none in the copy. After the backup is restored, a command whose key is in the
-   journal is not sent again, and a command that is open in it ends as unknown.
+1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. SQLite copies the
+   manifest, then the segments, so that the open one has every commit up to a moment; then sealed parts are copied.
+   After them the points are copied anew, so that every copied sample has its point, and the reserved commit numbers, so
+   that a commit after the restore has a number that no copied commit has. If a part was removed meanwhile, all starts
+   again.
+2. The journal of commands and the record of ownership of a fleet are copied last. The record may concern later commits,
+   which are not in the copy; that does no harm. After a restore, a command whose key is in the journal is not sent
+   again, and a command that is open in it ends as unknown.
 3. A backup that was interrupted is a folder whose name ends with ``.unfinished``, and is no store.
 """
 
@@ -46,11 +47,11 @@ def back_up(folder: Path, target: Path) -> int:
         target: the folder of the backup, which must not exist.
 
     Returns:
-        The number of copied files with samples (segment and Parquet files).
+        The number of files with samples (segment and Parquet files) in the backup.
 
     Raises:
         ConfigError: there is no store, the target exists or cannot be written, or files were replaced faster than they
-            could be copied. A target that was not completed has the end ``.unfinished``.
+            could be copied. What was copied until then stays in a folder whose name ends with ``.unfinished``.
     """
     check_store(folder)
     if target.exists():
@@ -77,7 +78,7 @@ def _copied(folder: Path, target: Path) -> int | None:
     """Copy the manifest of a store, the files with samples that it lists, and what a collector keeps beside them.
 
     Returns:
-        The number of files with samples; None if one was sealed or deleted before it was copied.
+        The number of listed files with samples; None if one was sealed or deleted before it was copied.
     """
     _copy_database(folder / MANIFEST, target / MANIFEST)
     with closing(Manifest(target)) as manifest:
@@ -104,9 +105,9 @@ def _copied(folder: Path, target: Path) -> int | None:
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:
-    """Whether the manifest lists a segment file that is missing in the folder: the writer will create it soon.
+    """Whether the manifest still lists a segment whose file is missing; then the writer will create the file soon.
 
-    If it is not listed, the segment was sealed or deleted after the manifest was copied.
+    If it is not listed any more, the segment was sealed or deleted after the manifest was copied.
     """
     with closing(Manifest(folder)) as manifest:
         return part in manifest.parts()
@@ -130,7 +131,7 @@ def restore(backup: Path, folder: Path) -> int:
         The number of restored files with samples (segment and Parquet files).
 
     Raises:
-        ConfigError: there is no backup or it is damaged, ``folder`` is not empty, or it cannot be written.
+        ConfigError: there is no backup or it is damaged, ``folder`` is not empty, or ``folder`` cannot be written.
     """
     problems = check_store_files(backup)
     if problems:

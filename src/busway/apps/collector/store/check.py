@@ -1,7 +1,7 @@
 """Checks the files of a store for damage, also while the store is being written.
 
-Knows files and what the manifest says of them; changes nothing and takes no lock. A check reads every part, and tells
-each problem in one sentence.
+Knows files and what the manifest says of them; changes nothing and takes no lock. A check reads the parts and the
+journal of commands, not the record of ownership of a fleet.
 """
 
 import sqlite3
@@ -20,10 +20,10 @@ _TRIES: Final = 10
 
 
 def check_store_files(folder: Path) -> list[str]:
-    """Check all files of a store, and return the problems found, one sentence each; an empty list if there are none.
+    """Check the files with samples and the journal of commands, and return the problems found, one sentence each.
 
-    The check changes nothing, and works while the store is being written. A sealed file that cannot be checked, because
-    pyarrow is not installed, is a problem too.
+    An empty list if there are no problems. The check changes nothing, and works while the store is being written. A
+    sealed file that cannot be checked, because pyarrow is not installed, is a problem too.
 
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.

@@ -1,16 +1,15 @@
 """Corrects the times of samples that were stored before the wall clock was set, once it is set.
 
-Knows one segment and how far its times were behind; the writer says which segments, and when.
+Knows one segment and how wrong its times are; the writer says which segments, and when.
 
-1. A segment is mended by one transaction: samples, commits, intervals and alarms whose time is one of those to be
-   corrected move by the measured difference, and samples that were uncertain for the clock alone become good. Numbers
-   of commits stay.
-2. The transaction notes in the segment that it was mended (``user_version``). To mend a segment again changes nothing,
-   so a crash in between is made good by doing all of it again.
-3. Only what one process wrote before it knew the time is moved by what it measured: commits of earlier ones had another
-   difference, and later ones have the right time.
-4. Where the times overlap those that they become, samples are moved out of the way first: two could have one key for a
-   moment.
+1. A segment is corrected in one transaction: the wrong times of samples, commits, intervals and alarms move by the
+   measured difference, and samples that were uncertain only because of the clock become good. Commit numbers stay.
+2. The transaction records in the segment that it was corrected (``user_version``). Correcting it again changes nothing,
+   so after a crash everything is simply done again.
+3. Only times that one process wrote before it knew the time are moved by the difference that it measured: commits of
+   earlier processes had another difference, and its later commits have the right time.
+4. If wrong and corrected times overlap, samples first move to times that none has, because meanwhile two samples could
+   have the same key.
 """
 
 import sqlite3
@@ -22,20 +21,20 @@ from ..samples import Reason
 from .database import transaction
 
 EVERY: Final = 2**63 - 1
-"""A number above those of all commits."""
+"""A number greater than that of every commit: stands for no limit."""
 _MOVED: Final = "CASE WHEN {0} >= :begin AND {0} < :end THEN {0} + :shift ELSE {0} END"
 _OF_CLOCK: Final = "commit_number BETWEEN :first AND :last"
 _OWN_GAP: Final = f"(device IS NULL AND (begin < {EARLIEST} OR begin = (SELECT at FROM commits WHERE number = :first)))"
-"""Whether a gap in the first commit begins by the clock of this process: nothing better was known of the one before."""
+"""SQL condition: a row is the gap of the first commit, and its begin was taken from the wrong clock of this process."""
 
 
 @dataclass(frozen=True, slots=True)
 class CommitCorrection:
-    """The correction of the times that one process wrote before it knew the time.
+    """The correction of the times that one process wrote into a store before it knew the right time.
 
     Attributes:
-        first, last: the numbers of its first commit, and of its last one with such times.
-        clock: the correction.
+        first, last: numbers of the first commit of the process, and of its last commit with wrong times.
+        clock: which times are wrong, and by how much.
     """
 
     first: int
@@ -44,25 +43,26 @@ class CommitCorrection:
 
     @property
     def mark(self) -> int:
-        """The number that a segment has once it was mended so; an integer of SQLite's header, which is never 0."""
+        """The number that a segment file gets as ``user_version`` when it was corrected by this correction; never 0."""
         return 1 + self.first % (2**31 - 1)
 
 
 def mend_segment(database: sqlite3.Connection, correction: CommitCorrection) -> int:
-    """Correct the times that one process wrote into a segment before it knew the time; none if that was done before.
+    """Correct the times that one process wrote into a segment before it knew the right time.
 
-    The times of samples, commits, intervals and alarm events are changed in one transaction, from commit ``first`` on.
-    Samples that were uncertain only because the clock was not set become good.
+    The times of samples, commits, intervals and alarm events of the commits ``first`` to ``last`` are changed in one
+    transaction. Samples that were uncertain only because the clock was not set become good. If this correction was made
+    in the segment before, nothing is changed.
 
     Args:
         database: the SQLite file of the segment.
-        correction: the commits and times, and what is added.
+        correction: which commits and times are wrong, and by how much.
 
     Returns:
-        The number of corrected samples.
+        The number of corrected samples; 0 if the correction was made before.
 
     Raises:
-        sqlite3.Error: the segment is as it was.
+        sqlite3.Error: the segment could not be corrected, and is unchanged.
     """
     clock = correction.clock
     known = {"begin": clock.begin, "end": clock.end, "shift": clock.shift, "clock": int(Reason.CLOCK)}

@@ -3,18 +3,19 @@
 Knows when to commit, and what to do while that fails; knows nothing of segments.
 
 1. A sample is committed at most `INTERVAL` after it was added, while the disk keeps up. Then subscribers are told.
-2. While commits fail (a full disk), samples wait up to a bound. Beyond it the oldest are dropped and counted, and the
-   first commit that succeeds records the time of what was dropped as a gap with its number. Polling never waits.
+2. While commits fail (a full disk), samples wait in memory, up to a limit. Beyond it the oldest are dropped and
+   counted, and the next commit that succeeds records the time of the dropped samples as a gap, with their number.
+   Polling never waits.
 3. A second thread seals and drops parts, so that no sample waits for that.
-4. Without samples an empty commit every `ALIVE` seconds says that the collector lived.
-5. With ``durability = process`` the log is synced `SYNC` seconds after the first commit since, at the latest, whether
-   more is committed or not: a power failure loses at most that much. If a sync fails, that is logged, and it is tried
-   again; what was committed stays committed, and is never committed twice.
+4. Without samples there is an empty commit every `ALIVE` seconds, which shows how long the collector was running.
+5. With ``durability = process`` the write-ahead log is synced at most `SYNC` seconds after the first commit that is not
+   synced yet: a power failure loses the commits of at most that time. If a sync fails, that is logged, and it is tried
+   again; no commit is repeated.
 6. Names and descriptions of points change between two commits: samples that were added before are stored under the
    names of that time.
 7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit;
    subscribers are told of them all the same, because they show that the earlier values still hold.
-8. Last values are fed by commits. `Committer.is_behind` says when they cannot be trusted, because commits fail or hang.
+8. Last values come from commits. `Committer.is_behind` says when they are out of date, because commits fail or hang.
 """
 
 import logging
@@ -37,19 +38,19 @@ INTERVAL: Final = 0.2
 ALIVE: Final = 5.0
 SYNC: Final = 5.0
 UPKEEP: Final = 10.0
-"""Seconds between two looks for parts to seal or drop."""
+"""Seconds after which parts to seal or drop are looked for again."""
 BEHIND: Final = 5.0
-"""Seconds after which samples that still wait to be committed show that last values are no longer up to date."""
+"""Seconds that samples may wait to be committed before last values count as out of date."""
 RETRY: Final = 1.0
 """Seconds between two attempts at a store that cannot be written."""
 AT_ONCE: Final = 50_000
-"""Values that are committed without waiting for the interval."""
+"""Number of queued values from which on they are committed without waiting for the interval."""
 MOST_WAITING: Final = 1_000_000
-"""Values that wait at most for a store that cannot be written: some 100 MB."""
+"""Most values that wait for a store that cannot be written: some 100 MB."""
 MOST_INTERVALS: Final = 100_000
-"""Rows of intervals that wait at most then; beyond it the oldest that have begun and ended meanwhile are lost."""
+"""Most intervals that wait for a store that cannot be written; beyond it the oldest that have ended are dropped."""
 MOST_ALARMS: Final = 10_000
-"""Events of alarms that wait at most then; the oldest are dropped, and the state of each alarm is in its last one."""
+"""Most alarm events that wait for a store that cannot be written; beyond it the oldest are dropped."""
 
 _log = logging.getLogger("busway.store")
 
@@ -59,14 +60,14 @@ class StoreStatus:
     """The status of writing to a store: commits, waiting and lost samples, and what is wrong.
 
     Attributes:
-        commits, samples: how many were stored since the start.
-        waiting: samples that are not yet committed.
-        lost: samples that were dropped since the start because the store could not be written.
+        commits, samples: numbers of commits and of samples that were stored since the start.
+        waiting: number of samples that are not committed yet.
+        lost: number of samples dropped since the start because the store could not be written.
         error: why the store cannot be written; None while it can.
         upkeep_error: the last error of sealing or deleting parts, of making commits durable, or of correcting times;
             None if each of them succeeded when it was tried last.
-        subscriber_failures: how often a subscriber of commits raised an error.
-        passed_over: samples since the start that the report rules did not keep.
+        subscriber_failures: how often a subscriber of commits has raised an error.
+        passed_over: number of samples since the start that were not stored because of a report rule.
     """
 
     commits: int
@@ -84,11 +85,11 @@ class _Correction:
     """A correction of times that is still to be made.
 
     Attributes:
-        clock: the correction.
-        before: how many batches, of all ever queued, were queued before it.
-        others: the intervals and alarm events that were queued before it and are not stored, by identity. They are kept
-            although the queue may drop them: a later one could get the identity of one that is gone.
-        last: the number of the last commit with times to be corrected; None while such times are queued.
+        clock: which times are wrong, and by how much.
+        before: how many batches had been queued since the start when the correction was queued.
+        others: the intervals and alarm events that were queued before the correction and are not stored yet, by `id`.
+            They are kept here even if the queue drops them, so that no later object gets the same `id`.
+        last: number of the last commit with times to be corrected; None while such times are still queued.
     """
 
     clock: ClockCorrection
@@ -120,10 +121,10 @@ class Committer:
         Args:
             writer: an open store; closed by `close`.
             now: returns the time, nanoseconds since 1970 UTC.
-            interval: seconds after which samples are committed.
-            most_waiting: values that wait at most while the store cannot be written; beyond it the oldest are dropped.
+            interval: seconds that samples wait to be committed together.
+            most_waiting: most values that wait while the store cannot be written; beyond it the oldest are dropped.
             retry: seconds between two attempts while the store cannot be written.
-            rules: report rules of points of which not every sample is kept; None if every sample is.
+            rules: by device and point, report rules of points of which not every sample is kept; None to keep all.
             clock: returns seconds of the monotonic clock, for `is_behind`, for when the log is synced, and for
                 `Commit.moment`.
         """
@@ -165,14 +166,15 @@ class Committer:
     def subscribe(self, told: Callable[[Commit], None]) -> None:
         """Register a function that is called with each commit after it was made.
 
-        It is called in the thread that commits; its errors are logged and counted in the status.
+        It is called in the thread that commits, also with reads of which no sample is kept (rule 7). The first of its
+        errors is logged, and all are counted in the status.
         """
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
         """Queue the samples of one read, and alarm events that the same commit must contain.
 
-        While the store cannot be written, the oldest queued samples are dropped beyond the limit ``most_waiting``.
+        If more than ``most_waiting`` values are queued, the oldest are dropped and counted.
         """
         with self._changed:
             self._batches.append(batch)
@@ -187,7 +189,8 @@ class Committer:
     def add_interval(self, interval: StateInterval | Gap) -> None:
         """Queue a gap, or an interval in which a device is not read.
 
-        An interval is added twice: when it begins, with the end None, and when it ends.
+        An interval is queued twice: when it begins, with the end None, and when it ends. If more than `MOST_INTERVALS`
+        are queued, the oldest that have ended are dropped.
         """
         with self._changed:
             self._intervals.append(interval)
@@ -220,7 +223,7 @@ class Committer:
 
     @property
     def is_behind(self) -> bool:
-        """Whether samples or intervals wait since `BEHIND` seconds, because the store cannot be written or hangs."""
+        """Whether samples or intervals wait for more than `BEHIND` seconds, because commits fail or hang."""
         since = self._queued_since
         return since is not None and self._clock() - since > BEHIND
 
@@ -239,7 +242,7 @@ class Committer:
             )
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Wait until everything queued so far is committed.
+        """Wait until everything queued is committed, and a correction of times that was queued is complete.
 
         Returns:
             True; False if ``timeout`` seconds were not enough.
@@ -285,10 +288,10 @@ class Committer:
                 self._ended.wait(self._retry)
 
     def mend(self, correction: ClockCorrection) -> None:
-        """Have all times corrected that were given before the wall clock was right.
+        """Queue a correction of all times that were given before the wall clock was right, and return at once.
 
-        Returns at once. They are corrected in the thread that commits, after all that is queued with such times is
-        stored, in commits without later samples. What is added from now on has the right time.
+        The thread that commits first stores everything that is queued with wrong times, in commits of its own, and then
+        corrects the stored times. Samples, intervals and events that are added from now on must have right times.
         """
         with self._changed:
             others = {id(each): each for each in (*self._intervals, *(each for _, each in self._alarms))}
@@ -297,10 +300,10 @@ class Committer:
             self._changed.notify_all()
 
     def _note_corrected(self, newest: int) -> None:
-        """Note the newest commit as the last with wrong times, once no such times are queued. Call with the lock held.
+        """Once no wrong times are queued, record the newest commit as the last that has some. Call with the lock held.
 
         Args:
-            newest: its number.
+            newest: number of the newest commit.
         """
         correction = self._correction
         if correction is None or correction.last is not None or self._committing or correction.before > self._taken:
@@ -311,10 +314,10 @@ class Committer:
             self._untold = correction.clock
 
     def _mend(self) -> bool:
-        """Correct times in one segment file, if a correction is wanted.
+        """Correct times in one more segment file, if a correction is queued and all wrong times are stored.
 
         Returns:
-            False if the correction failed and must be tried again; True if it succeeded or there is nothing to do yet.
+            False if the correction failed and must be tried again; True if it succeeded or there is nothing to do now.
         """
         with self._changed:
             correction = self._correction
@@ -341,10 +344,10 @@ class Committer:
     def _wait_for_work(self) -> bool:
         """Wait until a commit is due: samples have waited for the interval, or nothing was queued for `ALIVE` seconds.
 
-        One without samples is due too when the log has to be synced.
+        An empty commit is also due if the write-ahead log must be synced.
 
         Returns:
-            False when the thread is to end.
+            True if a commit is due; False if the thread must end.
         """
         with self._changed:
             idle_until = time.monotonic() + ALIVE
@@ -363,16 +366,16 @@ class Committer:
             return not self._ending
 
     def _is_due(self) -> bool:
-        """Whether something waits to be written, or times are to be corrected. Call with the lock held."""
+        """Whether something is queued to be written, or times must be corrected. Call with the lock held."""
         return self._has_queued() or self._correction is not None
 
     def _has_queued(self) -> bool:
         return bool(self._batches or self._intervals or self._descriptions or self._alarms)
 
     def _note_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events; a change of point names that is queued later does not concern them.
+        """Queue alarm events; they are stored under the point names that hold now. Call with the lock held.
 
-        Call with the lock held.
+        A change of names that is queued later is written after them.
         """
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
@@ -391,7 +394,7 @@ class Committer:
         return taken
 
     def _is_next(self, queued: StateInterval | Gap | AlarmEvent) -> bool:
-        """Whether a commit now may have this: while wrong times are queued, it has nothing with right ones."""
+        """Whether the next commit may contain ``queued``: while wrong times are queued, it must have one of these."""
         correction = self._correction
         return correction is None or correction.last is not None or id(queued) in correction.others
 
@@ -419,7 +422,7 @@ class Committer:
         """Write what is queued (samples, intervals, alarm events) to the store as one commit, and call the subscribers.
 
         Returns:
-            False if the store could not be written; then everything is queued again.
+            True; False if the store could not be written, then everything is queued again.
         """
         batches: list[SampleBatch] = []
         intervals: list[StateInterval | Gap] = []
@@ -471,7 +474,8 @@ class Committer:
         """Write the samples that the report rules keep, with intervals and alarm events (rule 7).
 
         Returns:
-            The commit, and the number of samples that were not kept.
+            The commit, and the number of samples that were not kept. If nothing is kept, nothing is written: the commit
+            has only the reads to show, and the number of the commit before.
         """
         choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
         is_empty = not (choice.batches or choice.counters or told or alarms)
@@ -485,7 +489,7 @@ class Committer:
         return replace(commit, shown=shown, moment=moment), choice.passed_over
 
     def _seconds_to_sync(self) -> float:
-        """Return the seconds until the log has to be synced (rule 5); infinite if nothing was committed since."""
+        """Return the seconds until the write-ahead log must be synced (rule 5); infinite if every commit is synced."""
         return math.inf if self._unsynced_since is None else self._unsynced_since + SYNC - self._clock()
 
     def _sync_when_due(self) -> None:
@@ -548,8 +552,8 @@ class Committer:
     def _drop_whole_intervals(self) -> None:
         """Drop the older half of the intervals whose begin and end are both queued. Call with the lock held.
 
-        Entries of other intervals stay, a few for each device: without its end an interval would last for ever in the
-        store, and without its begin it would be missing there.
+        Entries of other intervals stay, a few for each device: without the entry of its end an interval would last for
+        ever in the store, and without the entry of its begin it would be missing.
         """
         begun = {_key_of(each) for each in self._intervals if each.end is None}
         whole = [

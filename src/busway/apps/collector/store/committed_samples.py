@@ -2,10 +2,13 @@
 
 Knows how each kind of part is read in that order; knows no sink.
 
-1. Nothing is read that was not committed. An interval of a device is a sample without a value for each of its points.
-2. Rows are ordered by commit, time and point, so they are in order for each point.
-3. A part is read from the first wanted commit on; sealed parts, which are sorted otherwise, by ranges of commits.
-4. A sample has the name that its point had when it was committed: a repetition after a rename has the same name.
+1. Nothing is read that was not committed. An interval in which a device was not read is given as a sample without a
+   value for each point of the device, at the begin of the interval.
+2. Samples are ordered by commit, then by time, then by point.
+3. A segment is read from the first wanted commit on. Sealed parts, which are sorted by point, are read by ranges of
+   commits.
+4. A sample has the name that its point had when it was committed: if it is read again after a rename, its name is the
+   same.
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -41,10 +44,10 @@ class CommittedSample(NamedTuple):
         device, point: names.
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
-        value: the value; None where there is none.
+        value: the value; None if the sample is bad and has none.
         reason: number of the reason, 0 for good.
-        unit_of_measure: the unit of measure of the point.
-        revision: revision of the fleet's configuration with which it was taken; 0 outside of a fleet's stream.
+        unit_of_measure: the unit of measure of the point; empty for none.
+        revision: revision of the fleet's configuration with which it was taken; 0 for a sample read from a store.
     """
 
     commit: int
@@ -68,7 +71,8 @@ class CommittedAlarm:
     """An alarm event as sinks read it from the store, with its commit number.
 
     Attributes:
-        commit, place: number of its commit and place in it. They identify the event, also when it is read again.
+        commit, place: number of its commit, and its position in that, 0-based. They identify the event, also when it is
+            read again.
         event: the alarm event.
     """
 
@@ -114,8 +118,12 @@ class CommitReader:
 
         Args:
             after: number of the commit that was read last; 0 to read from the first one.
-            most: number of samples to return, roughly. Commits are returned whole, and at least one, so there may be
-                more.
+            most: number of samples to return, roughly. There may be more, because only whole commits are returned, and
+                at least one.
+
+        Raises:
+            FileNotFoundError: files were replaced or deleted faster than they could be read.
+            sqlite3.Error, OSError: a file cannot be read.
         """
         return self._tried(lambda: self._read(after, most))
 
@@ -127,20 +135,20 @@ class CommitReader:
         return self._tried(lambda: self._count(after, last))
 
     def last_before(self, moment: int, after: int) -> int:
-        """Return the number of the last commit before a time; ``after`` if there is none after that commit.
+        """Return the number of the last commit up to which all commits were made before a time.
 
-        All commits up to it are from before that time too. One whose time is still to be corrected is not.
-
-        Of a sealed part only the time of its last commit is known: it counts if all its commits are before the time.
+        A commit whose time may still be corrected, and all after it, do not count; a commit with a time from before the
+        clock was set counts only together with a later one. Of a sealed part only the time of its last commit is known,
+        so its commits count together or not at all.
 
         Args:
             moment: the time, nanoseconds since 1970 UTC.
-            after: number of a commit; earlier ones are not looked at.
+            after: number of a commit; only later commits are looked at. Returned if none of them counts.
         """
         return self._tried(lambda: self._last_before(moment, after))
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of ``ask``; call it again if a file that it reads was replaced or deleted meanwhile."""
+        """Return the result of ``ask``; call it again, at most `_TRIES` times, if a file was replaced meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -242,7 +250,8 @@ class CommitReader:
     def _of_intervals_alone(self, after: int) -> CommitRange | None:
         """Return the commits after a number that stored intervals and alarms, but no samples; None if there are none.
 
-        A segment without samples becomes no Parquet file: its intervals and alarms are only in the manifest.
+        When a segment without samples is sealed, it becomes no Parquet file: its intervals and alarms are only in the
+        manifest.
         """
         intervals = self._manifest.intervals(after)
         alarms = self._manifest.alarms(after)
@@ -290,7 +299,7 @@ class CommitReader:
     def _table(self, part: StorePart) -> Any:
         """Return the columns of a sealed part as a table of pyarrow.
 
-        The part read last is kept in memory, because sinks read it in several pieces.
+        The table is kept in memory until another part is read, because sinks read a part in several pieces.
         """
         if self._sealed is None or self._sealed[0] != part.file:
             path = self._folder / SEGMENTS / part.file

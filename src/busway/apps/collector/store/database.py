@@ -12,16 +12,16 @@ from typing import Final
 from urllib.parse import quote
 
 _TIMEOUT: Final = 10.0
-"""Seconds to wait while another connection holds the file."""
+"""Seconds to wait while another connection has the file locked."""
 
 
 def open_database(path: Path, *statements: str, script: str = "", makes: bool = True) -> sqlite3.Connection:
-    """Open a SQLite database that several threads may use in turn; each statement commits unless in a transaction.
+    """Open a SQLite database in autocommit mode; several threads can use the connection, one at a time.
 
     Args:
         path: the file.
-        statements: executed first.
-        script: executed after the statements.
+        statements: SQL statements that are executed first.
+        script: an SQL script that is executed after the statements; empty for none.
         makes: whether the file is created if it is missing.
 
     Raises:

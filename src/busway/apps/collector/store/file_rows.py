@@ -1,4 +1,4 @@
-"""Rows and sums of samples, as the files of a store give them, whatever their format.
+"""Rows and sums of samples: the form in which samples are read from files of a store, whatever their format.
 
 Pure: knows no file.
 """
@@ -10,7 +10,7 @@ from typing import Any
 from ..samples import Reason
 
 Row = tuple[int, int, Any, int, int, int]
-"""Time, point, stored value, reason, half width, commit number: as a segment holds them, for loops over millions."""
+"""A sample as stored: time, id of the point, value, reason, half width, commit number. A tuple, because it is fast."""
 
 
 @dataclass(slots=True)
@@ -18,11 +18,11 @@ class Sums:
     """Count, total, minimum, maximum and worst reason of one point in one time bucket; `add` combines two of them.
 
     Attributes:
-        count: numbers that were not bad.
-        low, high: the least and the greatest of them.
-        total: their sum.
-        samples: all samples, bad ones and texts too.
-        reason: the worst reason, 0 where all were good.
+        count: how many samples are numbers and not bad.
+        low, high: the smallest and the largest of these numbers; None if there are none.
+        total: the sum of these numbers.
+        samples: how many samples there are in all, bad ones and texts too.
+        reason: number of the worst reason of all samples; 0 if all are good.
     """
 
     count: int
@@ -33,7 +33,7 @@ class Sums:
     reason: int
 
     def add(self, other: "Sums") -> None:
-        """Add the sums (count, total, …) of other samples of the same time bucket."""
+        """Add the sums of other samples of the same point and time bucket to these; changes this object."""
         self.count += other.count
         self.total += other.total
         self.samples += other.samples
@@ -49,19 +49,19 @@ SumsByBucket = dict[tuple[int, int], Sums]
 
 
 def number_of(value: Any) -> float | None:  # Any: what SQLite has
-    """Return a stored value as sums have it, a float; None for a text or nothing. Eight bytes are a large integer."""
+    """Convert a stored value to a float; None for a text or no value. Bytes are an unsigned integer of 64 bits."""
     if isinstance(value, bytes):
         return float(int.from_bytes(value, "big"))
     return float(value) if isinstance(value, int | float) else None
 
 
 def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
-    """Return count, total, minimum and maximum of samples by time bucket and point.
+    """Return count, total, minimum, maximum and worst reason of samples by time bucket and point.
 
     It is for samples that were merged from several files; `part_sums` reads the sums of one file.
 
     Args:
-        rows: the samples.
+        rows: the samples, each only once.
         bucket: length of a time bucket in nanoseconds.
     """
     found: SumsByBucket = {}
@@ -77,7 +77,7 @@ def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
 
 
 def add_sums(sums: SumsByBucket, found: SumsByBucket) -> None:
-    """Add sums to others, by bucket and point."""
+    """Add the sums ``found`` to ``sums``, by bucket and point; changes ``sums``, and may keep objects of ``found``."""
     for key, one in found.items():
         if key in sums:
             sums[key].add(one)

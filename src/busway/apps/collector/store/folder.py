@@ -22,12 +22,12 @@ except ImportError:  # Windows
 MANIFEST: Final = "manifest.sqlite"
 LOCK: Final = "lock"
 COMMANDS: Final = "commands.sqlite"
-"""The journal of commands, which lies in the folder and is the collector's."""
+"""File of the journal of commands, which the collector writes into the folder of its store."""
 OWNERSHIP: Final = "fleet.sqlite"
-"""The record of which links a collector of a fleet owned when, which lies in the folder too."""
+"""File of the record of which links a collector of a fleet owned when; it is in the folder of its store."""
 SEGMENTS: Final = "segments"
 UNFINISHED: Final = ".unfinished"
-"""The end of the name of a file that is being written; such files are removed when the store is opened."""
+"""Ending of the name of a file or folder that is being written; a writer's start deletes such files in its store."""
 _ENDING: Final = 2.0
 """Seconds for which the lock of a process that has ended may still be held."""
 
@@ -44,7 +44,7 @@ def check_locks() -> None:
 def half_of_disk(folder: Path) -> int | None:
     """Return half the size in bytes of the disk that a folder is on, or will be on; at least 1 MB.
 
-    None if the system does not tell the size.
+    None if the system does not tell the size. The folder need not exist.
     """
     there = next(each for each in (folder.absolute(), *folder.absolute().parents) if each.exists())
     try:
@@ -103,12 +103,12 @@ class StoreLock:
                 time.sleep(0.01)
 
     def _holder(self) -> int | None:
-        """Return the number of the process that is named in the store's lock file; None if none is."""
+        """Return the process number in the store's lock file; None if the file has none."""
         text = os.pread(self._handle, 32, 0).decode("ascii", "replace").strip()
         return int(text) if text.isdigit() else None
 
     def release(self) -> None:
-        """Release the lock, so that another process can write the store."""
+        """Release the lock, so that another process can write the store. Call it once."""
         os.ftruncate(self._handle, 0)
         os.close(self._handle)
 
@@ -166,7 +166,7 @@ def make_durably(path: Path, *, mode: int = 0o777) -> None:
 
     Args:
         path: the folder; an existing one is left as it is.
-        mode: its permissions.
+        mode: permissions of the folder, if it is created; folders above it get the usual ones.
 
     Raises:
         OSError: the folder cannot be created.
@@ -214,7 +214,7 @@ def unlink_part(path: Path) -> None:
 
 
 def size_of(path: Path) -> int:
-    """Return the bytes on disk of one of the store's files with samples, its write-ahead log included."""
+    """Return the size in bytes of one of the store's files with samples and its write-ahead log; 0 if it is missing."""
     total = 0
     for name in (path, path.with_name(path.name + "-wal")):
         with contextlib.suppress(FileNotFoundError):

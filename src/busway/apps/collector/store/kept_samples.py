@@ -2,11 +2,11 @@
 
 Pure: knows rules and samples; knows no file. Used by the thread that commits.
 
-1. A sample is measured from the last one of its point that was committed: what was lost on the way decides nothing.
+1. A sample is compared with the last kept sample of its point that was committed; samples that were lost do not count.
 2. The first sample of a point is kept after a start, after a gap, after a time in which its device was not read, and
-   after the file was read again. So the value before holds until the next sample or interval of the store.
-3. A sample that causes an event of an alarm is kept. Alarms, computed points and accumulators see all of them.
-4. If a sample is not kept, the last kept value of its point is shown, with the time of this read.
+   after the configuration was read again. So a stored value holds until the next stored sample or interval.
+3. A sample that causes an alarm event is kept. Alarms, computed points and accumulators see all samples, kept or not.
+4. If a sample is not kept, the last kept value of its point is shown instead, with the time of the new read.
 """
 
 import weakref
@@ -19,15 +19,21 @@ from ..alarms.events import AlarmEvent
 from ..samples import NANOSECONDS, CounterState, Gap, PointGroup, SampleBatch, StateInterval, Value
 
 StoreRules = Mapping[tuple[str, str], ReportRule]
-"""Report rules by device and point, of the points of which not every sample is kept."""
+"""By device and point, the report rules of the points of which not every sample is kept."""
 
 MOST_PARTS: Final = 64
-"""Subsets of one group of points for which the objects are kept for later reads."""
+"""Most subsets of one group of points for which a `PointGroup` is kept in memory and used for later reads."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Kept:
-    """The last sample of a point that the store has kept."""
+    """The last sample of a point that the store has kept.
+
+    Attributes:
+        time: nanoseconds since 1970 UTC.
+        value: the value; None if the sample is bad and has none.
+        reason: number of the reason, 0 for good.
+    """
 
     time: int
     value: Value | None
@@ -40,13 +46,14 @@ class Choice:
 
     Attributes:
         batches: the batches of kept samples.
-        shown: all reads of the commit whole, as they are shown. A sample that is not kept has the last kept value.
-        counters: by device and point, the states of accumulators whose last sample is not kept; they are stored beside
-            the samples, so that the totals continue after a restart.
+        shown: all reads of the commit with all their points, for showing last values. A sample that is not kept has the
+            last kept value of its point in place of its own.
+        counters: by device and point, the states of accumulators whose last sample is not kept; they are stored without
+            the sample, so that the totals continue after a restart.
         passed_over: number of samples that are not kept.
-        last: by device and point, the kept samples that later samples are compared with, once the commit is made.
-        unread: devices with an interval in this commit in which they are not read.
-        has_gap: whether the commit has a gap of the whole collector.
+        last: by device, then by point, the kept samples that later samples are compared with once the commit is made.
+        unread: names of the devices that have an interval without reads in this commit.
+        has_gap: whether the commit has a gap, in which samples of all devices are missing.
     """
 
     batches: list[SampleBatch] = field(default_factory=list)
@@ -66,7 +73,7 @@ class KeptSamples:
     """
 
     def __init__(self, rules: StoreRules | None = None) -> None:
-        """Start with these report rules and no earlier samples; None for rules if every sample is kept."""
+        """Start with these report rules and no earlier samples; ``rules`` is None if every sample is kept."""
         self._rules: StoreRules = rules or {}
         self._last: dict[str, dict[str, _Kept]] = {}
         self._by_group: weakref.WeakKeyDictionary[PointGroup, tuple[ReportRule | None, ...] | None] = (

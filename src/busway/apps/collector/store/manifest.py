@@ -1,15 +1,16 @@
 """The manifest of a store: one small SQLite file that lists the store's parts, points and sinks.
 
-Knows parts, points, intervals of sealed parts, cursors and files that are to be unlinked. It alone says which files
-count: a reader reads it first, a writer changes it last.
+Knows parts, points, intervals of sealed parts, cursors and files to be deleted. It alone decides which files belong to
+the store: a reader reads it first, a writer changes it last.
 
 1. Every change is one transaction, and durable when it returns (``synchronous=FULL``); changes are rare.
-2. A file that a transaction makes superfluous is named in ``unlinks`` by that transaction, and unlinked after it. What
-   is found there at the start was left by a crash.
-3. Commit numbers are reserved in blocks, and after a start numbers continue behind the block: a number is never used
-   twice, even if a power failure lost the commits that had it.
+2. If a transaction makes a file superfluous, it lists the file in the table ``unlinks``; the file is deleted after the
+   transaction. Files that are listed there at a start were left by a crash.
+3. Commit numbers are reserved in blocks. After a start they continue with a new block, so that no number is used twice,
+   even if a power failure lost the commits that had it.
 4. A point that is renamed keeps its id, and so its history. All new names of a configuration are given at once, so that
-   points may exchange theirs. Each is given only once: the next start does not give it again.
+   points may exchange their names. A rename is made only once: later starts with the same configuration do not repeat
+   it.
 """
 
 import json
@@ -88,12 +89,14 @@ class StorePart:
         segment: number of the segment that its rows were written to.
         file: name in the folder ``segments``.
         kind: ``open`` (being written), ``closed`` (SQLite, finished) or ``sealed`` (Parquet).
-        low, high: nanoseconds since 1970 UTC of the first and last sample; None while it is open, or if it has no
-            samples.
+        low, high: times of the first and last sample, nanoseconds since 1970 UTC; None while it is open, or if it has
+            no samples.
         first_commit, last_commit: numbers of the first and last commit in it; None while it is open.
-        alive: nanoseconds since 1970 UTC of the last commit in it; None while it is open.
+        alive: time of the last commit in it, nanoseconds since 1970 UTC; None while it is open.
         rows: number of samples; None while it is open.
-        bytes: size; None while it is open.
+        bytes: size of the file in bytes; None while it is open.
+
+    Readers make copies of the entry of an open segment in which these values are filled in.
     """
 
     id: int
@@ -130,7 +133,7 @@ class IntervalRow:
 
     @property
     def key(self) -> tuple[str | None, int, int]:
-        """What the rows of the begin and of the end of one interval have in common."""
+        """Device, begin and reason: the same in the two rows of an interval, stored when it begins and when it ends."""
         return self.device, self.begin, self.reason
 
 
@@ -141,8 +144,8 @@ class AlarmRow:
     Attributes:
         commit_number, place: number of its commit and position in it.
         point: id of its point.
-        limit, event, at, by, text: as in `AlarmEvent`; ``event`` is its kind.
-        value: the value as SQLite has it; None without one.
+        limit, event, at, by, text: as in `AlarmEvent`; ``event`` is its ``kind``.
+        value: the value as SQLite stores it (`stored_value`); None for no value.
         needs: 1 if the alarm needs an acknowledgement, else 0.
     """
 
@@ -164,7 +167,7 @@ class CounterRow:
 
     Attributes:
         point: id of its point.
-        total, last: the total, and the counter reading it was last computed from, as SQLite has them.
+        total, last: the total, and the counter reading from which it was computed, as SQLite stores them.
         commit_number: number of the commit that stored the state.
     """
 
@@ -191,7 +194,7 @@ class ReportedSample:
     Attributes:
         device, point: names.
         time: nanoseconds since 1970 UTC.
-        value: the value; None if it has none.
+        value: the value; None if the sample is bad and has none.
         reason: number of the reason, 0 for good.
     """
 
@@ -208,10 +211,10 @@ class StoredPoint:
 
     Attributes:
         id: number of the point in the store.
-        device, point: its present names.
+        device, point: present names of its device and of itself.
         unit_of_measure: its unit of measure, such as ``kW``; empty without one.
         is_state: whether its values are states, true or false.
-        is_float32: whether its values are numbers of type float32, without a scale: fewer digits tell them apart.
+        is_float32: whether its values are numbers of type float32 without a scale, which need fewer digits.
     """
 
     id: int
@@ -232,8 +235,7 @@ class Manifest:
 
     Attributes:
         path: the SQLite file of the manifest.
-        descriptions: how often `describe_points` was called on this object; names read before the last call may have
-            changed.
+        descriptions: how often `describe_points` was called on this object; if it grew, names read before may be old.
     """
 
     def __init__(self, folder: Path, *, writes: bool = False) -> None:
@@ -241,7 +243,7 @@ class Manifest:
 
         Args:
             folder: the folder of the store.
-            writes: whether the manifest will be changed; it is created then if it is missing.
+            writes: whether to open it for changes; then it is created if it is missing.
 
         Raises:
             ConfigError: there is no store, it has another format, or the file is damaged or cannot be written.
@@ -294,7 +296,7 @@ class Manifest:
     # Facts
 
     def fact(self, name: str) -> int | None:
-        """Return a number that the manifest stores under a name; None if there is none."""
+        """Return the number that the manifest stores under a name; None if there is none."""
         rows = self._all("SELECT value FROM facts WHERE name = ?", name)
         return None if not rows else rows[0][0]
 
@@ -339,10 +341,10 @@ class Manifest:
         *,
         is_mended: bool = False,
     ) -> None:
-        """List a segment as closed, with its contents, and copy its alarm events and accumulators into the manifest.
+        """List a segment as closed, and copy its alarm events and the states of its accumulators into the manifest.
 
         Args:
-            part: the segment, with its times, commit numbers and size as they are in the file.
+            part: the entry of the segment, with times, commit numbers and size from its file (`facts_of`).
             alarms: its alarm events.
             counters: the states of its accumulators.
             is_mended: whether its times, and those of all segments before it, were corrected after the clock was set.
@@ -398,8 +400,8 @@ class Manifest:
 
         Args:
             parts: the parts.
-            before: nanoseconds since 1970 UTC.
-            intervals: intervals of dropped segments that outlive them in the manifest.
+            before: nanoseconds since 1970 UTC; intervals that ended earlier are removed.
+            intervals: intervals of dropped segments to be kept in the manifest.
         """
         with self.transaction() as database:
             database.executemany(
@@ -484,7 +486,7 @@ class Manifest:
             database.execute("UPDATE maintenance SET begin = ? WHERE begin < ?", (now, earliest))
 
     def begin_mending(self, correction: CommitCorrection) -> None:
-        """Record which times are to be corrected; correct the begin of maintenance now."""
+        """Record a correction of times in segments that is to be made; correct the begin of maintenance at once."""
         clock = correction.clock
         facts = {
             "mend_by": clock.shift,
@@ -502,7 +504,7 @@ class Manifest:
             )
 
     def correction(self) -> CommitCorrection | None:
-        """Return the correction of times that was begun and is not completed; None without one."""
+        """Return the correction of times that was begun and is not complete; None if there is none."""
         first, shift = self.fact("mend_from"), self.fact("mend_by")
         if first is None or shift is None:
             return None
@@ -524,7 +526,7 @@ class Manifest:
         ]
 
     def point_names(self) -> PointNames:
-        """Return the present names of all points, with the renames that were made before (`PointNames`)."""
+        """Return the present names of all points, and the former names that points have taken over (`PointNames`)."""
         with self._lock:
             return _names_of(self._database)
 
@@ -549,7 +551,7 @@ class Manifest:
         """Return the former names of points, in the order in which the points were renamed.
 
         Returns:
-            For each, the id of the point, the former name, and the number of the last commit under that name.
+            Tuples of the id of a point, a former name, and the number of the last commit under that name.
         """
         return self._all("SELECT point, name, last_commit FROM renames ORDER BY rowid")
 
@@ -609,8 +611,9 @@ class Manifest:
         Args:
             sink: name of the sink.
             number: number of the commit.
-            lost: number of samples so far that the sink did not get because they were deleted before.
-            reported: the last sent samples of points with a report rule, of which the sink gets only some samples.
+            lost: number of samples, over all time, that the sink did not get because they were dropped before.
+            reported: the last sent samples of points of which the sink gets only some samples; they replace earlier
+                ones of the same points.
         """
         rows = [(sink, each.device, each.point, each.time, json.dumps(each.value), each.reason) for each in reported]
         with self.transaction() as database:
@@ -629,7 +632,7 @@ class Manifest:
 def _note_float32(database: sqlite3.Connection, described: Sequence[PointDescription]) -> None:
     """Record which of the described points are of type float32; what is recorded of others stays.
 
-    It is a fact beside the table of points, so that stores written by earlier versions are read too.
+    It is stored as a fact and not in the table of points, so that stores written by earlier versions can be read.
     """
     ids = {
         (device, point): number for device, point, number in database.execute("SELECT device, point, id FROM points")
@@ -642,9 +645,10 @@ def _note_float32(database: sqlite3.Connection, described: Sequence[PointDescrip
 
 
 def copy_points(source: Path, target: sqlite3.Connection) -> None:
-    """Copy the points and the reserved commit numbers from a manifest into a copy of it, replacing those there.
+    """Copy the points and the reserved commit numbers from a manifest into a copy of it, replacing those in the copy.
 
-    The points have their present and former names. The numbers are above those of all commits before.
+    Points are copied with their present and former names. Commits made with the copy get numbers above those of all
+    commits that were made with the original before.
 
     Args:
         source: the file of the original manifest.
@@ -667,7 +671,7 @@ def _names_of(database: sqlite3.Connection) -> PointNames:
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
     """Rename the points whose descriptions have a new name, all at once, and record their former names.
 
-    A point keeps its name if another point has the new one and keeps it.
+    A point is not renamed if another point has its new name and keeps it.
     """
     moves = _names_of(database).moves(described)
     for old, one in moves.items():

@@ -1,8 +1,9 @@
 """Reads samples and sums from one file of a store, whatever its format: SQLite for a segment, Parquet if sealed.
 
-Knows how to ask a segment; `sealed_files` asks Parquet. Knows nothing of how parts overlap.
+Knows how a segment is read; `sealed_files` reads Parquet. Knows nothing of how parts overlap.
 
-1. A question to a segment takes one short transaction, so that a reader does not hold the log of the writer.
+1. A segment is read in one short transaction, so that a reader does not keep the write-ahead log of the writer from
+   shrinking.
 2. `FileNotFoundError` means that the part was sealed or dropped since the manifest was read.
 """
 
@@ -33,9 +34,9 @@ FROM (
 
 
 def open_part_facts(folder: Path, part: StorePart) -> StorePart:
-    """Return the manifest entry of an open segment with the times and numbers of its commits so far.
+    """Return the manifest entry of an open segment with its present times, commit numbers, rows and size filled in.
 
-    If nothing was written to the segment yet, ``part`` is returned unchanged.
+    If the file has no tables yet, ``part`` is returned unchanged.
 
     Raises:
         FileNotFoundError: the file is not created yet, or the segment was sealed or dropped.
@@ -90,7 +91,9 @@ def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int
 def part_sums(
     folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int, bucket: int
 ) -> SumsByBucket:
-    """Return count, total, minimum and maximum of the samples in one file of the store, by time bucket and point.
+    """Return count, total, minimum, maximum and worst reason of the samples in one file of the store.
+
+    They are by time bucket and point (`Sums`).
 
     Args:
         folder: the folder of the store.

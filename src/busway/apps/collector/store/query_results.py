@@ -13,7 +13,7 @@ from ....extras import require
 from ..samples import Gap, Quality, Sample, StateInterval, Value, quality_of, reason_text
 
 EXACT: Final = 2**53
-"""Integers up to this are floats too."""
+"""Every integer up to this is exactly representable as float."""
 
 
 class ColumnTable(ABC):
@@ -26,7 +26,7 @@ class ColumnTable(ABC):
         """Return the columns of the result by name."""
 
     def to_arrow(self) -> Any:  # pyarrow has no types of its own
-        """Return the result as `pyarrow.Table`; time is a timestamp in UTC. Raises `MissingExtra`."""
+        """Return the result as `pyarrow.Table`; ``time`` is a timestamp[ns] in UTC. Raises `MissingExtra`."""
         return _arrow_table(self.columns())
 
     def to_pandas(self) -> Any:  # pandas may not be there to check
@@ -42,19 +42,20 @@ class ColumnTable(ABC):
 
 @dataclass(frozen=True, slots=True)
 class SampleTable(ColumnTable):
-    """Samples from a store in columns, ordered by time; one entry of each list for each sample.
+    """Samples from a store in columns, ordered by time; each column has one entry for each sample.
 
-    An interval in which a device was not read, or a gap, is among them as one sample without a value for each of its
-    points, at its begin and with its reason.
+    An interval in which a device was not read, or a gap, appears as one sample without a value for each point
+    concerned, with the reason of the interval, at its begin or at the begin of the wanted time if that is later.
 
     Attributes:
         device, point: names.
         time: nanoseconds since 1970 UTC, the middle of the transaction.
         half_width: half the length of the transaction, nanoseconds.
-        value: values; None where there is none.
+        value: values; None for a bad sample without a value.
         reason: numbers of reasons, 0 for good.
-        intervals: intervals in which a device with wanted points was not read, within the wanted time.
-        gaps: times within the wanted time in which nothing was collected.
+        intervals: intervals that overlap the wanted time, in which a device with wanted points was not read. This is no
+            column: it has one entry for each interval.
+        gaps: gaps that overlap the wanted time, in which samples of all devices are missing; one entry for each gap.
     """
 
     device: list[str] = field(default_factory=list)
@@ -82,8 +83,8 @@ class SampleTable(ColumnTable):
     def columns(self) -> dict[str, list[Any]]:  # columns have different types
         """Return the columns by name: numbers in ``value``, texts in ``text``, quality and reason in words.
 
-        An integer that no float holds has its digits in ``text`` too, because a column of numbers may become one of
-        floats.
+        An integer that no float represents exactly has its digits in ``text`` too, because tables may convert the
+        column ``value`` to floats.
         """
         return {
             "time": self.time,
@@ -104,11 +105,11 @@ class BucketTable(ColumnTable):
     Attributes:
         device, point: names.
         time: nanoseconds since 1970 UTC at which the bucket begins.
-        minimum, maximum, mean: of the numbers in the bucket that are not bad; None if there are none.
-        count: how many numbers these are.
-        samples: how many samples there are in all, bad ones and texts too; 0 in a gap.
-        reason: number of the worst reason of the samples, and of what kept the point from being read for a part of the
-            bucket; 0 if there was none.
+        minimum, maximum, mean: of those samples in the bucket that are numbers and not bad; None if there are none.
+        count: how many samples these are.
+        samples: how many samples there are in all, bad ones and texts too; 0 if the point was not read in the bucket.
+        reason: number of the worst reason in the bucket: of its samples, and of gaps and intervals in which the point
+            was not read; 0 if all was good.
     """
 
     device: list[str] = field(default_factory=list)
@@ -167,7 +168,7 @@ def _arrow_table(columns: dict[str, list[Any]]) -> Any:
 
 
 def _numbers(pa: Any, values: list[Any]) -> Any:
-    """Return a column of numbers: integers if all of them are, else floats."""
+    """Return a column of pyarrow: int64 if all values are integers below 2**63, else float64; None becomes null."""
     if {type(value) for value in values} == {int} and max(values) < 2**63:
         return pa.array(values, pa.int64())
     return pa.array([None if value is None else float(value) for value in values], pa.float64())

@@ -2,12 +2,12 @@
 
 Knows how parts overlap; knows no format.
 
-1. The axis of time is cut where parts begin and end. Where one part covers a piece, it is asked for rows or sums;
-   where several do, their rows are merged by key, and the later commit holds.
-2. Pieces are small enough for memory: `_PIECE` wanted rows, roughly, or ten times as many where only sums are kept.
-3. Where sealed parts follow one another, one question is about as many of them as a piece may have samples, if that is
-   cheaper than one question for each (`sealed_files`).
-4. A part that is sealed or dropped while it is read is looked up again, from the time on that was reached.
+1. The axis of time is cut where parts begin and end. If one part covers a piece, it is asked for rows or sums. If
+   several do, their rows are merged by time and point, and the row of the later commit counts.
+2. Pieces are small enough for memory: `_PIECE` wanted rows, roughly, or ten times as many if only sums are kept.
+3. Sealed parts that follow one another are read together, up to the size of a piece, if that is quicker than one after
+   the other (`sealed_files`).
+4. If a part is sealed or dropped while it is read, the parts are looked up again for the time that is still to be read.
 5. Points that the store gets while it is read are not in the result.
 """
 
@@ -35,7 +35,7 @@ from .segment import sample_value
 from .selection import Moment, chosen_points, period, span
 
 MOST_SAMPLES: Final = 10_000_000
-"""Samples that one `Store.read` gives at most: some 2 GB."""
+"""Most samples that one call of `Store.read` returns: some 2 GB."""
 MOST_BUCKETS: Final = 1_000_000
 _PIECE: Final = 500_000
 _TRIES: Final = 10
@@ -49,8 +49,9 @@ class TimePiece:
 
     Attributes:
         low, high: the piece in nanoseconds since 1970 UTC, ``high`` excluded.
-        parts: the parts; each covers the whole piece, unless it is a run.
-        is_run: whether the parts are sealed and follow one another, so that no two have samples of the same time.
+        parts: the parts. If the piece is no run, the times of each part cover the whole piece.
+        is_run: whether the piece is a run: its parts are sealed and follow one another in it, so that no two have
+            samples of the same time there.
     """
 
     low: int
@@ -75,23 +76,6 @@ class Store:
         check_store(self.folder)
 
     def points(self) -> list[StoredPoint]:
-        """Return samples, or minimum, maximum and mean for each time bucket.
-
-        Args:
-            points: ``device/point``, with ``*`` and ``?``; a device alone means all its points. Former names serve too.
-            since: from this time on: ``1h`` is an hour ago, or ISO 8601, a `datetime`, nanoseconds since 1970 UTC.
-            until: up to this time, without it.
-            bucket: length of a bucket: ``10s``, or seconds, 0.001 to 366 days; None for samples.
-
-        Returns:
-            A `SampleTable`, ordered by time; with ``bucket`` a `BucketTable`.
-
-        Raises:
-            InvalidRequest: a pattern names no point, a time cannot be understood, or there are more than `MOST_SAMPLES`
-                samples or `MOST_BUCKETS` buckets.
-            ConfigError: the store cannot be read.
-            MissingExtra: parts are sealed, and pyarrow is not installed.
-        """
         """Return all points of the store, also those that are no longer read. Raises `ConfigError`."""
         return self._from_manifest(Manifest.points)
 
@@ -121,14 +105,19 @@ class Store:
         """Return samples, or minimum, maximum and mean for each time bucket.
 
         Args:
-            points: ``device/point``, with ``*`` and ``?``; a device alone means all its points. Former names serve too.
-            since: from this time on: ``1h`` is an hour ago, or ISO 8601, a `datetime`, nanoseconds since 1970 UTC.
-            until: up to this time, without it.
-            bucket: length of a bucket: ``10s``, or seconds, 0.001 to 366 days.
+            points: one or several patterns ``device/point``, with ``*`` and ``?``; a device alone means all its points.
+                Former names of points match too.
+            since: from this time on: ``1h`` for an hour ago, ISO 8601, a `datetime`, or nanoseconds since 1970 UTC.
+                None for the begin of the store.
+            until: up to this time, without it; in the same forms. None for no limit.
+            bucket: length of a bucket: text such as ``10s``, or seconds, 0.001 to 366 days; None for samples.
+
+        Returns:
+            A `SampleTable`, ordered by time; with ``bucket`` a `BucketTable`.
 
         Raises:
-            InvalidRequest: a pattern names no point, a time is none, ``until`` is not after ``since``, or there is more
-                than `MOST_SAMPLES` samples or `MOST_BUCKETS` buckets.
+            InvalidRequest: a pattern names no point, a time or length cannot be understood, ``until`` is not after
+                ``since``, or there are more than `MOST_SAMPLES` samples or `MOST_BUCKETS` buckets.
             ConfigError: the store cannot be read.
             MissingExtra: parts are sealed, and pyarrow is not installed.
         """
@@ -146,8 +135,8 @@ class Store:
     ) -> Iterator[SampleTable]:
         """Yield the samples that `read` returns in several tables of limited size, in the order of time.
 
-        The last table has the intervals and gaps of the whole period. The function takes the arguments of `read` and
-        raises the same errors, but has no limit for the number of samples.
+        The last table, and only that, has the intervals and gaps of the whole period. Arguments and errors are those of
+        `read`, but the number of samples has no limit.
         """
         low, high = period(since, until, time.time_ns())
         chosen = self._chosen(points)
@@ -212,7 +201,7 @@ class Store:
         return None if points in ("*", "*/*") else [point.id for point in chosen]
 
     def _parts(self) -> list[StorePart]:
-        """Return the parts (files) of the store that have samples, each with its present times and commits."""
+        """Return the files of the store that have samples, an open segment with its present times and commits."""
         return self._tried(lambda: [part for part in map(self._facts, self._listed()) if part.low is not None])
 
     def _listed(self) -> list[StorePart]:
@@ -237,7 +226,7 @@ class Store:
             raise
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of ``ask``, which reads files; call it again if a file was sealed or dropped meanwhile."""
+        """Return the result of ``ask``, which reads files; call it again if one was sealed or dropped meanwhile."""
         for _ in range(_TRIES):
             try:
                 return ask()
@@ -325,14 +314,15 @@ class Store:
 
 
 def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Iterator[TimePiece]:
-    """Yield the pieces of a period, in order; times without samples are left out.
+    """Yield the pieces of a period, in order; times that no part covers are left out.
 
-    The period is cut where parts begin and end. What is estimated to have more than ``most`` samples is cut further.
+    The period is cut where parts begin and end. A piece that is estimated to have more than ``most`` samples is cut
+    further.
 
     Args:
         parts: the parts (files) of the store, with their times and numbers of samples.
         low, high: the period in nanoseconds since 1970 UTC, ``high`` excluded.
-        most: samples of a piece.
+        most: most samples of a piece, roughly.
     """
     spans = [(max(part.low or 0, low), min((part.high or 0) + 1, high), part) for part in parts if part.low is not None]
     spans = sorted((each for each in spans if each[0] < each[1]), key=lambda span: span[0])
@@ -355,11 +345,13 @@ def pieces_of(parts: Sequence[StorePart], low: int, high: int, most: int) -> Ite
 
 
 def runs_of(pieces: Iterator[TimePiece], most: int) -> Iterator[TimePiece]:
-    """Yield pieces; neighbours with one sealed part each are joined to runs.
+    """Yield the pieces in their order, with neighbours that have one sealed part each joined to runs.
+
+    A run has at most `FILES_AT_ONCE` of the pieces.
 
     Args:
         pieces: pieces of a period, in order.
-        most: samples of a run, roughly.
+        most: most samples of a run, roughly.
     """
     run: list[TimePiece] = []
     rows = 0.0
@@ -389,10 +381,10 @@ def _share(part: StorePart, begin: int, end: int) -> float:
 
 
 def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
-    """Return the samples without a value that show, in query results, when a device or the collector did not read.
+    """Return the samples without a value that stand for intervals and gaps in query results.
 
-    There is one for each interval or gap and each of its points, at the begin of the interval but not before ``low``;
-    they are in the order of time.
+    There is one for each interval or gap and each point concerned, at the begin of the interval but not before ``low``
+    (nanoseconds since 1970 UTC). They are in the order of time.
     """
     found = [
         (max(row.begin, low), point.id, None, row.reason, 0, row.commit_number)
@@ -436,9 +428,10 @@ def _extend(whole: SampleTable, other: SampleTable) -> None:
 def _add_gaps(
     sums: SumsByBucket, intervals: list[IntervalRow], points: list[StoredPoint], stretch: tuple[int, int], bucket: int
 ) -> None:
-    """Give each time bucket and point in which the point was not read for a while that reason, if it has none worse.
+    """Put the reasons of intervals and gaps into the sums of the buckets that they overlap, if no worse one is there.
 
-    A bucket is added where there were no samples at all.
+    Changes ``sums``; sums without samples are added for buckets that have none. ``stretch`` is begin and end of the
+    period.
 
     Raises:
         InvalidRequest: there would be more than `MOST_BUCKETS` buckets.

@@ -4,9 +4,9 @@ Knows the files of a store and their manifest; knows no commits to come. `writer
 
 1. A commit that was half written when the process ended is undone by SQLite when the segment is opened: no row of it is
    seen. Everything here is about whole commits.
-2. A segment that was left open is listed in the manifest with what it contains, and is not written any more.
-3. The time since the last sign of life is a `Gap`; its reason says whether the process ended on purpose. Silences of
-   devices that were left open end there.
+2. A segment that was left open is listed in the manifest as closed, with what it contains, and is not written any more.
+3. The time since the last commit is a `Gap`; its reason says whether the process ended on purpose. Intervals in which a
+   device was not read, and which have no end yet, end at that commit.
 """
 
 import sqlite3
@@ -23,7 +23,7 @@ from .segment import alarms_of, counters_of, facts_of, intervals_of, is_unmade, 
 
 
 def close_open_segments(folder: Path, manifest: Manifest) -> None:
-    """List as finished the segments that an earlier process left open, and delete files no longer listed."""
+    """List as closed the segments that an earlier process left open, and delete files that are no longer listed."""
     for part in manifest.parts():
         if part.kind == "open":
             close_segment(folder, manifest, part)
@@ -31,7 +31,7 @@ def close_open_segments(folder: Path, manifest: Manifest) -> None:
 
 
 def close_segment(folder: Path, manifest: Manifest, part: StorePart) -> bool:
-    """List a segment as finished, with what its file contains; a segment without commits is removed from the manifest.
+    """List a segment as closed, with what its file contains; a segment without commits is removed from the manifest.
 
     Returns:
         Whether the segment contains commits.
@@ -62,10 +62,10 @@ def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[Stat
     Args:
         folder: the folder of the store.
         manifest: its manifest.
-        now: nanoseconds since 1970 UTC.
+        now: the present time, nanoseconds since 1970 UTC.
 
     Returns:
-        The ended intervals and the gap, to be committed; empty if nothing was ever committed.
+        The intervals with their ends, and the gap, to be committed by the caller; empty if nothing was ever committed.
     """
     alive = manifest.fact("alive")
     if alive is None:  # nothing was ever committed
@@ -79,13 +79,14 @@ def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[Stat
 def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
     """Return when the gap before this start began, in nanoseconds since 1970 UTC.
 
-    This is the end of the earlier process. If a clock was wrong then or is wrong now, it is the nearest time that is
-    known.
+    This is the last commit of the earlier process, unless its clock was wrong. In that case, if the clock is right now,
+    it is the last right time that the manifest has of a finished part, or else ``now``; if the clock is wrong now too
+    and shows an earlier time than then, it is ``now``.
 
     Args:
         manifest: the manifest of the store.
-        alive: time of the last commit of the earlier process, by its clock.
-        now: the present time.
+        alive: time of the last commit of the earlier process by its clock, nanoseconds since 1970 UTC.
+        now: the present time, nanoseconds since 1970 UTC.
     """
     if alive >= EARLIEST or alive <= now < EARLIEST:
         return alive
@@ -96,9 +97,9 @@ def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
 
 
 def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
-    """Return the stored intervals without reads of a device that have no end yet, except maintenance.
+    """Return the stored intervals in which a device was not read and which have no end yet.
 
-    Maintenance continues after a restart.
+    Maintenance that continues after the restart is left out. Segments must be closed before.
     """
     rows = list(manifest.intervals())
     for part in manifest.parts():
@@ -117,8 +118,8 @@ def _open_intervals(folder: Path, manifest: Manifest) -> list[StateInterval]:
 def _end_of(interval: StateInterval, alive: int) -> int:
     """Return the end (nanoseconds since 1970 UTC) of an interval that an earlier process left open.
 
-    The end is the last commit of that process, at time ``alive``; or the begin of the interval, if ``alive`` is before
-    it because the clock was set.
+    The end is ``alive``, the time of the last commit of that process. It is the begin of the interval if ``alive`` is
+    earlier, or if the clock was set between the two.
     """
     is_known = (interval.begin < EARLIEST) is (alive < EARLIEST)  # else the clock was set in between, and not mended
     return max(alive, interval.begin) if is_known else interval.begin

@@ -1,10 +1,10 @@
 """Retention: chooses the files of a store to delete, because they are too old or the store is too large.
 
-Pure. Knows parts; the writer drops them. Files are deleted even if a sink has not got their samples: the manifest
+Pure. Knows parts; the writer deletes them. Files are deleted even if a sink has not got their samples: the manifest
 counts what that sink has lost.
 
-A part whose samples may replace samples of an earlier part is as old as that part: dropped before it, it would leave
-what it replaced.
+A part whose samples may replace samples of an earlier part counts as at least as new as that earlier part: if it were
+deleted first, the replaced samples would appear again.
 """
 
 from collections.abc import Sequence
@@ -20,7 +20,10 @@ class Retention:
 
     Attributes:
         age: seconds for which samples are kept; None for ever.
-        size: bytes of all files with samples together, at least 1 MB; None for no limit.
+        size: most bytes of all files with samples together, at least 1 000 000; None for no limit.
+
+    Raises:
+        ConfigError: ``age`` is not above 0, or ``size`` is too small.
     """
 
     age: float | None = None
@@ -34,7 +37,7 @@ class Retention:
 
 
 def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) -> list[StorePart]:
-    """Return the finished parts (files) beyond the limits of retention, oldest first; never the open segment.
+    """Return the finished parts (files) to be deleted by the limits of retention, oldest first; never the open segment.
 
     Args:
         parts: all parts of the store, the open segment too: its bytes count.
@@ -61,7 +64,8 @@ def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) ->
 def _ages(parts: Sequence[StorePart]) -> dict[int, int]:
     """Return for each part, by its id, the time that decides how old it is, in nanoseconds since 1970 UTC.
 
-    It is the time of its last sample, or of the last sample of an earlier part that overlaps it, if that is later.
+    It is the time of its last sample (of its last commit if it has no samples), or that of an earlier part that
+    overlaps it, if that is later.
     """
     ages: dict[int, int] = {}
     before: list[tuple[int, int, int, int]] = []  # begin, end and age of each part, and the latest end up to it

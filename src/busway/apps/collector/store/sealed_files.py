@@ -1,12 +1,12 @@
-"""Reads samples and sums from sealed files (Parquet): many with DuckDB where it is installed, else with pyarrow.
+"""Reads samples and sums from sealed files (Parquet): many at once with DuckDB if it is installed, else with pyarrow.
 
 Knows the columns of sealed files; knows nothing of the manifest, nor which files overlap.
 
-1. Both ways give the same rows and the same sums; a test holds one against the other.
-2. DuckDB answers one question about many files at once, over long times in a third of the time; of one file pyarrow is
-   asked, which is quicker then. DuckDB works in memory alone: it loads no extension and spills nothing into files.
-3. Its first version that keeps nanoseconds is 2.0; an older one is not used.
-4. `FileNotFoundError` means that a file was sealed anew or dropped since the manifest was read.
+1. DuckDB and pyarrow give the same rows and the same sums; a test compares them.
+2. DuckDB reads many files in one query, which takes a third of the time for long periods. One file is read with
+   pyarrow, which is quicker for that. DuckDB works in memory alone: it loads no extension and writes no files.
+3. The first version of DuckDB that keeps nanoseconds is 2.0; an older one is not used.
+4. `FileNotFoundError` means that a file was dropped since the manifest was read.
 """
 
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ from .file_rows import Row, Sums, SumsByBucket, add_sums
 from .sealing import arrow
 
 FILES_AT_ONCE: Final = 256
-"""Sealed files that one question is about at most."""
+"""Most sealed files that are read together (`busway.apps.collector.store.reading.runs_of`)."""
 _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
 _SUMMED: Final = ["time", "point", "real", "integer", "large", "reason"]
 _ROWS: Final = f"SELECT {', '.join(_COLUMNS)} FROM read_parquet($files) WHERE "
@@ -46,7 +46,7 @@ _SETTINGS: Final = {
 
 @cache
 def reads_many() -> bool:
-    """Whether one question can be about many sealed files: DuckDB is installed, and new enough (rule 3)."""
+    """Whether many sealed files can be read in one query: DuckDB is installed, and new enough (rule 3)."""
     if find_spec("duckdb") is None:
         return False
     try:
@@ -75,10 +75,10 @@ def sealed_rows(files: Sequence[Path], ids: Sequence[int] | None, low: int, high
 
 
 def sealed_sums(files: Sequence[Path], ids: Sequence[int] | None, low: int, high: int, bucket: int) -> SumsByBucket:
-    """Return count, total, minimum and maximum of the samples in sealed files, by time bucket and point.
+    """Return count, total, minimum, maximum and worst reason of the samples in sealed files, by time bucket and point.
 
     Args:
-        files: the Parquet files; no two have samples of the same point and time.
+        files: the Parquet files; no two may have samples of the same point and time.
         ids: ids of the wanted points; None for all points.
         low, high: the period in nanoseconds since 1970 UTC, ``high`` excluded.
         bucket: length of a time bucket in nanoseconds.
@@ -106,13 +106,13 @@ def _where(ids: Sequence[int] | None) -> str:
 
 
 def _asked(question: str, form: str, files: Sequence[Path], low: int, high: int, **more: int) -> Any:
-    """Ask DuckDB about files.
+    """Run a query of DuckDB over Parquet files, and return its result.
 
     Args:
         question: the SQL query.
-        form: name of the method of a relation that gives the answer in the wanted form.
-        files: the Parquet files, ``$files`` of the query.
-        low, high: the period, ``$low`` and ``$high`` of the query.
+        form: name of the method of DuckDB's relation that returns the result in the wanted form, such as ``fetchall``.
+        files: the Parquet files; parameter ``$files`` of the query.
+        low, high: the period in nanoseconds since 1970 UTC; parameters ``$low`` and ``$high`` of the query.
         more: further parameters of the query.
 
     Raises:
@@ -135,7 +135,7 @@ def _asked(question: str, form: str, files: Sequence[Path], low: int, high: int,
 
 
 def _table(file: Path, ids: Sequence[int] | None, low: int, high: int, columns: list[str]) -> Any:
-    """Return columns of a sealed file as a table of pyarrow, with the wanted points and times alone.
+    """Return columns of a sealed file as a table of pyarrow, with only the wanted points and times.
 
     Row groups of the file that have no wanted point or time are not read.
     """
@@ -151,7 +151,7 @@ def _table(file: Path, ids: Sequence[int] | None, low: int, high: int, columns: 
 
 
 def rows_of_table(table: Any) -> list[Row]:
-    """Return the samples of a table read from a Parquet file as rows, equal to those of a segment file."""
+    """Convert a table read from a Parquet file to rows in the form in which a segment file has them (`Row`)."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}

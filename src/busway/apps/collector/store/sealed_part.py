@@ -8,13 +8,14 @@ Knows rows and columns; knows nothing of the manifest.
    minutes, so that no part covers a long time. Samples with the same key in several parts are merged when they are
    read.
 2. The driver of Arrow for SQLite fetches rows as columns, in half the time that rows take as objects of Python. It
-   takes the type of a column from its first row: so the query puts an artificial row before the others, which is left
-   out afterwards.
-3. Only the needed packages of Arrow are loaded; pandas and numpy, which pyarrow would load if they are installed, are
-   not. So a start takes a third of the time.
-4. SQLite gives rows in the order of their key, by time. Then a stable sort by point alone is enough, which for numbers
-   below each other costs a third of a sort by both. The order is checked, not assumed.
-5. The content of each file is durable when the program ends. Its name is not listed: the process that asked renames it.
+   takes the type of a column from its first row: so the query puts an artificial row before the others, which is
+   removed afterwards.
+3. Only the needed packages of Arrow are loaded, and not pandas and numpy, which pyarrow would load if they are
+   installed. So a start takes a third of the time.
+4. SQLite gives rows in the order of their key, by time. Then a stable sort by point alone is enough, which takes a
+   third of the time of a sort by both. The order is checked, not assumed.
+5. The content of each file is durable when the program ends, under an unfinished name. The process that started the
+   program renames it and lists it in the manifest.
 """
 
 import json
@@ -32,20 +33,20 @@ from .sealing import arrow
 from .segment import SLOT, open_for_reading
 
 _NOT_LATE: Final = 60 * 1_000_000_000
-"""Nanoseconds before the begin of a segment that its samples may have: a slow transaction, a slow commit."""
+"""Nanoseconds that a sample may be older than its segment without being late, because a read or commit was slow."""
 _CHUNK: Final = 65_536
 """Rows that are fetched at once."""
 _ROW_GROUP: Final = 64 * 1024
-"""Rows of a row group of Parquet: so many are read at least, even for one sample."""
+"""Rows of a row group in a Parquet file: at least so many are read, even for one sample."""
 _NICENESS: Final = 5
-"""How much lower the priority of sealing is than that of polling (nice)."""
+"""How much the sealing process raises its nice value, so that it has a lower priority than polling."""
 _KINDS: Final = {
     "real": ("real", "0.5"),
     "integer": ("integer", "0"),
     "text": ("text", "'-'"),
     "large": ("blob", "x'00'"),
 }
-"""Columns of values: what SQLite calls their type, and a value of it."""
+"""Columns of values: for each, the name of its type in SQLite, and a value of this type as SQL."""
 _NAMES: Final = ["point", "time", *_KINDS, "reason", "half_width", "commit_number"]
 
 PointTexts = Sequence[tuple[int, str, str, str | None]]
@@ -55,15 +56,15 @@ PointTexts = Sequence[tuple[int, str, str, str | None]]
 def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:
     """Write the samples of a closed segment as Parquet files, under unfinished names, and yield each file.
 
-    Ends without the rest if the process ``parent`` has ended: the files would not be listed.
+    If the process ``parent`` has ended, no more files are written, because they would not be listed.
 
     Args:
         segment: the segment file.
-        points: the points of the store, whose names are written too.
-        parent: number of the process that asked.
+        points: the points of the store; their names are written into the files too.
+        parent: number of the process that started this one.
 
     Yields:
-        The path of the written file, and what the manifest lists of it: its final name, bytes, times, commits and rows.
+        The path of the written file, and its entry for the manifest: final name, bytes, times, commit numbers, rows.
     """
     with closing(open_for_reading(segment)) as database:
         ranges = list(_ranges(database, segment.stem))
@@ -140,7 +141,7 @@ def _table(segment: Path, kinds: set[str], low: int, high: int) -> Any:
 
     Args:
         segment: the segment file.
-        kinds: the SQLite types of the values in it.
+        kinds: the SQLite types of the values in the segment, such as ``real``.
         low, high: nanoseconds since 1970 UTC, ``high`` excluded.
     """
     pa = arrow()
@@ -184,7 +185,7 @@ def _order(points: Any, times: Any) -> Any:
 def _query(kinds: set[str], low: int, high: int) -> str:
     """Return the SQL query for the samples of a period, with one column for each type of value in ``kinds``.
 
-    Its first row is no sample: from it the driver takes the types of the columns (rule 2).
+    The first row of its result is no sample: it gives the driver the types of the columns (rule 2).
     """
     samples, values = "", ""
     for name, (kind, sample) in _KINDS.items():
@@ -199,9 +200,9 @@ def _query(kinds: set[str], low: int, high: int) -> str:
 
 
 def _named(table: Any, points: PointTexts) -> Any:
-    """Return the table with the names of devices and points, and with times as timestamps.
+    """Return the table with added columns ``device`` and ``name`` of the points, and with times as timestamps.
 
-    These columns are for people who open the Parquet file with other programs.
+    They are for people who open the Parquet file with other programs. All ``points`` are in its metadata as JSON.
     """
     pa = arrow()
     known = pa.array([id for id, *_ in points], pa.int32())
@@ -224,8 +225,8 @@ class _NotNeeded(MetaPathFinder):
 def main() -> None:
     """Write the Parquet files of one segment.
 
-    Standard input is JSON: path of the segment, points, and the process that asks. Standard output is a JSON list: for
-    each file its path, and what the manifest lists of it.
+    Standard input is JSON: path of the segment, points, and number of the process that started this one. Standard
+    output is a JSON list: for each file its path, and its entry for the manifest.
     """
     asked = json.load(sys.stdin)
     sys.meta_path.insert(0, _NotNeeded())

@@ -1,12 +1,13 @@
 """Sealing: turns a finished segment into Parquet files, sorted by point and time, a tenth of its size or less.
 
-Knows the steps and their order; knows nothing of commits that go on meanwhile, and nothing of what is in a file.
+Knows the steps and their order; knows nothing of commits that are made meanwhile, nor of the content of a file.
 
 1. Another process writes the files (`sealed_part`): polling and commits go on beside it, and its memory ends with it.
-2. The files are written under other names, their content made durable, renamed, the folder made durable; then one
-   transaction of the manifest lists them instead of the segment, and then the segment is unlinked. Ended anywhere
-   between these, nothing is lost and nothing counts twice: the manifest alone says what counts.
-3. pyarrow and the driver of Arrow for SQLite are needed (``busway[store]``). Without them segments stay SQLite files.
+2. The files are written under unfinished names, their content is made durable, they are renamed, and the folder is made
+   durable. Then one transaction of the manifest lists them instead of the segment, and the segment is deleted. If the
+   process ends anywhere between, nothing is lost and nothing counts twice, because the manifest alone decides what
+   counts.
+3. pyarrow and Arrow's driver for SQLite are needed (``busway[store]``). Without them segments stay SQLite files.
 """
 
 import json
@@ -26,10 +27,10 @@ from .manifest import Manifest, StoredPoint, StorePart
 from .segment import intervals_of, open_for_reading
 
 Step = Callable[[str], None]
-"""A function that is called with the name of each step when it is done; tests end the process there."""
+"""A function that is called with the name of each step when the step is done; tests end the process there."""
 
 _LONGEST: Final = 1800
-"""Seconds that the other process may take for one segment."""
+"""Most seconds that the process that writes the Parquet files may take for one segment."""
 
 
 class SealingFailed(OSError):
@@ -125,7 +126,7 @@ def _interpreter() -> list[str]:
 
 
 def remove_unlisted(folder: Path, manifest: Manifest) -> None:
-    """Delete the files that are no longer listed in the manifest and still have to be deleted."""
+    """Delete the files that the manifest lists as to be deleted, and remove them from that list."""
     for file in manifest.files_to_unlink():
         unlink_part(folder / SEGMENTS / file)
         manifest.unlinked(file)

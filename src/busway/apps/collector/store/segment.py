@@ -6,13 +6,15 @@ Knows one file and its tables; knows nothing of the manifest.
    in the order of their commits without an index on each sample.
 2. The key is (time, point): rows arrive in the order of time, and only in that order can 400 000 of them be inserted in
    a second. A sample with the key of an earlier one replaces it.
-3. NULL for a value that is not bad is NaN: SQLite has none. Integers beyond 63 bits are stored as eight bytes.
+3. NULL as the value of a sample that is not bad stands for NaN, which SQLite cannot store. Integers of 2**63 and more
+   are stored as eight bytes.
 4. The write-ahead log is moved into the file when it is larger than `LOG_LIMIT`.
-5. A segment ends, and the next commit begins another: when its ten minutes by the clock are over, when it is larger
-   than ``segment_size`` of the store's options, or where a reader keeps its write-ahead log from shrinking. See
-   `has_ended`.
-6. While a connection is open, nothing else in this process opens and closes the file: that would release the locks of
-   the connection (POSIX), and a reader in another process that closes would remove the log that is being written.
+5. A segment ends, and the next commit begins another, when its ten minutes by the clock are over, when it is larger
+   than ``segment_size`` of the store's options, or when a reader keeps its write-ahead log from shrinking. See
+   `Segment.has_ended`.
+6. While a connection is open, this process opens and closes the file by no other means than Python's SQLite: that would
+   release the locks of the connection (POSIX), and a reader in another process that closes the file would remove the
+   log that is being written.
 """
 
 import contextlib
@@ -32,11 +34,11 @@ from .folder import size_of, sync_file
 from .manifest import INSERT_ALARM, AlarmRow, CounterRow, IntervalRow, StorePart
 
 SLOT: Final = 600 * 1_000_000_000
-"""Nanoseconds that a segment lasts at most, and that a late part covers."""
+"""Nanoseconds that a segment lasts at most, and that a sealed part of late samples covers: ten minutes."""
 LOG_LIMIT: Final = 32 * 1024 * 1024
-"""Bytes of the write-ahead log from which on it is moved into the file after each commit."""
+"""Bytes of the write-ahead log above which it is moved into the segment's file after each commit."""
 LOG_STUCK: Final = 2 * LOG_LIMIT
-"""Bytes of the write-ahead log that show that a reader keeps it from shrinking."""
+"""Bytes of the write-ahead log above which it is clear that a reader keeps the log from shrinking."""
 
 _SCHEMA: Final = """
 BEGIN;
@@ -67,13 +69,13 @@ _COUNTER: Final = "INSERT OR REPLACE INTO counters VALUES (?, ?, ?, ?)"
 KeyedBatch = tuple[Sequence[int], SampleBatch]
 """The ids of the points of a batch, and the batch."""
 KeyedAlarm = tuple[int, AlarmEvent]
-"""The id of the point of an event, and the event."""
+"""The id of the point of an alarm event, and the event."""
 KeyedCounter = tuple[int, CounterState]
 """The id of the point of an accumulator, and its state."""
 
 
 class Segment:
-    """A segment file that is being written. Not safe for several threads; methods may raise `sqlite3.Error`."""
+    """A segment file that is being written. Not safe for several threads."""
 
     def __init__(self, path: Path, *, every_commit_durable: bool) -> None:
         """Open a segment file for writing; it is created if it is missing.
@@ -115,7 +117,7 @@ class Segment:
             counters: states of accumulators that are in no batch, with the ids of their points.
 
         Raises:
-            sqlite3.Error: the file cannot be written.
+            sqlite3.Error: the file cannot be written; call `rollback`.
         """
         database = self._database
         database.execute("BEGIN IMMEDIATE")
@@ -138,8 +140,8 @@ class Segment:
     def commit(self) -> None:
         """End the transaction that `begin` started, then move the write-ahead log into the file if the log has grown.
 
-        If the log cannot be moved (a full disk), the commit holds all the same, and the next one tries again to move
-        the log.
+        The log is moved if it is larger than `LOG_LIMIT`. If that fails (a full disk), the commit is valid
+        nevertheless, and the next one tries again.
 
         Raises:
             sqlite3.Error: the transaction cannot be committed.
@@ -164,18 +166,19 @@ class Segment:
     def has_ended(self, begun: int, now: int, most: int) -> bool:
         """Whether the next segment must begin before another commit (rule 5).
 
-        It must if ``begun`` and ``now`` are in different slots of `SLOT`, the file is too large, or it `is_stuck`.
+        True if ``begun`` and ``now`` are in different ten minutes of the clock (`SLOT`), if the file with its log is
+        larger than ``most``, or if the log `is_stuck`.
 
         Args:
             begun: when the segment began, nanoseconds since 1970 UTC.
-            now: the present time, likewise.
-            most: bytes that the segment may have.
+            now: the present time, nanoseconds since 1970 UTC.
+            most: most bytes that the segment may have.
         """
         return now // SLOT != begun // SLOT or self.size() > most or self.is_stuck
 
     @property
     def is_stuck(self) -> bool:
-        """Whether the segment file's write-ahead log is above `LOG_STUCK`: a reader keeps it from being shortened."""
+        """Whether the segment file's write-ahead log is larger than `LOG_STUCK`: a reader keeps it from shrinking."""
         return self.log_size() > LOG_STUCK
 
     def size(self) -> int:
@@ -183,13 +186,13 @@ class Segment:
         return size_of(self.path)
 
     def mend(self, correction: CommitCorrection) -> int:
-        """Correct times from before the clock was right; return the number of samples moved (`clock_correction`)."""
+        """Correct wrong times in the segment as `mend_segment` does; return the number of corrected samples."""
         return mend_segment(self._database, correction)
 
     def sync(self) -> None:
         """Make all commits so far survive a power failure: write the write-ahead log to the disk.
 
-        SQLite itself does that for data which it moves from the log into the file.
+        SQLite itself makes the data durable that it moves from the log into the file.
 
         Raises:
             OSError: the log cannot be written to the disk.
@@ -197,23 +200,23 @@ class Segment:
         sync_file(self._log)
 
     def limit_pages(self, pages: int) -> None:
-        """Limit the number of pages of the segment's file, to simulate a full disk."""
+        """Limit the number of SQLite pages of the segment's file, to simulate a full disk; for tests."""
         self._database.execute(f"PRAGMA max_page_count={pages}")
 
     def close(self) -> None:
-        """Close the segment's file; a write-ahead log that no reader uses is merged into it and removed."""
+        """Close the segment's file; if no reader uses it, SQLite moves the write-ahead log into it. Raises nothing."""
         with contextlib.suppress(sqlite3.Error):
             self._database.close()
 
 
 def insert_batch(database: sqlite3.Connection, ids: Sequence[int], batch: SampleBatch, number: int) -> None:
-    """Insert the samples of one read into a segment. A value that cannot be stored becomes a sample without a value.
+    """Insert the samples of one read into a segment file.
 
-    The reason of such a sample is `Reason.CONFIGURATION`.
+    A value that cannot be stored (`is_storable`) becomes a bad sample without a value, with `Reason.CONFIGURATION`.
 
     Args:
         database: the segment file, in a transaction.
-        ids: ids of the points of the batch.
+        ids: ids of the points of the batch, in its order.
         batch: the samples.
         number: number of the commit.
 
@@ -271,10 +274,10 @@ def sample_value(stored: int | float | str | bytes | None, reason: int, is_state
     """Convert a value as SQLite stores it to the value of the sample.
 
     Args:
-        stored: the stored value. Eight bytes are an integer of 2**63 or more.
+        stored: the stored value; bytes are an integer of 2**63 or more; None is no value or NaN.
         reason: number of the sample's reason. It decides what a stored None is: no value if bad, NaN otherwise.
-        is_state: whether values of the point are states; then 1 and 0 become True and False. Other numbers, from when
-            the point had another type, stay as they are.
+        is_state: whether values of the point are states; then 1 and 0 become True and False. Other numbers stay
+            unchanged: they are from a time when the point had another type.
     """
     if stored is None:
         return None if quality_of(reason) is Quality.BAD else float("nan")
@@ -321,7 +324,7 @@ def _stored_number(value: float) -> object:
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Open a segment file for reading; the caller closes the connection.
+    """Open a segment file, or the journal of commands, for reading; the caller closes the connection.
 
     Raises:
         FileNotFoundError: there is no such file.
@@ -338,12 +341,18 @@ def open_for_reading(path: Path) -> sqlite3.Connection:
 
 
 def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StorePart:
-    """Return the manifest's entry of a segment, with the times, commit numbers and count of samples from its file.
+    """Return the manifest's entry of a segment, with times, commit numbers and number of samples from its file.
 
     Args:
         database: the segment file.
-        part: the entry so far.
-        size: bytes of the file.
+        part: the entry so far; its id, segment, file and kind are kept.
+        size: size of the file in bytes, for the entry.
+
+    Returns:
+        The entry; times and commit numbers are None if the file has no commits.
+
+    Raises:
+        sqlite3.OperationalError: the file has no tables yet (`is_unmade`), or cannot be read.
     """
     low, high, first, last, alive, rows = database.execute(
         "SELECT min(low), max(high), min(number), max(number),"
@@ -358,9 +367,9 @@ def is_unmade(error: sqlite3.OperationalError) -> bool:
 
 
 def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
-    """Return the alarm events of a segment file after a commit number, in the order of their commits.
+    """Return the alarm events in a segment file after commit number ``after``, in the order of their commits.
 
-    Empty if nothing was written to the segment yet.
+    Empty if the file has no tables yet.
     """
     try:
         rows = database.execute("SELECT * FROM alarms WHERE commit_number > ? ORDER BY commit_number, place", (after,))
@@ -372,9 +381,9 @@ def alarms_of(database: sqlite3.Connection, after: int = 0) -> list[AlarmRow]:
 
 
 def counters_of(database: sqlite3.Connection) -> list[CounterRow]:
-    """Return the latest state of each accumulator (running total) that has one in a segment file.
+    """Return the latest state of each accumulator (running total) that has a state in a segment file.
 
-    Empty if nothing was written to the segment yet.
+    Empty if the file has no tables yet.
     """
     try:
         rows = database.execute("SELECT point, total, last, commit_number FROM counters")

@@ -1,6 +1,6 @@
 """Parses the points, times and periods that a query of a store names.
 
-Pure but for the clock of "an hour ago", which comes as an argument.
+Pure: for "an hour ago", the present time comes as an argument.
 """
 
 from collections.abc import Iterable, Sequence
@@ -25,11 +25,11 @@ def period(since: Moment | None, until: Moment | None, now: int) -> tuple[int, i
     """Return begin and end of a period as nanoseconds since 1970 UTC; the end is excluded.
 
     Args:
-        since, until: begin and end as for `moment`; None for no limit.
+        since, until: begin and end, in the forms that `moment` takes; None for no limit.
         now: the present time, nanoseconds since 1970 UTC.
 
     Raises:
-        InvalidRequest: one of the two is no time, or the end is not after the begin.
+        InvalidRequest: begin or end cannot be understood, or the end is not after the begin.
     """
     low = 0 if since is None else moment(since, now)
     high = EVER if until is None else moment(until, now)
@@ -47,7 +47,7 @@ def moment(given: Moment, now: int) -> int:
         now: the present time, nanoseconds since 1970 UTC.
 
     Raises:
-        InvalidRequest: the text is no time.
+        InvalidRequest: the text cannot be understood as a time.
     """
     if isinstance(given, int):
         return given
@@ -71,7 +71,7 @@ def span(given: str | float) -> int:
         given: a duration such as ``10s`` or ``5m``, or a number of seconds; 0.001 seconds to 366 days.
 
     Raises:
-        InvalidRequest: the text is no duration, or the length is out of range.
+        InvalidRequest: the text cannot be understood as a duration, or the length is out of range.
     """
     length = (duration(given) or 0.0) if isinstance(given, str) else float(given)
     if not 0.001 <= length <= 366 * 86_400:
@@ -85,13 +85,13 @@ def chosen_points(
     """Return the points that match patterns, ordered by device and point, each once.
 
     Args:
-        patterns: ``device/point``, with ``*`` and ``?``; a device alone means all its points. What is the name of a
-            point means this point alone, whatever characters are in it.
+        patterns: one or several patterns ``device/point``, with ``*`` and ``?``; a device alone means all its points. A
+            pattern that equals the present name of a point chooses this point alone, even with ``*`` or ``?`` in it.
         points: all points of the store.
-        former: names that points had before, ``device/point``, with the ids of the points; these names match too.
+        former: former names of points, ``device/point``, each with the id of its point; patterns match these names too.
 
     Raises:
-        InvalidRequest: a pattern names no point of the store.
+        InvalidRequest: a pattern other than ``*`` matches no point of the store.
     """
     known, before = list(points), list(former)
     chosen: dict[int, StoredPoint] = {}

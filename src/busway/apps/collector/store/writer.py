@@ -1,13 +1,14 @@
-"""The writer of a store: puts one commit after the other into the open segment; ends it when `segment` says so.
+"""The writer of a store: writes one commit after the other into the open segment, and begins a new one when it ends.
 
-Knows the order of steps that keeps a store whole; knows no thread and no clock. Times come as arguments.
+Knows the order of steps that keeps a store consistent; knows no thread and no clock. Times come as arguments.
 
 1. A point is in the manifest before its first sample is in a segment.
-2. A commit has a number, greater than all before. Only what `commit` returned may be shown or sent: it is in the store.
-3. A commit that fails (a full disk) is undone as a whole. The caller keeps its batches and tries again, and what must
-   be dropped meanwhile becomes a `Gap` with the number of samples lost.
-4. A segment ends by `Segment.has_ended`: after ten minutes, at 256 MB, or when a reader holds its log. Another thread
-   can seal it then.
+2. A commit has a number greater than those of all commits before. Only what `StoreWriter.commit` has returned may be
+   shown or sent: it is in the store.
+3. A commit that fails (a full disk) is undone as a whole. The caller keeps its batches and tries again; for samples
+   that it must drop meanwhile it adds a `Gap` with their number.
+4. `Segment.has_ended` decides when a segment ends: after ten minutes, at 256 MB, or when a reader keeps its log from
+   shrinking. Another thread can seal it then.
 5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open
    (`recovery`).
 """
@@ -49,12 +50,12 @@ class StoreOptions:
     """Options of writing a store: durability, retention, when a segment ends, and sealing.
 
     Attributes:
-        durability: ``process``: what was committed survives the end of the process; a power failure costs the last
-            seconds (see `Committer`). ``power``: it survives a power failure too, because each commit waits for the
-            disk.
-        retention: how much is kept.
+        durability: ``process``: commits survive the end of the process, but a power failure loses those of the last
+            seconds (`SYNC` of `commit_thread`). ``power``: commits survive a power failure too, because each waits for
+            the disk.
+        retention: how long and how much is kept.
         segment_size: bytes after which a segment ends.
-        seals: whether finished segments become Parquet files, if pyarrow is installed.
+        seals: whether finished segments become Parquet files, if the packages for that are installed (`can_seal`).
     """
 
     durability: Durability = "process"
@@ -68,16 +69,17 @@ class Commit:
     """A commit: the samples, intervals and alarms that became part of a store together, under one number.
 
     Attributes:
-        number: greater than that of every commit before.
-        at: nanoseconds since 1970 UTC.
-        batches: the samples.
+        number: greater than that of every commit before. If the report rules keep no sample of some reads, nothing is
+            committed: the object has only these reads in ``shown``, and the number of the commit before, or 0.
+        at: time of the commit, nanoseconds since 1970 UTC.
+        batches: the samples that were stored.
         intervals: intervals and gaps.
-        alarms: events of alarms.
-        shown: all reads of the commit, to show last values; None if ``batches`` has them all. In place of a sample that
-            the report rules do not keep, a read has the last kept sample of the point.
-        correction: the correction of all times in commits before this one, since the start; None for no correction.
-        moment: seconds of the monotonic clock at ``at``, before the store was written, so that the age of a read counts
-            from its end however long the disk took and however the clock was set meanwhile.
+        alarms: alarm events.
+        shown: all reads since the commit before, to show last values; None if ``batches`` has them all. A sample that
+            the report rules do not keep has the last kept value of its point in place of its own.
+        correction: a correction of times that holds for all commits since the start and before this one; None for none.
+        moment: the time ``at`` in seconds of the monotonic clock. It was read before the store was written, so that the
+            age of a read is right however long the disk takes, and even if the wall clock is set.
     """
 
     number: int
@@ -96,7 +98,7 @@ class Commit:
 
 
 def no_step(name: str) -> None:
-    """Do nothing. The default of ``step``, which is called after each step of a write; tests give another."""
+    """Do nothing. This is the default of ``step``, which is called after each step of a write; tests give another."""
 
 
 class StoreWriter:
@@ -126,12 +128,12 @@ class StoreWriter:
         Args:
             folder: the folder of the store.
             options: the options of writing; None for the defaults.
-            now: nanoseconds since 1970 UTC.
+            now: the present time, nanoseconds since 1970 UTC.
             clock_is_right: whether ``now`` is known to be right; if not, times may be corrected later.
             step: called with the name of each step, for tests that end the process there.
 
         Raises:
-            ConfigError: another process writes it (its pid is named), or it cannot be opened.
+            ConfigError: another process writes the store (the message has its number), or the store cannot be opened.
         """
         self.folder: Path = Path(folder)
         self.options: StoreOptions = options or StoreOptions()
@@ -174,7 +176,7 @@ class StoreWriter:
         """Record in the store that it was closed on purpose, close all files, and release the lock.
 
         Args:
-            now: nanoseconds since 1970 UTC.
+            now: the present time, nanoseconds since 1970 UTC.
 
         Raises:
             sqlite3.Error, OSError: the manifest or the segment could not be written; all files are closed nevertheless.
@@ -220,7 +222,7 @@ class StoreWriter:
             counters: by device and point, states of accumulators that are in no batch.
 
         Raises:
-            sqlite3.Error, OSError: nothing of it was stored, such as on a full disk; the same can be committed again.
+            sqlite3.Error, OSError: nothing of the commit was stored (a full disk). The same can be committed again.
         """
         keyed = [(self._ids(batch), batch) for batch in batches]
         events = [(self._id(event.device, event.point), event) for event in alarms]
@@ -238,24 +240,25 @@ class StoreWriter:
         return Commit(number, now, batches, intervals, alarms)
 
     def begin_mending(self, clock: ClockCorrection, last: int = EVERY) -> None:
-        """Record that times stored since this start before the clock was right are to be corrected by `mend_next`.
+        """Record a correction of the wrong times that were stored since this start; `mend_next` makes it.
 
         Args:
-            clock: the correction.
-            last: the number of the last commit that has such times.
+            clock: which times are wrong, and by how much.
+            last: number of the last commit that has wrong times.
         """
         self.manifest.begin_mending(CommitCorrection(self._first, last, clock))
 
     def mend_next(self) -> bool:
-        """Correct the times in one more segment that were taken from a wrong wall clock.
+        """Correct the wrong times in one more segment, if a correction was recorded (`begin_mending`).
 
         A correction that a crash interrupted is continued at the next start.
 
         Returns:
-            Whether to call again: segments may be left, or the other thread works on the files.
+            Whether to call it again, because segments are left, or the thread that seals works on the files just now.
+            False if no correction is left to be made.
 
         Raises:
-            sqlite3.Error, OSError: the segment is as it was.
+            sqlite3.Error, OSError: the segment or the manifest cannot be written; call it again.
         """
         correction = self.manifest.correction()
         if correction is None:
@@ -295,7 +298,7 @@ class StoreWriter:
         return self._awaits_clock and (part.last_commit or 0) >= self._first
 
     def keep(self, retention: Retention) -> None:
-        """Use other limits of the store from now on. Safe from any thread."""
+        """Use new limits of retention from now on. Safe from any thread."""
         self.options = replace(self.options, retention=retention)
 
     def sync(self) -> None:
@@ -320,8 +323,7 @@ class StoreWriter:
     def newest_commit(self) -> int:
         """The number of the last commit.
 
-        Before the first commit of this run it is a number not below the last commit of earlier runs, and below the next
-        one.
+        Opening the store makes a commit, so there always is one of this run. A failed commit uses up a number too.
         """
         return self._next - 1
 
@@ -368,10 +370,9 @@ class StoreWriter:
     def roll(self) -> None:
         """End the open segment, the file that samples are written to; the next commit begins a new one.
 
-        If its end cannot be listed (a full disk), the segment stays open, and ends with the next attempt.
-
         Raises:
-            sqlite3.Error, OSError: the end cannot be listed.
+            sqlite3.Error, OSError: the end cannot be written into the manifest (a full disk); the segment is still the
+                open one, and the next call tries again to end it.
         """
         if self._part is None:
             return
@@ -391,9 +392,10 @@ class StoreWriter:
     # Upkeep, in another thread
 
     def seal_closed(self, most: int | None = None) -> int:
-        """Turn finished segments into Parquet files, and return how many; 0 without pyarrow, or if sealing is off.
+        """Turn finished segments into Parquet files, and return how many.
 
-        Segments whose times may still be corrected are left for later.
+        It is 0 if the packages for that are not installed, or if the option ``seals`` is False. Segments whose times
+        may still be corrected are left for later.
 
         Args:
             most: number of segments at most; None for all.
@@ -413,10 +415,10 @@ class StoreWriter:
             return len(wanted)
 
     def apply_retention(self, now: int) -> list[StorePart]:
-        """Delete files and alarm events beyond the limits of retention; return the parts whose files were deleted.
+        """Delete files, intervals and alarm events beyond the limits of retention; return the parts that were deleted.
 
         Args:
-            now: nanoseconds since 1970 UTC.
+            now: the present time, nanoseconds since 1970 UTC.
 
         Raises:
             OSError, sqlite3.Error: a file or the manifest could not be written; the next call tries again.
@@ -439,7 +441,10 @@ class StoreWriter:
             return dropped
 
     def _halves_of_intervals(self, parts: Iterable[StorePart]) -> list[IntervalRow]:
-        """Return begins of intervals in segments to be dropped without their ends, and ends without their begins."""
+        """Return the interval rows of parts to be dropped whose other half, begin or end, is not in these parts.
+
+        They must be kept in the manifest. Skipped rounds, gaps and parts that may still be corrected are left out.
+        """
         rows: list[IntervalRow] = []
         for part in parts:
             if part.kind == "closed" and not self._is_to_be_mended(part):
@@ -458,10 +463,10 @@ class StoreWriter:
 
 
 def _aged(parts: Sequence[StorePart], may_be_mended: Callable[[StorePart], bool]) -> Iterator[StorePart]:
-    """Yield the parts (files) of a store, the last first, with the times that decide how old they are.
+    """Yield the parts (files) of a store, the last first, with ``high`` set to the time that decides how old they are.
 
-    A part that was written while the clock was not set counts as old as the next part with right times; a part whose
-    times may still be corrected counts as new.
+    A part that was written while the clock was not set counts as old as the next part with right times. A part whose
+    times may still be corrected counts as new: it is never too old.
     """
     next_high = EVER
     for part in reversed(parts):

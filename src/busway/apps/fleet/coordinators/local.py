@@ -1,11 +1,11 @@
-"""The coordinator for collectors on one machine: an SQLite file that they share. Needs no server and no package.
+"""The coordinator for collectors on one machine: a table in an SQLite file. Needs no server and no further package.
 
 1. The lock of SQLite makes changes one after the other; a change is on disk when it is confirmed.
 2. Watches look every `LOOK_EVERY` seconds for revisions that are newer than the last they have seen.
 3. After an error the file is opened anew at the next use. Until that succeeds, changes are refused, and watches begin
    again every `AGAIN` seconds.
-4. While the path names nothing, or another file than at the start, the coordinator is down. It neither makes the file
-   anew nor takes the other one: SQLite would mix the other file with what it keeps beside the first
+4. While the path names no file, or another file than at the start, the coordinator is down. It neither creates the file
+   anew nor uses the other one: SQLite would mix the other file with the files that it keeps beside the first
    (https://www.sqlite.org/howtocorrupt.html §1.4, §2.4), and another process may still change the first.
 """
 
@@ -36,7 +36,7 @@ LOOK_EVERY: Final = 0.1
 AGAIN: Final = 0.2
 """Seconds after which a file that could not be read is read again."""
 LOCKED_SECONDS: Final = 2.0
-"""Seconds for which a change waits while others change the file."""
+"""Longest wait in seconds of a change while other processes change the file."""
 _SCHEMA: Final = """
 CREATE TABLE IF NOT EXISTS entries (key TEXT PRIMARY KEY, value BLOB NOT NULL, revision INTEGER NOT NULL);
 CREATE INDEX IF NOT EXISTS by_revision ON entries (revision);
@@ -52,13 +52,19 @@ async def open_local(folder: str, zone: str) -> "LocalCoordinator":
         zone: name of the zone.
 
     Raises:
-        ConfigError: the zone has no valid name, or the file cannot be used.
+        ConfigError: the name of the zone is invalid, or the file cannot be used.
     """
     return await asyncio.to_thread(LocalCoordinator, Path(folder or "."), checked_name(zone, "zone"))
 
 
 class LocalCoordinator:
     """The shared table of a zone's collectors on one machine, in the SQLite file ``<folder>/<zone>.fleet``.
+
+    Creating the object opens the file, and creates folder and file if they are missing; it blocks for that time.
+
+    Args:
+        folder: folder of the file.
+        zone: name of the zone, which must be valid.
 
     Attributes:
         path: path of the file.
@@ -110,7 +116,7 @@ class LocalCoordinator:
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
         """Yield the entries and their changes while the file stays open.
 
-        Ends without an error when the file is opened anew.
+        Ends without an error when the file cannot be used, or was opened anew.
         """
         last, opening = 0, 0
         while True:
@@ -131,14 +137,16 @@ class LocalCoordinator:
             await asyncio.sleep(LOOK_EVERY)
 
     async def close(self) -> None:
-        """Close the file of the shared table, after the change that is being made."""
+        """Close the file of the shared table, after waiting for changes in progress."""
         await asyncio.to_thread(self._thread.shutdown)
         with self._lock:
             if self._opened is not None:
                 self._opened.database.close()
 
     async def _in_thread(self, work: "Callable[[_OpenFile], _T]") -> _T:
-        """Do work with the open file in the thread of this coordinator, and return its result.
+        """Call a function with the open file in the thread of this coordinator, and return its result.
+
+        After an error of SQLite, other than that the file is locked, the file is closed; the next call opens it anew.
 
         Raises:
             CoordinatorDown: the file cannot be used; nothing was changed.
@@ -167,7 +175,7 @@ class LocalCoordinator:
         """Return the open file, opened anew after an error.
 
         Raises:
-            OSError: the path names nothing, or another file (rule 4).
+            OSError: the path names no file, or another file than at the start (rule 4).
             sqlite3.Error: the file cannot be opened.
         """
         if _identity(self.path) != self._identity:
@@ -199,8 +207,8 @@ class _OpenFile:
     """The SQLite file of the shared table while it is open.
 
     Attributes:
-        database: the connection to it.
-        opening: number of this opening: 1 for the first, one more each time that the file was opened anew.
+        database: the SQLite connection to the file.
+        opening: number of this opening: 1 for the first, and one more each time that the file was opened anew.
     """
 
     database: sqlite3.Connection
@@ -222,8 +230,8 @@ def _changed(database: sqlite3.Connection, key: str, value: bytes, revision: int
     """Change an entry if it has this revision, and return its new revision; revision None adds a new entry.
 
     Raises:
-        ConfigError: the value is too long.
-        RevisionConflict: the entry has another revision.
+        ConfigError: the value is longer than `LONGEST_VALUE`; nothing was changed.
+        RevisionConflict: the entry has another revision, or for None exists; nothing was changed.
         OutcomeUnknown: the change was not confirmed; it may have been made.
         sqlite3.Error: the file is locked, or cannot be used; nothing is changed if the database is closed now.
     """
@@ -245,7 +253,10 @@ def _changed(database: sqlite3.Connection, key: str, value: bytes, revision: int
 
 
 def _since(file: _OpenFile, prefix: str, last: int) -> tuple[int, list[Entry]]:
-    """Return how often the file had been opened, and the entries with a key prefix and a revision above ``last``."""
+    """Return the number of the file's opening, and the entries that have a key prefix and a revision above ``last``.
+
+    The entries are in the order of their revisions.
+    """
     rows = file.database.execute(
         "SELECT key, value, revision FROM entries WHERE revision > ? ORDER BY revision", (last,)
     )

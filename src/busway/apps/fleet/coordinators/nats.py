@@ -7,14 +7,15 @@ Knows streams and subjects; the protocol is nats-py's (``busway[nats]``). Works 
 2. A watch is a consumer without acknowledgement whose messages must follow each other without a gap. After a gap, or
    `QUIET` seconds without a message or heartbeat, it begins anew.
 3. The copies of a table on the servers of a cluster can differ in nats-server 2.9 after one of them was killed: one
-   lags for good, or has other revisions. The server that leads decides; a watch may be of any. So each watch is
-   compared with what the leader answers: a change that was confirmed, or the revision in a refusal, must show within
-   `LATE` seconds, and with that revision. Otherwise the watch begins anew at the leader, and that is logged.
-4. The server's count of what a watch has not shown yet can stay above zero. A watch is complete, too, when it has shown
-   as many keys as there were, or `QUIET` seconds have passed.
+   lags for good, or has other revisions. The leader of the cluster decides about changes; a watch can be served by any
+   server. So each watch is compared with the answers of the leader: a change that was confirmed, or the revision in a
+   refusal, must show within `LATE` seconds, and with that revision. Otherwise the watch begins anew at the leader, and
+   that is logged.
+4. The server's count of entries that a watch has not shown yet can stay above zero for good. So a watch also counts as
+   complete when it has shown as many keys as there were at its begin, or when `QUIET` seconds have passed.
 5. A connection that answers no ping is given up after about five seconds; the next server of the URL is tried.
-6. A connection that the server ends, for whatever reason, is tried again for good: credentials that were revoked may be
-   granted again. What the server said last is in the error of every change meanwhile.
+6. If the server ends a connection, for any reason, connecting is tried again without end: credentials that were revoked
+   may be granted again. Meanwhile the error of every change has the last error that the server reported.
 """
 
 import asyncio
@@ -51,12 +52,12 @@ OLDEST: Final = (2, 9, 0)
 HEARTBEAT: Final = 1.0
 QUIET: Final = 4.0
 LATE: Final = 3.0
-"""Seconds after which a change that the leader has confirmed must show in a watch."""
+"""Seconds within which a watch must show a change that the leader has confirmed."""
 MOST_TRIES: Final = 12
-"""Most consumers that are created until one is on the server that leads: the cluster chooses a server by chance."""
+"""Most consumers that are created to get one on the leader: the cluster chooses the server of each by chance."""
 LOOK_EVERY: Final = 0.05
 NOT_YET: Final = (10004, 10005, 10008, 10009, 10023, 10118)
-"""Codes of refusals that end by themselves: a cluster has too few of its servers or no leader, a stream has none."""
+"""Error codes of JetStream that go away by themselves: too few servers of a cluster are up, or there is no leader."""
 _WRONG_SEQUENCE: Final = (10071, 10164)
 _T = TypeVar("_T")
 _MOST_WAITING: Final = 65_536
@@ -74,8 +75,8 @@ async def open_nats(url: str, zone: str, options: CoordinatorOptions) -> "NatsCo
         options: credentials, certificates, replicas and the timeout of the connection.
 
     Raises:
-        ConfigError: the zone has no valid name, the server is too old or refuses the credentials or rights, or the
-            bucket has too few replicas.
+        ConfigError: the name of the zone is invalid, the server is too old or refuses the credentials or rights, or
+            the bucket has too few replicas.
         CoordinatorDown: the server cannot be used now.
         MissingExtra: the package nats-py (or nkeys, for a credentials file) is not installed.
     """
@@ -165,9 +166,9 @@ def _is_refusal(cause: str) -> bool:
 def _client_kind() -> Any:
     """Return a subclass of nats-py's client that never gives up a connection that was up (rule 6).
 
-    The client of nats-py itself ends for good if a server ends a connection with an error. The subclass also keeps the
-    last error of the server as ``cause``, and hides secrets in it. ``again`` is an event that is set when the present
-    connection is replaced by a newer one; that has another event.
+    The client of nats-py itself gives up if a server ends a connection with an error. The subclass also keeps the last
+    error of the server as the text ``cause``, with secrets hidden. Its ``again`` is an event that is set when the
+    present connection is replaced by a new one; the new connection has another event.
     """
     nats = import_module("nats")
 
@@ -227,7 +228,7 @@ def _credentials(path: str | None) -> dict[str, str]:
     """Return the argument of nats-py's ``connect`` for a file with credentials or with the seed of a key pair.
 
     Args:
-        path: path of the file; None for no file, and no argument.
+        path: path of the file; None for no file: then the result is empty.
 
     Raises:
         ConfigError: the file cannot be read, or holds an invalid seed.
@@ -248,7 +249,7 @@ def _credentials(path: str | None) -> dict[str, str]:
 
 
 def refused_subject(client: Any, subject: str) -> str:
-    """Return the server's last error if it says that the credentials do not permit this subject; empty otherwise."""
+    """Return the server's last error if it says that the credentials do not permit a subject; empty otherwise."""
     cause = str(client.cause)
     return cause if "permissions" in cause.lower() and f'"{subject.lower()}"' in cause.lower() else ""
 
@@ -256,7 +257,7 @@ def refused_subject(client: Any, subject: str) -> str:
 async def asked(client: Any, subject: str, answer: Coroutine[Any, Any, _T]) -> _T:
     """Wait for the answer to a request, and return it; stop waiting at once if the server refuses the subject.
 
-    ``client.cause`` is emptied before.
+    First the last error of the server is forgotten (``client.cause`` becomes empty).
 
     Args:
         client: client of `connect_nats`.
@@ -264,7 +265,8 @@ async def asked(client: Any, subject: str, answer: Coroutine[Any, Any, _T]) -> _
         answer: the coroutine of nats-py that sends the request; its own errors are raised too.
 
     Raises:
-        TimeoutError: the subject is refused (`refused_subject`), or no answer came in time.
+        TimeoutError: the server refuses the subject (`refused_subject`), or no answer came in the time that the
+            coroutine waits.
     """
     client.cause = ""
     task = asyncio.ensure_future(answer)
@@ -287,9 +289,9 @@ def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
 
 
 async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> Any:  # nats-py's own
-    """Find or create a key-value bucket of NATS, and check its replicas, and that it is on disk and forgets nothing.
+    """Find or create a key-value bucket of NATS, check it, and return the server's status of its stream.
 
-    Returns the server's status of the bucket.
+    The bucket must have enough replicas, be kept on disk, and never drop entries because of their age.
 
     Args:
         client: client of `connect_nats`.
@@ -297,8 +299,8 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
         options: replicas, timeout and domain of the bucket.
 
     Raises:
-        ConfigError: the credentials do not permit it, the server has no JetStream, or the bucket has too few replicas,
-            is in memory only, or forgets entries with time.
+        ConfigError: the credentials do not permit this, the server has no JetStream, or the bucket has too few
+            replicas, is kept in memory only, or drops old entries.
         CoordinatorDown: the servers do not answer, or cannot use the bucket yet.
     """
     nats, api, errors = import_module("nats"), import_module("nats.js.api"), import_module("nats.js.errors")
@@ -371,7 +373,7 @@ async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> 
 
 
 class _Watch:
-    """What one watch has shown, to be compared with the answers of the server that leads the cluster (rule 3).
+    """Compares what one watch has shown with the answers of the server that leads the cluster (rule 3).
 
     Args:
         prefix: beginning of the keys that are watched.
@@ -392,11 +394,11 @@ class _Watch:
 
     @property
     def keys(self) -> int:
-        """How many keys the watch has shown."""
+        """The number of different keys that the watch has shown."""
         return len(self._shown)
 
     def show(self, key: str, revision: int, value: bytes) -> None:
-        """Record that the watch has shown an entry, and compare it with the leader's last answer about its key."""
+        """Record that the watch has shown an entry, and compare it with the answer of the leader that it still owes."""
         self._shown[key] = revision, hash(value)
         owed, content, _ = self._owed.get(key, (0, None, 0.0))
         if owed and content == hash(value) and revision > owed:
@@ -405,7 +407,15 @@ class _Watch:
             del self._owed[key]
 
     def confirm(self, key: str, revision: int, value: bytes) -> None:
-        """Record a change that the leader has confirmed: the watch must show its revision within `LATE` seconds."""
+        """Record a change that the leader has confirmed: the watch must show its revision within `LATE` seconds.
+
+        Ignored if the watch does not follow the key.
+
+        Args:
+            key: key of the entry.
+            revision: the new revision of the entry.
+            value: the new value.
+        """
         if not key.startswith(self.prefix):
             return
         shown, content = self._shown.get(key, (0, 0))
@@ -416,6 +426,8 @@ class _Watch:
 
     def refuse(self, key: str, expected: int, revision: int) -> None:
         """Record a change that the leader has refused: the watch must show the leader's revision within `LATE` seconds.
+
+        Ignored if the watch does not follow the key.
 
         Args:
             key: key of the entry.
@@ -525,10 +537,10 @@ class NatsCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield the entries of the shared table, then their changes, as one NATS consumer gets them.
+        """Yield the entries of the shared table, then `SNAPSHOT_ENDS`, then their changes, from one NATS consumer.
 
-        Ends without an error when messages of the consumer are missing, when it is silent, or when it disagrees with
-        the leader.
+        Ends without an error when a message of the consumer is missing, when it is silent for `QUIET` seconds, when it
+        disagrees with the leader, or after an error of the server or the connection.
         """
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         watch, subscription = _Watch(prefix, time.monotonic), None
@@ -580,11 +592,11 @@ class NatsCoordinator:
                     await subscription.unsubscribe()
 
     async def _consume(self, watch: _Watch) -> tuple[Any, int]:
-        """Create the NATS consumer that follows the shared table; returns its subscription and how many entries exist.
+        """Create the NATS consumer that follows the shared table; return its subscription and how many entries exist.
 
-        After servers have disagreed, consumers are created until one is on the server that leads, `MOST_TRIES` at most.
-        If none is, the subscription of the last one is ended: the watch stays silent, and begins anew. Messages of the
-        consumer come to ``watch.messages``.
+        Messages of the consumer come to ``watch.messages``, which is replaced. After servers have disagreed, consumers
+        are created until one is on the leader, `MOST_TRIES` at most. If none is, the subscription of the last one is
+        ended: then no message comes, and the watch begins anew after `QUIET` seconds.
         """
         leader, stream = None, f"KV_{self._bucket}"
         if self._at_leader:
@@ -624,5 +636,5 @@ class NatsCoordinator:
         )
 
     async def close(self) -> None:
-        """Close the connection to NATS, where the shared table is."""
+        """Close the connection to NATS. The shared table stays as it is."""
         await _close(self.client)

@@ -1,6 +1,6 @@
-"""Opens the coordinator of a fleet by its URL, whose scheme names the backend; loads only that one.
+"""Opens the coordinator of a fleet by its URL, whose scheme names the backend; loads only the code of that backend.
 
-1. Servers and collectors may be started at once: a server that does not answer yet is asked again for
+1. Servers and collectors can be started at the same time: a server that does not answer yet is asked again for
    `CoordinatorOptions.start` seconds, and the log says so. An error that waiting cannot cure is raised at once.
 """
 
@@ -18,7 +18,7 @@ from ..coordinator import Coordinator, CoordinatorDown
 
 LAST_PORT: Final = 65_535
 ASK_EVERY: Final = 0.5
-"""Seconds from an answer that a server is not up to the next question."""
+"""Seconds from a failed try to the next one."""
 _log = logging.getLogger("busway.fleet")
 _T = TypeVar("_T")
 
@@ -28,14 +28,14 @@ class CoordinatorOptions:
     """Options of the connection to the table that collectors share: user, credentials, TLS files, replicas.
 
     Attributes:
-        user, password, token: credentials for the server; None if the URL or the credentials file has them.
+        user, password, token: credentials for the server; None if they are in the URL or the credentials file.
         credentials: path of a NATS credentials file, or of a file with the seed of a key pair; None for none.
         ca: path of a PEM file with the authorities of the server's certificate; None for the system's own.
         certificate, key: paths of PEM files with the client's certificate and its key; None for none.
         replicas: number of servers that must keep each entry, 1…5 (NATS).
         domain: JetStream domain of the edge site that has the table, asked through the centre (NATS); None for the
             server that the URL names.
-        answer: seconds after which a change without an answer has an unknown outcome.
+        answer: seconds to wait for the answer to a change; after them its outcome is unknown.
         start: seconds for which a server that does not answer is asked again when the coordinator is opened; 0 to ask
             once. Servers that were started just now have to elect a leader.
     """
@@ -65,7 +65,7 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
     Raises:
         ConfigError: the URL or the name of the zone is invalid, or the server is too old, has too few replicas or
             refuses the rights.
-        CoordinatorDown: the server could not be reached for ``options.start`` seconds.
+        CoordinatorDown: the server could not be reached or used for ``options.start`` seconds.
         MissingExtra: a package for this backend is not installed.
     """
     options = options or CoordinatorOptions()
@@ -122,7 +122,7 @@ def hidden_secrets(url: str, options: CoordinatorOptions) -> HiddenSecrets:
     """Return an object that hides a coordinator's passwords and tokens in texts, such as errors.
 
     Args:
-        url: URL of the coordinator. In a URL of NATS a user without a password is a token.
+        url: URL of the coordinator. In a URL of NATS a user without a password is a token, and is hidden too.
         options: options of the connection, with a password or token of their own.
     """
     scheme, _, rest = url.partition("://")

@@ -1,6 +1,6 @@
-"""Tells in the log when the watches of a coordinator cannot follow its table, and when they follow it again.
+"""Logs when the watches of a coordinator cannot follow its table, and when they follow it again.
 
-Knows no engine. One outage is told once, however many watches and tries it ends.
+Knows no engine. One outage is logged once, no matter how many watches it ends and how many tries fail.
 """
 
 import logging

@@ -1,10 +1,10 @@
-"""The coordinator on PostgreSQL: one table for all zones.
+"""The coordinator on PostgreSQL: one table of the database has the entries of all zones.
 
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
 1. A change is one ``UPDATE … WHERE revision = …``; the database compares and sets.
-2. Each change is told by ``NOTIFY`` with its key. A watch reads the entries with these keys, and compares the revisions
-   of all entries every `COMPARE_EVERY` seconds, so that changes whose notification was lost are found.
+2. Each change sends a ``NOTIFY`` with its key. A watch reads the entries with these keys. Every `COMPARE_EVERY` seconds
+   it reads all entries and compares their revisions, so that changes whose notification was lost are found.
 3. Each entry has the time of its change by the server's clock. A collector compares that with its own clock.
 4. Changes that were confirmed must survive a crash of the server: ``fsync`` and ``synchronous_commit`` must be on.
 """
@@ -61,8 +61,8 @@ async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "
         options: credentials, certificates and the timeout of the connection.
 
     Raises:
-        ConfigError: the zone has no valid name, the server is too old, refuses the credentials or rights, or would lose
-            confirmed changes.
+        ConfigError: the name of the zone is invalid, or the server is too old, refuses the credentials or rights, or
+            can lose confirmed changes in a crash (rule 4).
         CoordinatorDown: the server cannot be used now.
         MissingExtra: the package asyncpg is not installed.
     """
@@ -73,7 +73,7 @@ async def open_postgresql(url: str, zone: str, options: CoordinatorOptions) -> "
 
 
 def _errors(pg: Any) -> tuple[type[Exception], ...]:
-    """Return the exceptions that asyncpg raises if a server cannot be reached, ends or answers wrongly."""
+    """Return the exceptions that asyncpg raises if a server is away, ends a connection or reports an error."""
     return pg.PostgresError, pg.InterfaceError, pg.InternalClientError, OSError, TimeoutError
 
 
@@ -100,7 +100,8 @@ class PostgresqlCoordinator:
         """Connect to PostgreSQL, check version and settings of the server, and create the table if missing.
 
         Raises:
-            ConfigError: the server is too old, refuses the credentials or rights, or would lose confirmed changes.
+            ConfigError: the server is too old, refuses the credentials or rights, or can lose confirmed changes in a
+                crash (rule 4).
             CoordinatorDown: the server cannot be used now.
         """
         pg, shown = import_module("asyncpg"), self._secrets.hide(self._url)
@@ -192,7 +193,10 @@ class PostgresqlCoordinator:
             await asyncio.sleep(0.2)
 
     async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
-        """Yield entries and changes over one database connection; end, without an error, when it is lost."""
+        """Yield the entries, then `SNAPSHOT_ENDS`, then changes, over one connection to the database.
+
+        Ends without an error when the connection is lost or the database reports an error.
+        """
         pg = import_module("asyncpg")
         told: set[str] = set()
         wake = asyncio.Event()
@@ -248,6 +252,6 @@ class PostgresqlCoordinator:
         ]
 
     async def close(self) -> None:
-        """Close the connections for changes at once; that of a watch ends with the watch. The table stays as it is."""
+        """Close the connections for changes at once. The connection of a watch ends with the watch."""
         if self._pool is not None:
             self._pool.terminate()

@@ -13,6 +13,6 @@
 Knows time as a number; knows no clock, no device and no register. The keys in files are known by
 `busway.config.files.behaviours`.
 
-Where it is decided: which behaviour a section makes: `builder`. What a behaviour is asked, and when: `behaviour`. Which
-random numbers a seed gives: `chance`.
+Where it is decided: which behaviour a section declares: `builder`. Which methods the engine calls, and at which times:
+`behaviour`. Which random numbers a seed gives: `chance`.
 """

@@ -6,17 +6,18 @@ from typing import Protocol
 class Behaviour(Protocol):
     """Interface of a behaviour, which computes the value of a simulated point at each time.
 
-    Times are seconds of the simulation and never fall; those of `value` are whole multiples of the point's ``every``.
+    Times are seconds of the simulation since its beginning, and never fall. `value` is called with whole multiples of
+    the ``every`` of the point, the seconds between two of its values.
     """
 
     def value(self, time: float) -> float:
-        """Return the value of the simulated point at a time, in its unit of measure; NaN if there is none."""
+        """Return the value of the simulated point at a time, in its unit of measure; NaN if it has no value then."""
 
     def resume(self, time: float, value: float) -> None:
-        """Continue from a given value at a time, if the behaviour depends on its last value; else do nothing."""
+        """Continue from a value that the point has at a time; do nothing if the behaviour needs no earlier value."""
 
     def state(self, time: float) -> float | None:
-        """Return the value from which `resume` continues after a restart; None if the behaviour keeps no state."""
+        """Return the value at a time, to be given to `resume` after a restart; None if the behaviour keeps no state."""
 
 
 class Observer(Protocol):
@@ -26,4 +27,4 @@ class Observer(Protocol):
     """
 
     def observe(self, time: float) -> None:
-        """Read and remember the values of the other points, once all of them have their values of this time."""
+        """Read and remember the values of the other points. Called once all points have their values of this time."""

@@ -1,6 +1,6 @@
 """Builds behaviours from the sections of a simulation file.
 
-Knows every kind of behaviour; knows no device: a function that reads other points is handed in.
+Knows every kind of behaviour; knows no device: the caller gives a function that reads other points.
 """
 
 from collections.abc import Callable
@@ -35,12 +35,12 @@ class Surroundings:
     Attributes:
         key: the key of the point, ``UNIT/NAME``.
         seed: the seed of the simulation.
-        start: the point's first value.
+        start: the point's first value, in its unit of measure.
         low, high: smallest and largest value of the point; None for no limit.
         rollover: the value at which a counter of the point's type starts from 0 again; None for never.
-        expressions: the parsed expressions of the section, by key.
+        expressions: the parsed expressions of the section, by key of the section.
         recording: the recording of a replay; None for other behaviours.
-        source: returns for the name of a point a function that reads its value.
+        source: takes the name of a point and returns a function that reads the point's present value.
     """
 
     key: str
@@ -59,7 +59,7 @@ def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour
 
     Args:
         section: the section, of any kind.
-        around: range and first value of the point, the seed, and access to other points.
+        around: the other data that the behaviour needs: range and first value of the point, seed, other points.
     """
     match section:
         case ConstantSection():

@@ -1,7 +1,7 @@
 """Random behaviours, equal for equal seeds: noise and random walk.
 
-1. The random number of a step depends on the seed, the point and the number of the step alone. Moments that the engine
-   left out, and the numbers of other points, do not change it.
+1. The random number of a step depends on nothing but the seed, the point and the number of the step. It is the same
+   whether or not the engine left out earlier moments, and whichever other points there are.
 """
 
 import math
@@ -16,7 +16,7 @@ _TO_UNIT: Final = 2.0**-53
 
 
 def stream_of(seed: int, key: str) -> int:
-    """Return the number that selects a point's own sequence of random numbers; `drawn` takes it.
+    """Return the number that selects a point's own sequence of random numbers, for the argument ``stream`` of `drawn`.
 
     Args:
         seed: the seed of the simulation.
@@ -51,7 +51,7 @@ class Noise:
         self._stream = stream
 
     def value(self, time: float) -> float:
-        """Return the random value that the noise has at a time."""
+        """Return the random value of the noise at a time, in seconds of the simulation; always the same for a time."""
         step = round(time / self._every)
         if not self._is_normal:
             return self._mean + self._spread * (2 * drawn(self._stream, step) - 1)
@@ -60,7 +60,7 @@ class Noise:
         return self._mean + self._spread * radius * math.cos(2 * math.pi * drawn(self._stream, 2 * step + 1))
 
     def resume(self, time: float, value: float) -> None:
-        """Do nothing: no value of the noise depends on an earlier one."""
+        """Do nothing: no value of the noise depends on an earlier value."""
 
     def state(self, time: float) -> float | None:
         """Return None, as noise has no state to keep."""
@@ -73,8 +73,8 @@ class RandomWalk:
     Args:
         section: the behaviour's section in the file.
         stream: start number of the point's random sequence (`stream_of`).
-        start: the first value.
-        low, high: the limits; None for no limit.
+        start: the value at time 0.
+        low, high: smallest and largest value; None for no limit.
     """
 
     __slots__ = ("_every", "_high", "_low", "_size", "_step", "_stream", "_value")
@@ -91,9 +91,9 @@ class RandomWalk:
         self._step = 0
 
     def value(self, time: float) -> float:
-        """Return the value of the random walk at a time.
+        """Return the value of the random walk at a time, in seconds of the simulation.
 
-        Steps that the engine left out since the last call are made first.
+        Makes all steps since the last call, also those of moments that the engine left out.
         """
         last = round(time / self._every)
         value = self._value
@@ -108,10 +108,10 @@ class RandomWalk:
         return value
 
     def resume(self, time: float, value: float) -> None:
-        """Let the random walk continue from a value that the point has at a time."""
+        """Let the random walk continue from a value that the point has at a time, in seconds of the simulation."""
         self._value = value
         self._step = math.floor(time / self._every + 1e-9)
 
     def state(self, time: float) -> float | None:
-        """Return the current value of the random walk, to continue from after a restart."""
+        """Return the current value of the random walk, to continue from after a restart; ``time`` is ignored."""
         return self._value

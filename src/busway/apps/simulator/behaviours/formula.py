@@ -7,10 +7,11 @@ class Formula:
     """Behaviour ``formula``: the point's value is computed from other points and the time.
 
     Args:
-        compute: the expression, bound to its points: returns the value for a time.
+        compute: the expression, bound to its points: returns the value at a time, in seconds of the simulation; NaN if
+            it has none, as after a division by zero.
 
     Attributes:
-        value: that function.
+        value: the function ``compute``.
     """
 
     __slots__ = ("value",)

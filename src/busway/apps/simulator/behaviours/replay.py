@@ -4,8 +4,8 @@ Knows the text of a recording; reads no file.
 
 1. Times are seconds and rise. The first line may be a heading. Empty lines, and those that begin with ``#``, are left
    out. A value is a number; ``on`` and ``off`` (``true``, ``false``) are 1 and 0.
-2. The recording begins at its first time. With ``repeat`` the last value lasts as long as the one before it; then the
-   recording begins again.
+2. The recording begins at its first time, which is time 0 of the simulation. With ``repeat`` the last value lasts as
+   long as the value before it; then the recording begins again.
 """
 
 import math
@@ -35,9 +35,9 @@ class Recording:
 
     @property
     def length(self) -> float:
-        """The seconds from the start of the recording until it repeats: its last value lasts as long as the one before.
+        """The seconds from the start of the recording until it repeats; 1 second if it has one value only.
 
-        It is 1 second if there is one value only.
+        The last value lasts as long as the value before it.
         """
         times = self.times
         return times[-1] + (times[-1] - times[-2] if len(times) > 1 else 1.0)
@@ -125,7 +125,7 @@ class Replay:
         self._length = recording.length
 
     def value(self, time: float) -> float:
-        """Return the value of the recording at a time of the simulation."""
+        """Return the value of the recording at a time, in seconds of the simulation."""
         times, values = self._recording.times, self._recording.values
         if self._repeats:
             time %= self._length

@@ -1,11 +1,11 @@
 """Behaviours that continue from their last value: counter and first-order lag.
 
-1. With a number as rate or target the value is computed from the time since the last `resume`: nothing is summed up,
-   nothing drifts.
+1. With a number as rate or target the value is computed from the time since the last `resume`: no rounding errors add
+   up.
 2. An expression as rate or target is computed after each moment, and holds until the next (`Observer`). If it has no
-   value, a counter stands still and a lag stays where it is.
+   value (NaN or infinite), the value of a counter or lag does not change.
 3. A value may be set by hand between two moments. If the engine then asks for the value at an earlier time, it gets
-   the value set; at later times the behaviour continues from it.
+   the value that was set; at later times the behaviour continues from that value.
 """
 
 import math
@@ -14,12 +14,12 @@ from ....points.expression import Bound
 
 
 class SteadyCounter:
-    """Behaviour ``counter`` with a constant rate: the value grows by the rate each second.
+    """Behaviour ``counter`` with a constant rate: the value grows by the rate each second of the simulation.
 
     Args:
         rate: change of the value per second.
         rollover: the value at which the counter starts from 0 again; None for never.
-        start: the first value.
+        start: the value at time 0.
     """
 
     __slots__ = ("_rate", "_rollover", "_since", "_start")
@@ -31,12 +31,12 @@ class SteadyCounter:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """Return the value of the counter at a time."""
+        """Return the value of the counter at a time, in seconds of the simulation."""
         value = self._start + self._rate * max(time - self._since, 0.0)
         return value if self._rollover is None else value % self._rollover
 
     def resume(self, time: float, value: float) -> None:
-        """Let the counter continue from a value at a time."""
+        """Let the counter continue from a value at a time, in seconds of the simulation."""
         self._since = time
         self._start = value
 
@@ -49,9 +49,9 @@ class Counter:
     """Behaviour ``counter`` whose rate is a formula: the value is the sum of the rate over time.
 
     Args:
-        rate: the formula, which returns the change of the value per second.
+        rate: the formula, which returns the change of the value per second at a time.
         rollover: the value at which the counter starts from 0 again; None for never.
-        start: the first value.
+        start: the value at time 0.
     """
 
     __slots__ = ("_rate", "_rollover", "_seen", "_time", "_value")
@@ -64,24 +64,28 @@ class Counter:
         self._seen = 0.0
 
     def value(self, time: float) -> float:
-        """Return the value of the counter at a time."""
+        """Return the value of the counter at a time, in seconds of the simulation.
+
+        Since the last call or `resume`, it has grown by the rate that the last `observe` has computed. If that was at a
+        later time, the value is returned unchanged.
+        """
         value = self._value + self._seen * max(time - self._time, 0.0)
         self._value = value if self._rollover is None else value % self._rollover
         self._time = max(time, self._time)
         return self._value
 
     def observe(self, time: float) -> None:
-        """Compute the counter's rate by its formula at a time; the rate holds until the next moment, 0 if it is NaN."""
+        """Compute the counter's rate by its formula at a time; it holds until the next call. 0 if NaN or infinite."""
         rate = self._rate(time)
         self._seen = rate if math.isfinite(rate) else 0.0
 
     def resume(self, time: float, value: float) -> None:
-        """Let the counter continue from a value at a time."""
+        """Let the counter continue from a value at a time, in seconds of the simulation."""
         self._time = time
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """Return the current value of the counter, to continue from after a restart."""
+        """Return the current value of the counter, to continue from after a restart; ``time`` is ignored."""
         return self._value
 
 
@@ -90,8 +94,8 @@ class SteadyLag:
 
     Args:
         target: the value that is approached.
-        time_constant: seconds in which the value makes 63 % of the way.
-        start: the first value.
+        time_constant: seconds in which the distance to the target falls by 63 %.
+        start: the value at time 0.
     """
 
     __slots__ = ("_since", "_start", "_target", "_time_constant")
@@ -103,7 +107,7 @@ class SteadyLag:
         self._since = 0.0
 
     def value(self, time: float) -> float:
-        """Return the lagging value at a time, on its way to a constant target."""
+        """Return the lagging value at a time, in seconds of the simulation."""
         way = self._start - self._target
         return self._target + way * math.exp(min(self._since - time, 0.0) / self._time_constant)
 
@@ -121,9 +125,9 @@ class Lag:
     """Behaviour ``lag`` whose target is a formula; the value approaches the target exponentially.
 
     Args:
-        target: the formula, which returns the value that is approached.
-        time_constant: seconds in which the value makes 63 % of the way.
-        start: the first value.
+        target: the formula, which returns the value that is approached at a time.
+        time_constant: seconds in which the distance to the target falls by 63 %.
+        start: the value at time 0.
     """
 
     __slots__ = ("_seen", "_target", "_time", "_time_constant", "_value")
@@ -136,9 +140,10 @@ class Lag:
         self._seen = math.nan
 
     def value(self, time: float) -> float:
-        """Return the value at a time, on its way to the target that the last `observe` computed.
+        """Return the lagging value at a time, in seconds of the simulation.
 
-        The value stays as it is without a target, or if an earlier call had a later time.
+        It approaches the target that the last `observe` has computed. It does not change without a finite target, or if
+        it was computed for a later time already.
         """
         if math.isfinite(self._seen):
             way = self._value - self._seen
@@ -147,7 +152,7 @@ class Lag:
         return self._value
 
     def observe(self, time: float) -> None:
-        """Compute the target of the lag by its formula at a time; it holds until the next moment."""
+        """Compute the target of the lag by its formula at a time; the target holds until the next call."""
         self._seen = self._target(time)
 
     def resume(self, time: float, value: float) -> None:
@@ -156,5 +161,5 @@ class Lag:
         self._value = value
 
     def state(self, time: float) -> float | None:
-        """Return the current lagging value, to continue its approach after a restart."""
+        """Return the current lagging value, to continue its approach after a restart; ``time`` is ignored."""
         return self._value

@@ -31,12 +31,15 @@ class Constant(_Timeless):
         self._value = float(section.value)
 
     def value(self, time: float) -> float:
-        """Return the constant value, whatever the time."""
+        """Return the constant value, at any time."""
         return self._value
 
 
 class Ramp(_Timeless):
-    """Behaviour ``ramp``: the value goes on a straight line from first to last; then it stays, repeats or goes back."""
+    """Behaviour ``ramp``: the value goes from ``first`` to ``last`` in ``duration`` seconds, on a straight line.
+
+    Then it stays, starts again from ``first``, or goes back to ``first`` in the same way, as ``at_end`` says.
+    """
 
     __slots__ = ("_at_end", "_duration", "_first", "_rise")
 
@@ -47,7 +50,7 @@ class Ramp(_Timeless):
         self._at_end = section.at_end
 
     def value(self, time: float) -> float:
-        """Return the value of the ramp at a time."""
+        """Return the value of the ramp at a time, in seconds of the simulation."""
         duration = self._duration
         if self._at_end == "hold":
             part = min(time / duration, 1.0)
@@ -60,7 +63,7 @@ class Ramp(_Timeless):
 
 
 class Sine(_Timeless):
-    """Behaviour ``sine``: a sine wave that starts at its mean, rising, shifted by ``phase`` degrees."""
+    """Behaviour ``sine``: a sine wave around a mean. At time 0 it is ``phase`` degrees after the mean, rising."""
 
     __slots__ = ("_amplitude", "_factor", "_mean", "_period", "_phase")
 
@@ -72,12 +75,15 @@ class Sine(_Timeless):
         self._phase = math.radians(section.phase)
 
     def value(self, time: float) -> float:
-        """Return the value of the sine wave at a time."""
+        """Return the value of the sine wave at a time, in seconds of the simulation."""
         return self._mean + self._amplitude * math.sin(time % self._period * self._factor + self._phase)
 
 
 class Square(_Timeless):
-    """Behaviour ``square``: high for the part ``duty`` at the start of each period, then low."""
+    """Behaviour ``square``: high for the part ``duty`` (0…1) at the start of each period, then low.
+
+    At time 0, ``phase`` degrees (of 360) of a period have passed already.
+    """
 
     __slots__ = ("_duty", "_high", "_low", "_period", "_shift")
 
@@ -89,5 +95,5 @@ class Square(_Timeless):
         self._shift = section.phase / 360 * section.period
 
     def value(self, time: float) -> float:
-        """Return the value of the square wave at a time."""
+        """Return the value of the square wave at a time, in seconds of the simulation."""
         return self._high if (time + self._shift) % self._period < self._duty else self._low

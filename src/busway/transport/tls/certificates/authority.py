@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.asymmetric.ec import EllipticCurvePrivateKey
 
 _BACKDATED: Final = datetime.timedelta(minutes=5)
-"""How much earlier a new certificate is valid, so that devices whose clocks are slow accept it."""
+"""How long before its creation a new certificate is valid already, so that devices whose clocks are slow accept it."""
 KEY_MODE: Final = 0o600
 
 
@@ -47,7 +47,7 @@ class Issued:
         return b"".join(one.public_bytes(Encoding.PEM) for one in (self.certificate, *self.chain))
 
     def key_pem(self, password: bytes | None = None) -> bytes:
-        """Return the private key in PEM, encrypted if there is a password."""
+        """Return the private key in PEM (PKCS 8), encrypted if there is a password."""
         from cryptography.hazmat.primitives import serialization
 
         encryption = (
@@ -56,7 +56,7 @@ class Issued:
         return self.key.private_bytes(serialization.Encoding.PEM, serialization.PrivateFormat.PKCS8, encryption)
 
     def write(self, certificate: Path, key: Path, *, password: bytes | None = None) -> None:
-        """Write certificate and private key to files, replacing old ones; only the owner can read the key.
+        """Write certificate (with ``chain``) and key to files, replacing old ones; only the owner can read the key.
 
         Raises:
             ConfigError: a file cannot be written.
@@ -80,12 +80,15 @@ class Authority:
 
     @classmethod
     def create(cls, name: str = "busway test authority", *, days: float = 3650.0) -> "Authority":
-        """Return a new self-signed authority, valid for ``days``. Raises `ConfigError` without ``cryptography``."""
+        """Return a new self-signed authority whose certificate expires ``days`` days from now.
+
+        Raises `ConfigError` if the package ``cryptography`` is missing, or the name has not 1…64 characters.
+        """
         require_cryptography("making certificates")
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
     def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
-        """Issue the certificate of an intermediate authority below this one."""
+        """Return a new intermediate authority, whose certificate this one signs; it can sign no further authorities."""
         return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
 
     def server(
@@ -93,7 +96,13 @@ class Authority:
     ) -> Issued:
         """Issue a certificate for a server with these host names and addresses.
 
-        ``days`` and ``starts_in`` are as for `client`.
+        Args:
+            hosts: host names and IP addresses of the server, at least one.
+            name: its name in the certificate, 1…64 characters; None: the first of ``hosts``.
+            days, starts_in: as for `client`.
+
+        Raises:
+            ConfigError: there is no host, an element is no host name or address, or the name is too long.
         """
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -111,10 +120,13 @@ class Authority:
         """Issue a certificate for a client.
 
         Args:
-            name: the name of the client in the certificate.
+            name: the name of the client in the certificate, 1…64 characters.
             role: its role (Modbus/TCP Security); None for none.
-            days: how long it is valid.
-            starts_in: days until it becomes valid; negative if it already is.
+            days: the certificate expires so many days from now; negative: it has expired already.
+            starts_in: days until the certificate becomes valid; 0 or negative: it is valid now.
+
+        Raises:
+            ConfigError: name or role has a wrong length.
         """
         return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
 
@@ -134,7 +146,7 @@ class Authority:
             name: the name of the client in the certificate.
             role_values: the values of the role extension, one for each time that it occurs.
             days, starts_in: as for `client`.
-            more: further extensions, by object identifier.
+            more: values of further extensions, by object identifier (``1.2.3``).
             states_purpose: whether the certificate has the extended key usage for clients.
         """
         from cryptography import x509
@@ -175,7 +187,10 @@ class Authority:
 
     @staticmethod
     def self_signed(name: str, hosts: Sequence[str], *, days: float = 825.0) -> Issued:
-        """Issue a self-signed certificate that is no authority, for servers and clients."""
+        """Issue a self-signed certificate that is no authority, for servers and clients; it expires in ``days`` days.
+
+        Raises `ConfigError` as `server` does, or if the package ``cryptography`` is missing.
+        """
         from cryptography import x509
 
         require_cryptography("making certificates")
@@ -190,7 +205,10 @@ def _build(
     starts_in: float = 0.0,
     extensions: "Sequence[x509.ExtensionType]",
 ) -> Issued:
-    """Create a certificate for ``days`` from now (expired if negative), signed with the issuer's key or its own."""
+    """Create a key and its certificate, signed with the issuer's key, or with the new key if ``issuer`` is None.
+
+    It expires ``days`` days from now (negative: it has expired already).
+    """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
     from cryptography.hazmat.primitives.asymmetric import ec
@@ -265,7 +283,7 @@ def _host_name(host: str) -> "x509.GeneralName":
 
 
 def write_private(path: Path, data: bytes) -> None:
-    """Write or replace a file that only its owner can read. Raises `ConfigError`."""
+    """Write or replace a file that only its owner can read. Raises `ConfigError` if that fails."""
     try:
         path.unlink(missing_ok=True)  # an old file would keep its mode, and its readers
         handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, KEY_MODE)

@@ -29,8 +29,9 @@ class CertificateFacts:
         not_before, not_after: seconds since 1970 between which it is valid.
         names: host names and addresses that it is for.
         role: role of a client; None without one.
-        role_problem: what is wrong with the role; empty otherwise.
-        is_authority: whether it may sign others.
+        role_problem: what is wrong with the role; empty otherwise. If the certificate has an extension twice, this says
+            so, and ``names``, ``is_authority`` and ``states_purpose`` are empty or False.
+        is_authority: whether it is allowed to sign other certificates.
         states_purpose: whether it has an extended key usage (for servers, for clients).
         key: kind and size of the key, as ``EC secp256r1``.
         fingerprint: SHA-256 in hexadecimal.
@@ -57,7 +58,10 @@ class CertificateFacts:
         return (self.not_after - (time.time() if now is None else now)) / DAY
 
     def validity(self, now: float | None = None) -> str:
-        """Return a warning if the certificate is not valid yet, has expired or expires within 30 days; else empty."""
+        """Return a warning if the certificate is not valid yet, has expired or expires within 30 days; else empty.
+
+        It is a text such as ``has expired on 2027-03-01 12:00 UTC``. ``now`` is as for `days_left`.
+        """
         moment = time.time() if now is None else now
         if moment < self.not_before:
             return f"is not valid before {date_of(self.not_before)}"
@@ -70,11 +74,16 @@ class CertificateFacts:
 
 
 WARNING_DAYS: Final = 30.0
-"""Days before the end of a certificate from which on a warning is logged."""
+"""A certificate that expires within so many days gets a warning (`CertificateFacts.validity`)."""
 
 
 def facts_of_file(name: str) -> list[CertificateFacts]:
-    """Return the facts of each certificate in a PEM file, in order. Raises `ConfigError` that names the file."""
+    """Return the facts of each certificate in a PEM file, in order.
+
+    Raises:
+        ConfigError: the file cannot be read, or has no certificate or a broken one; the error names the file. Or the
+            package ``cryptography`` is missing.
+    """
     require_cryptography("reading certificates")
     from cryptography import x509
 
