@@ -48,7 +48,9 @@ def build_device(section: UnitSection) -> Device:
 
 
 def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: what the point's type says
-    """Write the value of a point, in its unit of measure, into a device.
+    """Write the value of a point, in its unit of measure, into a device; no hook is called.
+
+    The power of ten of ``scale_from`` is not applied.
 
     Raises:
         InvalidRequest: the value does not fit the point.

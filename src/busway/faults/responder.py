@@ -40,7 +40,7 @@ class FaultyResponder:
         inner: the wrapped responder, which answers correctly.
         faults: the faults to apply.
         tap: sends the changed replies; the same object has to be the ``tap`` of the server.
-        heard: called with every request. If it is given, no request takes the fast path.
+        heard: called with the `Exchange` of every request. If it is given, no request takes the fast path.
     """
 
     def __init__(

@@ -1,7 +1,6 @@
 """Messages of functions 07, 08, 11, 12 and 17: status, identification and communication diagnostics of a server.
 
-Function 08 has sub-functions: a class for each, which differ in their code only (Application Protocol V1.1b3
-§6.7–§6.10, §6.13).
+Function 08 has sub-functions, with a class for each (Application Protocol V1.1b3 §6.7–§6.10, §6.13).
 """
 
 from typing import TYPE_CHECKING, ClassVar
@@ -35,7 +34,7 @@ class GetCommEventCounter(Request):
         """The reply of function 11: status word and number of successful messages.
 
         Attributes:
-            status: FFFF while a program command runs, else 0.
+            status: 0xFFFF while a program command runs, else 0.
             event_count: messages that the unit has executed without an exception, 0…65535.
         """
 
@@ -56,9 +55,9 @@ class GetCommEventLog(Request):
         """The reply of function 12: status word, counts, and events.
 
         Attributes:
-            status: FFFF while a program command runs, else 0.
+            status: 0xFFFF while a program command runs, else 0.
             event_count: messages that the unit has executed without an exception, 0…65535.
-            message_count: messages that the unit has processed since its restart, 0…65535.
+            message_count: messages since the last restart or clear, as function 08/0B counts them, 0…65535.
             events: event bytes, the newest first, at most 64.
         """
 
@@ -105,7 +104,7 @@ class Diagnostic(Request):
     allowed: ClassVar[tuple[bytes, ...]] = (b"\x00\x00",)
 
     class Reply(ReplyMessage):
-        """The reply of a sub-function of 08 with two bytes of data."""
+        """The reply of a sub-function of 08: ``data`` is a count, the register or what the request had, 2 bytes."""
 
         data: bytes = rest(2, 2)
 
@@ -166,7 +165,7 @@ class RestartCommunications(Diagnostic):
 
 
 class ReturnDiagnosticRegister(Diagnostic):
-    """08/02 Return Diagnostic Register: asks for the 16 bits of the diagnostic register (§6.8.1)."""
+    """08/02 Return Diagnostic Register: reads 16 bits whose meaning the device defines, the register (§6.8.1)."""
 
     code: ClassVar[FunctionCode] = FunctionCode.DIAGNOSTICS
     sub_code: ClassVar[DiagnosticCode] = DiagnosticCode.RETURN_DIAGNOSTIC_REGISTER

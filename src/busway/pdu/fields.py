@@ -4,7 +4,7 @@ Knows widths, limits and positions on the wire; knows no function and no byte of
 
 1. A message is: function code, perhaps a sub-code, then the declared fields in their order, big-endian (Application
    Protocol V1.1b3 §4.2).
-2. Fixed fields (`u8`, `u16`) come first and `rest_length` may stand anywhere among them; at most one field of
+2. Fixed fields (`u8`, `u16`) come first and `rest_length` can stand anywhere among them; at most one field of
    variable length (`rest`, `repeated`) ends the message.
 3. Every byte count of the specification counts all that follows it, to the end of the PDU. That is why one kind of
    length field, `rest_length`, is enough for all of them.
@@ -130,12 +130,12 @@ Field = FixedField | RestLength | RestField | RepeatedField
 
 
 def u8(low: int = 0, high: int = 0xFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of one byte with the values ``low``…``high``, or those of ``values``."""
+    """Declare a message field of one byte with a value of ``low``…``high``, or one of ``values`` if they are given."""
     return FixedField(1, low, high, tuple(values) if values is not None else None, default)
 
 
 def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of two bytes, big-endian, with the values ``low``…``high``, or those of ``values``."""
+    """Declare a message field of two bytes with a value of ``low``…``high``, or one of ``values`` if they are given."""
     return FixedField(2, low, high, tuple(values) if values is not None else None, default)
 
 

@@ -86,8 +86,8 @@ class Tables(Protocol):
             address: the first item, 0-based.
             count: number of items.
             writes: whether the items are to be written.
-            context: client and unit. If given, read hooks are called too, and may refuse: function 23 checks its read
-                in this way before it writes.
+            context: client and unit. If given, and ``writes`` is False, the hooks called before a read are called too,
+                and any of them can raise `Refusal`: function 23 checks its read in this way before it writes.
         """
 
     def read(self, table: Table, address: int, count: int, context: Context) -> bytes:

@@ -123,7 +123,7 @@ class WriteMultipleCoils(Request):
     data: bytes = rest(1, MAX_WRITE_BITS // 8)
 
     class Reply(ReplyMessage):
-        """The reply of function 15: the range that was written."""
+        """The reply of function 15: address and count of the coils that were written."""
 
         address: int = u16()
         count: int = u16(1, MAX_WRITE_BITS)
@@ -180,7 +180,7 @@ class WriteMultipleRegisters(Request):
     data: bytes = rest(2, 2 * MAX_WRITE_REGISTERS, 2)
 
     class Reply(ReplyMessage):
-        """The reply of function 16: the range that was written."""
+        """The reply of function 16: address and count of the registers that were written."""
 
         address: int = u16()
         count: int = u16(1, MAX_WRITE_REGISTERS)
@@ -282,7 +282,7 @@ class ReadWriteMultipleRegisters(Request):
     data: bytes = rest(2, 2 * MAX_READ_WRITE_WRITE_REGISTERS, 2)
 
     class Reply(ReplyMessage):
-        """The reply of function 23: the registers read after the write, big-endian."""
+        """The reply of function 23: ``data`` has the registers read after the write, big-endian."""
 
         byte_count: ClassVar[RestLength] = rest_length(1, 2, 2 * MAX_READ_REGISTERS, 2)
         data: bytes = rest(2, 2 * MAX_READ_REGISTERS, 2)

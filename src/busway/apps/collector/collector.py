@@ -1,13 +1,13 @@
 """The collector: polls the devices of its file, stores their samples, and passes them on to sinks and alarms.
 
-Knows files, links, the store and asyncio; `schedule` decides what is asked next, and `poller` asks.
+Knows files, links, the store and asyncio; `schedule` decides which request is sent next, and `poller` sends it.
 
-1. A sample is handed on when it is in the store. Readers that are too slow lose the oldest batches, which is counted;
-   they never slow polling down.
+1. A sample is passed on when it is in the store. Programs that follow samples too slowly lose the oldest batches, which
+   are counted; they never slow polling down.
 2. A file that is read again is refused as a whole, or applied link by link. A link whose section, devices and profiles
    are the same as before is not touched, and misses no round. A change that has begun is completed, even if its caller
    is cancelled.
-3. What was learnt is written beside the store when it changes, and at the end.
+3. What was learnt about devices is written beside the store when it changes, and at the end.
 """
 
 import asyncio
@@ -72,7 +72,7 @@ CLOCK_EVERY: Final = 5.0
 AUDIT_LOG: Final = "audit.log"
 """Name of the audit log's file in the store's folder, used if the configuration names none."""
 FINISH_LIMIT: Final = 2.0
-"""Seconds beyond its timeout that a transaction in progress may take when its link is to stop."""
+"""Seconds, beyond the timeout of a link, for which a transaction in progress is waited for when the link is stopped."""
 LEARNT_EVERY: Final = 30.0
 """Seconds between two writes of what was learnt about devices; nothing is written if nothing has changed."""
 
@@ -104,11 +104,13 @@ class Collector:
     Attributes:
         configuration: the configuration in use.
         knowledge: what was learnt about the devices.
-        more_metrics: functions that return further families of metrics for the pages for Prometheus.
-        on_mending: functions that are called in the event loop with the correction of all times that were given so far,
-            when the wall clock is found right after a start with a wrong one; before the store is corrected.
+        more_metrics: functions that return further families of metrics for the pages for Prometheus; callers add
+            theirs.
+        on_mending: functions to be called if the collector was started with a wrong wall clock, once the clock is
+            right: in the event loop, with the correction of all times given so far, before the store is corrected.
+            Callers add theirs.
         values: the last stored sample of each point.
-        alarms: the alarms of the points; there once the block was entered.
+        alarms: the alarms of the points; exists from when the block was entered.
     """
 
     alarms: CollectorAlarms
@@ -129,12 +131,12 @@ class Collector:
         Args:
             configuration: the contents of its file.
             permit: called with the name of a link right before each of its transactions, reads and writes. If it raises
-                `LinkDown`, nothing is sent, and the transaction fails with that error.
-            may_send: called with the name of a link right before each of its frames leaves, which may be seconds later
-                on a serial line. If it returns False, nothing is sent, and the connection is reset. None if all frames
-                may leave.
-            unanswered: called with the name of a link after a transaction that was permitted, of which a request may
-                have been sent and got no valid reply. None if nothing has to know.
+                `LinkDown`, nothing is sent, and the transaction fails with that error. None to permit all.
+            may_send: called with the name of a link right before each of its frames is sent, on a serial line perhaps
+                seconds after ``permit``. If it returns False, nothing is sent, and the connection is reset. None if all
+                frames may be sent.
+            unanswered: called with the name of a link after a permitted transaction of which a request may have been
+                sent and got no valid reply. None if it is not needed.
             claims: ensures that of all collectors of a fleet only one executes a write command; None for a collector
                 that works alone.
             plant: returns the configuration of a whole fleet, of which ``configuration`` is the part that this
@@ -245,13 +247,13 @@ class Collector:
         return self._judge.is_known(time_service.kernel_synchronisation(), time_service.seconds_since_boot())
 
     def _opened_store(self, clock_is_right: bool) -> StoreWriter:
-        """Open and return the store, and tell it the points of the configuration; set `knowledge` from its file.
+        """Open the store, give it the points of the configuration, and return it; also read `knowledge` from its file.
 
         Args:
             clock_is_right: whether the wall clock is known to be right.
 
         Raises:
-            ConfigError: the store or the file of what was learnt cannot be used; the store is closed.
+            ConfigError: the store, or the file with what was learnt about devices, cannot be used; the store is closed.
         """
         configuration = self.configuration
         options = StoreOptions(
@@ -267,7 +269,12 @@ class Collector:
         return writer
 
     def _made_page(self, section: PrometheusSinkSection) -> PrometheusPage:
-        """Return a page for Prometheus that listens. Raises `ConfigError` or `LinkDown`."""
+        """Return a new page for Prometheus, which already listens.
+
+        Raises:
+            ConfigError: the page cannot be used as configured.
+            LinkDown: its port is in use.
+        """
         return PrometheusPage(
             section.parts.netloc,
             section.points,
@@ -285,11 +292,11 @@ class Collector:
     def _start_commands(self) -> None:
         """Open the audit log, the journal of commands and the record of maintenance.
 
-        Commands that an earlier process left open end as unknown. Maintenance of devices that are no longer in the
-        configuration ends.
+        Commands that an earlier process left open end with the state unknown. Maintenance of devices that are no longer
+        in the configuration ends.
 
         Raises:
-            ConfigError: one of them cannot be read or written.
+            ConfigError: the audit log, the journal or the record cannot be read or written.
         """
         configuration = self.configuration
         section = configuration.file.audit
@@ -329,7 +336,7 @@ class Collector:
     # What programs use.
 
     async def samples(self, devices: Iterable[str] | None = None) -> AsyncIterator[SampleBatch]:
-        """Yield the samples of devices from the first iteration on, one batch for each read, once it is in the store.
+        """Yield the samples that are stored from the first iteration on: one batch for each read, once it is stored.
 
         Ends when the collector stops. A program that is too slow misses the oldest batches (`readers_lost`).
 
@@ -337,7 +344,7 @@ class Collector:
             devices: names of the devices; None for all.
 
         Raises:
-            ConfigError: there is no device of this name; raised at the first iteration.
+            ConfigError: a name is not that of a device; raised at the first iteration.
         """
         wanted = None if devices is None else frozenset(devices)
         for name in sorted(wanted or ()):
@@ -350,8 +357,9 @@ class Collector:
     def maintenance(self, device: str, *, begins: bool, by: str = "program", why: str = "") -> None:
         """Begin or end the maintenance of a device; a device in maintenance is not polled, not even after a restart.
 
-        Meanwhile the last values of its points are bad, and the store has one interval for the whole time. To end the
-        maintenance of a device that has none does nothing; to begin it again changes only ``by`` and ``why``.
+        Meanwhile the last values of its points are bad, and the store has one interval for the whole time. Ending a
+        maintenance does nothing if the device is not in maintenance. Beginning it for a device already in maintenance
+        changes only ``by`` and ``why``.
 
         Args:
             device: name of the device.
@@ -385,7 +393,7 @@ class Collector:
 
         Args:
             device: name of the device.
-            points: names of its points; they replace those of an earlier call.
+            points: names of its points; they replace those of an earlier call. Other names are ignored.
             period: seconds between two reads.
             seconds: how long this lasts from now on.
 
@@ -395,9 +403,13 @@ class Collector:
         self._poller_of(device).lease(device, list(points), period, seconds)
 
     def registers_of(self, device: str, points: Container[str]) -> dict[str, bytes]:
-        """Return the raw registers of a device's points as last read, by point: two bytes for each register.
+        """Return the raw registers of a device's points as last read, by point name: two bytes for each register.
 
         Points that were not read yet, coils, discrete inputs and computed points are left out.
+
+        Args:
+            device: name of the device.
+            points: names of the points wanted.
 
         Raises:
             ConfigError: there is no such device.
@@ -414,29 +426,28 @@ class Collector:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the newest commit of the store; 0 in a new store.
+        """The number of the newest commit of the store, 1 or more: opening the store makes a commit.
 
-        Before the first commit of this run it is a number not below the last commit of earlier runs, and below the next
-        one.
+        Numbers rise but are not consecutive: each run begins with a fresh range, and a failed commit uses up a number.
         """
         assert self._committer is not None
         return self._committer.writer.newest_commit
 
     @property
     def manifest(self) -> Manifest:
-        """The manifest of the open store: its list of parts, points and sinks."""
+        """The manifest of the open store: the file that lists its parts, points and sinks."""
         assert self._committer is not None
         return self._committer.writer.manifest
 
     async def flush(self) -> bool:
-        """Store all samples taken so far; return False if that has not succeeded within ten seconds."""
+        """Store all samples taken so far. Return True, or False if that has not succeeded within ten seconds."""
         assert self._committer is not None
         return await asyncio.to_thread(self._committer.flush)
 
     def sample_time(self) -> int:
         """Follow the wall clock, and return the time that a sample taken now gets, in nanoseconds since 1970 UTC.
 
-        It differs from the wall clock for a while after that was set back. To be called in the event loop.
+        For a while after the wall clock was set back, sample times are ahead of it. To be called in the event loop.
         """
         now = asyncio.get_running_loop().time()
         self._mend(self._clock.adjust(now, time.time_ns(), is_known=self._clock_is_known()))
@@ -445,16 +456,19 @@ class Collector:
     def note_interval(self, interval: StateInterval) -> None:
         """Store an interval in which a device was not read for a reason that the poller does not know.
 
-        An example is that another collector of a fleet polled the device. An interval is given twice: when it begins,
-        with the end None, and when it ends.
+        An example is that another collector of a fleet polled the device. To be called twice for each interval: when it
+        begins, with the end None, and when it ends.
         """
         assert self._committer is not None
         self._committer.add_interval(interval)
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Register a function to be called with each new commit, in the thread that commits.
+        """Register a function that is called with each new commit, in the thread that commits.
 
         The function must be quick; its errors are logged and counted.
+
+        Args:
+            told: the function.
         """
         assert self._committer is not None
         self._committer.subscribe(told)
@@ -473,16 +487,17 @@ class Collector:
         return self._systems.urls
 
     def status(self) -> list[CollectedDeviceStatus]:
-        """Return the status of each polled device."""
+        """Return the status of each device of the running links; also of silent devices and those in maintenance."""
         return [status_of(running.poller, name) for running in self._links.values() for name in running.poller.devices]
 
     def loads(self) -> Mapping[str, tuple[float, float]]:
-        """Return the measured load of each link since the start of the collector, by name of the link.
+        """Return the measured load of each link, by name of the link, as shares of the time since the start.
 
-        The load of a link that a reload began anew counts from then on, but is still a share of the whole time.
+        If a reload has started a link anew, only its requests since then count, but the time is still that since the
+        start of the collector.
 
         Returns:
-            Two shares of the whole time, each 0…1: the time of all requests; and the part of it that probes of silent
+            Two shares, each 0…1: the time that all requests of the link took; and the part of it that probes of silent
             devices took.
         """
         elapsed = max(asyncio.get_running_loop().time() - self._started, 1e-9)
@@ -525,10 +540,10 @@ class Collector:
         Args:
             device: name of the device.
             point: name of its point.
-            value: in the unit of measure of the point, or the name of a number; checked against the write rule of the
-                point.
+            value: the new value in the unit of measure of the point, or a name that the point gives to a number;
+                checked against the write rule of the point.
             by: who gives the command, for the journal and the audit log.
-            expires: until when it may be sent, seconds since 1970 UTC; None for 30 seconds from now.
+            expires: until when the command may be sent, seconds since 1970 UTC; None for 30 seconds from now.
             key: identifies the command: a second call with the same key writes nothing. It returns the first result, or
                 is refused if its point or value is another. None for a new key.
             origin: where the command comes from, for the journal and the audit log.
@@ -547,12 +562,12 @@ class Collector:
 
     @property
     def readers_lost(self) -> int:
-        """Number of batches that ended iterations over `samples` have missed, because they were too slow."""
+        """Number of batches that programs missed in `samples` because they were too slow; counted as iterations end."""
         return self._readers.lost
 
     @property
     def revision(self) -> str:
-        """The revision of the configuration in use: 16 hexadecimal digits that change with its text."""
+        """The revision of the configuration in use: 16 hexadecimal digits computed from its text."""
         return revision_of(self.configuration.text)
 
     @property
@@ -562,13 +577,16 @@ class Collector:
 
     @property
     def refused_file(self) -> list[str]:
-        """The lines and keys for which the file was refused when it was read again; empty once one was accepted."""
+        """The lines and keys for which the file was refused when it was read again, without values.
+
+        Empty once a configuration was accepted.
+        """
         return list(self._reloading.refusal)
 
     def check(self, configuration: CollectorConfiguration) -> None:
         """Raise `ConfigError` if another configuration cannot be used while the collector runs.
 
-        Nothing that is in use changes; the store lists the new sinks.
+        Nothing that is in use changes; only new sinks are listed in the store.
         """
         self._reloading.check(configuration)
 
@@ -619,14 +637,15 @@ class Collector:
 
         Raises:
             FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
-            ConfigError: it cannot be used (see `reload`), the file cannot be written, or another revision is in use.
+            ConfigError: the text cannot be used (see `reload`), the file cannot be written, another revision is in use,
+                or the collector ends.
         """
         return await self._reloading.replace(text, by, origin, revision)
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
         """Put another configuration into use, and return what changed, each as a sentence.
 
-        Links that change are ended; then points are renamed, for all samples from now on; then links are started.
+        In this order: links that change are stopped, points are renamed for all later samples, and links are started.
         """
         assert self._committer is not None
         self.configuration = configuration
@@ -655,7 +674,7 @@ class Collector:
         return done
 
     def _keep(self, retention: Retention) -> list[str]:
-        """Use other limits of the store from now on; return the change as a list of one sentence, empty for none."""
+        """Use other limits of the store from now on; return one sentence in a list, or [] if nothing changed."""
         assert self._committer is not None
         assert self._journal is not None
         writer = self._committer.writer
@@ -725,7 +744,10 @@ class Collector:
         self._links[name] = _RunningLink(_key_of(configuration, name), link, poller, task)
 
     async def _finish_link(self, name: str) -> None:
-        """Let a link finish its transaction in progress, and wait for that: at most its timeout and `FINISH_LIMIT`."""
+        """End the polling of a link after its transaction in progress, and wait for that end.
+
+        The wait is at most the timeout of the link plus `FINISH_LIMIT`; then this returns without an error.
+        """
         running = self._links[name]
         running.poller.finish()
         await asyncio.wait([running.task], timeout=running.poller.schedule.timeout + FINISH_LIMIT)
@@ -792,7 +814,7 @@ class Collector:
                 _log.error("what was learnt cannot be written to %s: %s", self._learnt.path, error)
 
     def _take(self, batch: SampleBatch) -> None:
-        """Queue the samples of a read for the store, with the alarm events and counter totals that follow from them."""
+        """Queue the samples of a read for the store, with the alarm events that follow, and keep its counter states."""
         assert self._committer is not None
         if batch.counters:
             self._counters.setdefault(batch.device, {}).update((each.point, each) for each in batch.counters)
@@ -817,7 +839,7 @@ def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
     The file is read at once; nothing is opened or polled before the ``async with`` block.
 
     Args:
-        file: path of a collector file, or what `load_collector` returned for one.
+        file: path of a collector file, or a configuration that `load_collector` has returned.
 
     Raises:
         FileError: the file is wrong; ``problems`` has all errors, each with file, line and key.
@@ -827,9 +849,9 @@ def collect(file: str | os.PathLike[str] | CollectorConfiguration) -> Collector:
 
 
 def _key_of(configuration: CollectorConfiguration, link: str) -> object:
-    """Return all settings that decide how a link is polled, for comparison; None if there is no such link.
+    """Return all settings that decide how a link is polled, as one object to compare; None if there is no such link.
 
-    A reload leaves a link alone if this is equal for the old and the new configuration.
+    A reload does not touch a link for which these objects of the old and the new configuration are equal.
     """
     if link not in configuration.links:
         return None
@@ -838,7 +860,7 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
 
 
 def _age_of(configuration: CollectorConfiguration) -> float | None:
-    """Return the seconds for which samples, and results of commands, are kept; None for ever."""
+    """Return the seconds for which samples and results of commands are kept (``keep_days``); None for no limit."""
     days = configuration.file.collector.keep_days
     return None if days is None else 86_400 * days
 
@@ -856,7 +878,12 @@ def _descriptions(configuration: CollectorConfiguration) -> list[PointDescriptio
 def _renamed(
     counters: Mapping[str, Mapping[str, CounterState]], moved: Mapping[PointKey, str]
 ) -> dict[str, dict[str, CounterState]]:
-    """Return the states of accumulators, by device and point, under the new names that ``moved`` gives to points."""
+    """Return the states of accumulators, by device and point, with renamed points under their new names.
+
+    Args:
+        counters: the states by device and old name of the point.
+        moved: by device and old name, the new name of each renamed point.
+    """
     return {
         device: {
             (name := moved.get((device, point), point)): replace(each, point=name) for point, each in states.items()

@@ -1,11 +1,12 @@
 """The other systems that a running collector is connected to: sinks, pages for Prometheus, servers that send commands.
 
-Knows which of them a configuration has; what each does is its own.
+Knows which of these systems a configuration has; how each of them works is its own affair.
 
-1. One whose table in the file is the same in another configuration is not touched.
-2. What can fail is made before anything is changed (`prepare`): the port of a new page, the place of a new sink. A page
-   that gets the URL of one that ends, or moves, goes on listening where that one does.
-3. A sink that begins anew goes on after the last commit that it has got; a sink that comes back, too.
+1. A system whose ``[[sink]]`` section is the same in the old and the new configuration is not touched.
+2. Steps that can fail are made before anything is changed (`prepare`): binding the port of a new page, and listing a
+   new sink in the store. A page that gets the URL of a page that ends or moves takes over its listening socket.
+3. A sink that is started anew goes on after the last commit that it has got; so does a sink that was removed and comes
+   back later.
 """
 
 import asyncio
@@ -30,8 +31,8 @@ class ConnectedSystems:
     All methods but `close_sinks` are for the thread of the event loop.
 
     Args:
-        page: makes a page for Prometheus from its table, which begins to listen.
-        receiver: makes the receiver of the commands from one server, by the name of its sink.
+        page: makes a page for Prometheus from its section of the file; the page listens at once.
+        receiver: makes the receiver of the commands from one server, from the name of its sink and its input.
     """
 
     def __init__(
@@ -63,7 +64,7 @@ class ConnectedSystems:
         self._keys = configuration.sink_keys
 
     def receive(self, configuration: CollectorConfiguration) -> None:
-        """Begin, in tasks, to receive commands from the servers that have no receiver yet; other receivers go on."""
+        """Start a task that receives commands for each input that has none yet; tasks of other inputs go on."""
         self._input_keys = configuration.input_keys
         for name, made in configuration.inputs.items():
             if name not in self._receiving:
@@ -75,8 +76,8 @@ class ConnectedSystems:
     def prepare(self, configuration: CollectorConfiguration) -> None:
         """Bind the ports of new or moved pages of another configuration, and list its new sinks in the store.
 
-        Nothing that is in use changes. A page that gets the URL of one that ends binds nothing: it takes that one over.
-        Ports that an earlier call has bound, and `apply` has not put into use, are released first.
+        Nothing that is in use changes. A page that gets the URL of a page that ends or moves binds nothing: it takes
+        over that page. Ports that an earlier call has bound, and `apply` has not put into use, are released first.
 
         Raises:
             ConfigError: a port cannot be bound, or the store cannot be written now.
@@ -102,7 +103,7 @@ class ConnectedSystems:
                     raise ConfigError(error.message, file=configuration.name, key=f"sink.{name}.url") from error
 
     def check(self, configuration: CollectorConfiguration) -> None:
-        """Raise `ConfigError` if `prepare` does. No port stays bound; the store keeps the list of new sinks."""
+        """Raise `ConfigError` if `prepare` raises it. No port stays bound; new sinks stay listed in the store."""
         self.prepare(configuration)
         self._discard()
 
@@ -116,12 +117,14 @@ class ConnectedSystems:
         self._prepared, self._inherited = {}, {}
 
     async def apply(self, configuration: CollectorConfiguration) -> list[str]:
-        """Put the sinks, pages and inputs of another configuration into use; `prepare` was called with it.
+        """Put the sinks, pages and inputs of another configuration into use.
 
-        Receivers of changed inputs have ended when the new ones begin.
+        `prepare` must have been called with the same configuration. Receivers of changed inputs end before the new ones
+        begin.
 
         Returns:
-            One sentence for each changed table ``[[sink]]``, by name; empty if none has changed.
+            One sentence for each ``[[sink]]`` section that is new, gone or changed, in the order of names; empty if
+            there is none.
         """
         assert self._thread is not None
         new, before = configuration.sink_keys, self._keys
@@ -164,16 +167,19 @@ class ConnectedSystems:
             await asyncio.wait(tasks)
 
     async def end_inputs(self) -> None:
-        """Receive no more commands, and wait until the receivers have ended."""
+        """Stop receiving commands: cancel all receivers, and wait until they have ended."""
         await self._end_inputs(set(self._receiving))
 
     def close_sinks(self) -> None:
-        """Stop the sinks; samples that they have not sent wait for the next start. For another thread: it waits."""
+        """Stop the sinks, and wait for their end; samples that they have not sent are sent after the next start.
+
+        To be called in another thread than the event loop's, because it blocks.
+        """
         if self._thread is not None:
             self._thread.close()
 
     def close_pages(self) -> None:
-        """End the pages for Prometheus."""
+        """Close all pages for Prometheus and their ports, prepared ones too."""
         self._discard()
         for page in self._pages.values():
             page.close()

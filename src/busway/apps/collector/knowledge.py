@@ -2,11 +2,10 @@
 
 Pure: knows no clock, no socket and no file.
 
-1. What was learnt belongs to a device. It is dropped when the device gets another profile, firmware, endpoint or unit,
-   unless it is pinned.
-2. What two devices with the same profile and firmware learnt alike is offered to others of that kind: they begin
-   with it.
-3. What is pinned is neither changed by learning nor forgotten with the rest.
+1. Facts are learnt about a device by its name. They are dropped when the device gets another profile, firmware,
+   endpoint or unit, unless they are pinned.
+2. A new device begins with the facts that two devices with the same profile and firmware agree on.
+3. A pinned fact is neither changed by learning nor forgotten with the others.
 """
 
 import json
@@ -19,7 +18,7 @@ from ...errors import ConfigError
 
 VERSION: Final = 1
 AGREEING: Final = 2
-"""Devices of one kind that must have learnt the same before other devices of that kind begin with it."""
+"""Number of devices of one kind that must agree on a fact before a new device of that kind begins with it."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,9 +28,10 @@ class LearntHole:
     Attributes:
         table: the table of the range.
         start: the first refused register or bit, 0-based.
-        end: the one after the last. A border has no items: it is before ``start``, and ``end`` equals ``start``.
+        end: the register or bit after the last refused one. For a border ``end`` equals ``start``, and the border is
+            just before ``start``.
         code: the exception code that the device answered; 0 if it did not answer.
-        pinned: whether the fact stays when what was learnt is forgotten, unless pinned facts are forgotten too.
+        pinned: whether the fact stays when learnt facts are forgotten, unless pinned facts are forgotten too.
     """
 
     table: Table
@@ -61,7 +61,7 @@ class LearntLimit:
         bits: whether the limit is for bits; otherwise for registers.
         good: width of the widest read that succeeded.
         bad: width of the narrowest read that was refused because of its width.
-        pinned: whether the fact stays when what was learnt is forgotten, unless pinned facts are forgotten too.
+        pinned: whether the fact stays when learnt facts are forgotten, unless pinned facts are forgotten too.
     """
 
     bits: bool
@@ -80,11 +80,12 @@ class DeviceKnowledge:
     Attributes:
         profile: the device profile; empty for unknown.
         firmware: the firmware version that the collector file names; empty for unknown.
-        base: seconds of a read apart from its registers; None if too few reads were made.
+        base: seconds that each read takes apart from its registers; None if too few reads were made.
         holes: the ranges that the device refuses, and the borders that no read may cross.
         limits: the largest reads, at most one for registers and one for bits.
-        place: endpoint and unit of the device when the facts were learnt; empty for unknown.
-        per_register: seconds per register behind a network; None if the baud rate determines it, or it is unknown.
+        place: endpoint and unit of the device when the facts were learnt, as text; empty for unknown.
+        per_register: seconds that each register takes over a network; None if the baud rate determines it, or it is not
+            known.
     """
 
     profile: str = ""
@@ -96,7 +97,7 @@ class DeviceKnowledge:
     per_register: float | None = None
 
     def limit(self, bits: bool) -> LearntLimit | None:
-        """Return the learnt limit for reads of bits (``bits``) or of registers; None if none was learnt."""
+        """Return the learnt largest read of bits (``bits`` True) or of registers (False); None if none was learnt."""
         return next((one for one in self.limits if one.bits is bits), None)
 
     def refuses(self, table: Table, start: int, end: int) -> bool:
@@ -120,7 +121,10 @@ class DeviceKnowledge:
         return replace(self, holes=(*self.holes, hole))
 
     def with_limit(self, limit: LearntLimit) -> "DeviceKnowledge":
-        """Return a copy with another largest read of bits or registers; the same object if the old one is pinned."""
+        """Return a copy in which ``limit`` replaces the largest read of its kind (bits or registers).
+
+        The same object is returned if the old limit is pinned, or equal.
+        """
         known = self.limit(limit.bits)
         if known is not None and (known.pinned or known == limit):
             return self
@@ -135,7 +139,11 @@ class DeviceKnowledge:
         )
 
     def forgotten(self, *, pinned: bool = False) -> "DeviceKnowledge":
-        """Return a copy without the learnt facts; pinned facts are kept, unless ``pinned`` is True."""
+        """Return a copy without the learnt facts and costs; profile, firmware, place and pinned facts are kept.
+
+        Args:
+            pinned: True to drop pinned facts too.
+        """
         return DeviceKnowledge(
             self.profile,
             self.firmware,
@@ -175,13 +183,13 @@ class Knowledge:
     def of(self, name: str, profile: str = "", firmware: str = "", place: str = "") -> DeviceKnowledge:
         """Return what is known about a device: from its own reads, or else from devices of its kind (rules 1 and 2).
 
+        If profile, firmware or place has changed since the facts were learnt, only pinned facts are returned.
+
         Args:
             name: name of the device.
             profile: its device profile now.
             firmware: its firmware version now.
-            place: its endpoint and unit now.
-
-        Where one of these has changed since the facts were learnt, only pinned facts are returned.
+            place: its endpoint and unit now; empty if unknown, which is no change.
         """
         known = self._devices.get(name)
         if known is None:
@@ -195,13 +203,15 @@ class Knowledge:
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:
-        """Pin what was learnt about a device, so that `forget` keeps it; return False if nothing is known about it."""
+        """Pin the facts learnt about a device, so that `forget` keeps them; return False if the device is not known."""
         return self._change(name, lambda known: known.pinned())
 
     def forget(self, name: str, *, pinned: bool = False) -> bool:
-        """Forget what was learnt about a device; return False if nothing is known about it.
+        """Forget the facts learnt about a device; return False if the device is not known.
 
-        Pinned facts are kept, unless ``pinned`` is true.
+        Args:
+            name: name of the device.
+            pinned: True to forget pinned facts too.
         """
         return self._change(name, lambda known: known.forgotten(pinned=pinned))
 
@@ -213,7 +223,11 @@ class Knowledge:
         return True
 
     def offered(self, profile: str, firmware: str) -> DeviceKnowledge:
-        """Return the facts that at least two devices with this profile and firmware agree on; empty if unknown."""
+        """Return the facts that at least two devices with this profile and firmware agree on.
+
+        For the largest read, two devices agree if both have learnt one; the smallest is returned. Empty if there are no
+        such facts, or if profile or firmware is empty.
+        """
         empty = DeviceKnowledge(profile, firmware)
         if not profile or not firmware:
             return empty
@@ -232,7 +246,7 @@ class Knowledge:
         )
 
     def kinds(self) -> list[tuple[str, str]]:
-        """Return each pair of profile and firmware of which several devices have learnt the same facts, in order."""
+        """Return the pairs of profile and firmware for which `offered` returns facts, sorted."""
         found = {(one.profile, one.firmware) for one in self._devices.values()}
         return sorted(kind for kind in found if any((self.offered(*kind).holes, self.offered(*kind).limits)))
 
@@ -244,14 +258,14 @@ class Knowledge:
 
 
 def read_knowledge(text: str, name: str) -> Knowledge:
-    """Return what was learnt about devices, read from the JSON that `Knowledge.text` has made.
+    """Return the facts learnt about devices, from JSON that `Knowledge.text` has made.
 
     Args:
         text: the JSON.
         name: name of its file, for errors.
 
     Raises:
-        ConfigError: the text is not such JSON, or of another version.
+        ConfigError: the text is not such JSON, or is of another version.
     """
     try:
         data = json.loads(text)

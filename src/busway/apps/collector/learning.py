@@ -7,21 +7,22 @@ What a read costs:
 1. The price of a register is fixed by the line, so each read that succeeds gives one estimate of the base: its seconds
    less the price of its registers. The median of the last `MEMORY` estimates is the base: up to half of them may be
    wrong, for example because a frame was repeated.
-2. Where the line is not known (behind a network), the price of a register is learnt too, as the median slope between
-   reads of different widths, from `WIDTHS` widths on with `READS_OF_A_WIDTH` reads each. Once it is known, two widths
-   correct it, and reads of one width leave it as it is: most devices are read by few widths. 16 bits count as a
-   register. The base stays at least `LEAST_BASE` of the quickest read, so that noise on a quick network never makes a
-   read look free.
+2. Where the line is not known (over a network), the price of a register is learnt too: the median slope between the
+   usual durations of reads of different widths. This needs `WIDTHS` widths with `READS_OF_A_WIDTH` reads each. Once the
+   price is known, reads of two widths are enough to correct it, and reads of one width leave it as it is: most devices
+   are read by few widths. 16 bits count as a register. The base is at least the fraction `LEAST_BASE` of the quickest
+   read's time, so that noise on a quick network never makes a read look free.
 
 What the device refuses:
 
-3. Exceptions 02 and 03 mean that something in a read is refused; three silences in a row mean that too, if meanwhile a
+3. Exceptions 02 and 03 mean that something in a read is refused. Three silences in a row mean it too, if meanwhile a
    narrower read succeeds. Everything else (04, 06, a lost connection) teaches nothing.
-4. The halves of a refused read are asked once each, at low priority; then the halves of those that are refused.
+4. Test reads ask for each half of a refused read once, at low priority; then for the halves of a half that is refused.
    An item that is refused alone is a hole.
-5. Where both halves succeed, a read of the items next to the cut tells why. If it is refused too, the device has a hole
-   or a border there; else the read was too wide. A limit of width is then narrowed by reads of widths in between.
-6. What is learnt is used from then on, and not asked again.
+5. If both halves succeed, a test read of the items on both sides of the cut finds the reason. If it is refused, the
+   device has a hole or a border there; if it succeeds, the read was too wide. The largest width is then found by reads
+   of widths in between.
+6. A fact that is learnt is used from then on, and not tested again.
 """
 
 from bisect import insort
@@ -39,27 +40,27 @@ from .knowledge import DeviceKnowledge, LearntHole, LearntLimit
 from .plan import ItemRange, PlannedRead, ReadRules
 
 MEMORY: Final = 64
-"""Latest reads from which the base is computed; a device that got slower is noticed after half as many."""
+"""Number of latest reads from which the base is computed; a device that got slower is noticed after half as many."""
 SETTLED_AFTER: Final = 48
-"""Reads after which the cost counts as known."""
+"""Number of reads after which the cost counts as known."""
 WIDTHS: Final = 3
-"""Different widths that a device has to be asked for before its cost counts as known."""
+"""Number of different widths that must have been read from a device before its cost counts as known."""
 READS_OF_A_WIDTH: Final = 3
-"""Reads of one width before its median says anything about the price of a register: the first ones open connections."""
+"""Reads of one width before they count for the price of a register: the first ones are slow, to open connections."""
 READS_TO_CORRECT: Final = 8
-"""Reads of one width before it corrects a price that is known: a few that all went wrong must not spoil it."""
+"""Reads of one width before they correct a price that is known: a few that all went wrong must not spoil the price."""
 SLOPE_EVERY: Final = 8
-"""Reads between two estimates of the price of a register."""
+"""Number of reads between two estimates of the price of a register."""
 BITS_OF_A_REGISTER: Final = 16
 LEAST_BASE: Final = 0.25
-"""Least part of the quickest read's time that is base. On a line of 9600 baud it is a quarter at 43 registers."""
+"""Least base, as a fraction of the quickest read's time. At 9600 baud, a read of 43 registers has this fraction."""
 SILENCES: Final = 3
-"""Silences in a row of one read before it is examined further (rules 3 and 4)."""
+"""Number of silences in a row after which test reads examine a read (rules 3 and 4)."""
 QUESTIONS: Final = 64
-"""Test reads that one refusal may cause, at most; a map with more holes is learnt by the next refusal."""
+"""Most test reads that one refusal causes; further holes of the device are found after the next refusal."""
 
 MOST_IGNORED: Final = 1024
-"""Refusals of a read that are ignored in a row, at most, while all its parts succeed."""
+"""Most refusals in a row of one read that are ignored, if all its parts were found to succeed."""
 
 _REFUSALS: Final = frozenset({ExceptionCode.ILLEGAL_DATA_ADDRESS, ExceptionCode.ILLEGAL_DATA_VALUE})
 
@@ -68,7 +69,7 @@ class CostLearner:
     """Learns how many seconds reads of one device take, from reads that succeeded.
 
     Args:
-        assumed: the cost until enough is known.
+        assumed: the cost that is used until enough is known.
         fixed: whether the seconds per register of ``assumed`` are certain; if not, they are learnt too.
 
     Attributes:
@@ -92,9 +93,9 @@ class CostLearner:
 
         Args:
             table: the table that was read.
-            width: registers or bits that were read.
+            width: number of registers or bits that were read.
             seconds: from the begin of the request to the reply.
-            probes: whether the read was made only to measure the cost; `end_probes` is called after the last of them.
+            probes: whether the read was a test read to measure the cost; after the last of these, call `end_probes`.
         """
         self.reads += 1
         self.widths.add(width)
@@ -111,7 +112,7 @@ class CostLearner:
             self._last_slope = self._slope()
 
     def end_probes(self) -> None:
-        """Correct the learnt seconds per register by the reads that were sent to measure them."""
+        """Correct the learnt seconds per register by the test reads since the last call; does nothing if ``fixed``."""
         if not self._fixed:
             found = _slope_of(self._probed, WIDTHS, READS_OF_A_WIDTH)
             self._last_slope = self._last_slope if found is None else found
@@ -156,9 +157,14 @@ class CostLearner:
 
 
 def _slope_of(seen: Iterable[tuple[float, float]], widths: int, reads: int) -> float | None:
-    """Return the seconds per register: the median over pairs of widths.
+    """Return the seconds per register: the median slope over all pairs of widths, at least `NETWORK_REGISTER`.
 
     None if fewer than ``widths`` widths have at least ``reads`` reads.
+
+    Args:
+        seen: width in registers and seconds of each read.
+        widths: least number of different widths.
+        reads: least number of reads of a width that counts.
     """
     by_width: dict[float, list[float]] = {}
     for width, seconds in seen:
@@ -175,10 +181,11 @@ def _slope_of(seen: Iterable[tuple[float, float]], widths: int, reads: int) -> f
 
 
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
-    """Return reads of different widths, narrowest first, with which to measure what reads of a device cost.
+    """Return test reads of different widths, narrowest first, that measure what reads of a device cost.
 
-    They are one read of each width in ``reads``; and about half of the widest one, and its narrowest item, unless these
-    belong to an atomic group. So all lie within ranges that a plan reads.
+    These are one read of each width in ``reads``, a read of about half of the widest one, and a read of its narrowest
+    item. The last two are left out if they would split an atomic group. All lie within ranges that a plan reads. Empty
+    if ``reads`` is empty.
 
     Args:
         reads: the reads of a device's plans.
@@ -204,14 +211,23 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
 
 
 def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
-    """Return the narrowest read that covers some points of a table; ``cost`` gives its expected duration."""
+    """Return the narrowest read that covers some items of a table.
+
+    Args:
+        table: the table.
+        items: the items, one or more.
+        cost: the cost of reads, for the expected duration of the new read.
+    """
     start = min(one.start for one in items)
     width = max(one.start + one.width for one in items) - start
     return PlannedRead(table, start, width, tuple(items), cost.of(table, width))
 
 
 class ReadOutcome(Enum):
-    """The result of a read, as far as it says which ranges the device accepts."""
+    """The result of a read, as far as it says which ranges the device accepts.
+
+    ``REFUSED``: exception 02 or 03. ``SILENCE``: no reply. ``OTHER``: a failure that says nothing about the range.
+    """
 
     SUCCESS = "success"
     REFUSED = "refused"
@@ -223,8 +239,8 @@ def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
     """Return the kind of result of a failed read.
 
     Args:
-        code: the exception code of the reply; None if there was none.
-        silent: whether there was no reply at all.
+        code: the exception code of the reply; None if there was no exception.
+        silent: whether there was no reply at all; ignored if there is a code.
     """
     if code is not None:
         return ReadOutcome.REFUSED if code in _REFUSALS else ReadOutcome.OTHER
@@ -237,8 +253,8 @@ class _Part:
 
     Attributes:
         read: the refused read.
-        halves: the two halves that are to be read, or were.
-        succeeded: how many halves were accepted.
+        halves: the reads of the two halves.
+        succeeded: how many of the halves were accepted so far, 0…2.
     """
 
     read: PlannedRead
@@ -247,7 +263,12 @@ class _Part:
 
 
 class _Purpose(Enum):
-    """What a test read finds out, such as whether the device answers at all, or whether it refuses one item."""
+    """What a test read is to find out.
+
+    ``CONTROL``: whether the device answers at all. ``ITEM``: whether one item is refused alone. ``HALF``: whether half
+    of a refused read is refused. ``GAP``: whether the hole between two halves is refused. ``WIDTH``: whether a width
+    between an accepted and a refused one is accepted.
+    """
 
     CONTROL = "control"  # whether the device answers at all
     ITEM = "item"  # whether one item is refused alone
@@ -263,8 +284,8 @@ class _Question:
     Attributes:
         purpose: what it finds out.
         read: the read to send.
-        part: the refused read that it belongs to; None for a test of whether the device answers, or of a width.
-        silences: how often the read had no reply, in a row.
+        part: the refused read that a ``HALF`` or ``GAP`` belongs to; None for other purposes.
+        silences: how often the test read had no reply, in a row.
     """
 
     purpose: _Purpose
@@ -278,8 +299,8 @@ class _Wait:
     """How many refusals of a read are ignored before test reads look for the reason again.
 
     Attributes:
-        left: refusals still to be ignored.
-        next: how many are ignored after the next test without a result.
+        left: number of refusals still to be ignored.
+        next: how many refusals are ignored after the next test that finds no reason.
     """
 
     left: int = 0
@@ -296,9 +317,9 @@ class MapLearner:
         cost: what reads of the device cost, for the expected duration of test reads.
 
     Attributes:
-        knowledge: the facts known now, those from the beginning included.
-        asked: how many test reads had a result.
-        inconclusive: how many refusals could not be explained, because all test reads succeeded.
+        knowledge: the facts known now, including those known at the beginning.
+        asked: number of test reads that had a result.
+        inconclusive: number of refusals that could not be explained, because all test reads succeeded.
     """
 
     def __init__(self, knowledge: DeviceKnowledge, cost: ReadCost) -> None:
@@ -329,7 +350,9 @@ class MapLearner:
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Take the result of an ordinary read; after a refusal or repeated silence, `question` has test reads to send.
+        """Learn from the result of an ordinary read; after a refusal or repeated silence, `question` has test reads.
+
+        A failure while other test reads are to be sent is ignored.
 
         Args:
             read: the read.
@@ -398,9 +421,9 @@ class MapLearner:
         self._split(read)
 
     def _give_up(self) -> None:
-        """Record that a refused read cannot be explained, because all its parts succeed.
+        """Record that a refused read cannot be explained, because all its parts succeed; ignore its next refusals.
 
-        Its next refusals are ignored.
+        Each time twice as many are ignored, up to `MOST_IGNORED`.
         """
         self.inconclusive += 1
         assert self._cause is not None
@@ -409,7 +432,10 @@ class MapLearner:
         wait.next = min(2 * wait.next, MOST_IGNORED)
 
     def _ask_control(self, read: PlannedRead) -> None:
-        """Queue a narrower test read after ``read`` got no reply: it shows whether the device answers at all."""
+        """Queue a test read that is narrower than ``read``, which got no reply: it shows whether the device answers.
+
+        Nothing is queued if no narrower read is known.
+        """
         control = self._narrowest
         if control is None or control.width >= read.width:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
@@ -468,7 +494,7 @@ class MapLearner:
             self._split(read)
 
     def _both_good(self, part: _Part) -> None:
-        """Decide what to test next when a read was refused and both its halves were accepted (rule 5)."""
+        """Queue the next test of a read that was refused while both its halves were accepted, or learn why (rule 5)."""
         left, right = part.halves
         across = read_of(part.read.table, [*_bundles(left.items)[-1], *_bundles(right.items)[0]], self._cost)
         if across.width < part.read.width:
@@ -542,7 +568,7 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """Yield both sides of each possible cut of a read in two: its items, and the width of a read of them."""
+    """Yield, for both sides of each possible cut of a read in two, the items and the width of a read of these items."""
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):

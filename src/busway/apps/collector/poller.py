@@ -1,12 +1,12 @@
-"""Polls the devices of one link: sends the reads that the schedule says, and turns replies into samples.
+"""Polls the devices of one link: sends the reads that the schedule chooses, and turns replies into samples.
 
 Knows the schedule, a link of asyncio and the decoders of points; knows no store and no file.
 
-1. Every read that is made for its values gives each of its points a sample: good, or bad with the reason. A probe of a
-   silent device that fails gives none: the interval in which the device is suspended stands for its samples.
-2. The time of a sample is the middle of its transaction; half of its length is kept.
-3. A point that is not asked for, because the device was found to refuse it, gets a bad sample with that reason at the
-   first answer of its device, and again after each interval: its last value is never "not read yet".
+1. Every read of a polling round gives each of its points a sample: good, or bad with the reason. A probe of a silent
+   device that fails gives none: the interval in which the device is suspended stands for its samples.
+2. The time of a sample is the middle of its transaction; half of the transaction's length is kept too.
+3. A point that no read fetches, for example because the device was found to refuse it, gets a bad sample with that
+   reason at the first answer of its device, and again after each interval: its last value is never "not read yet".
 4. Nothing that a device or a link does ends polling. A defect in a decoder or in a receiver of samples does: its
    exception ends the task, and is raised where the task is awaited.
 """
@@ -38,11 +38,11 @@ from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
 from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
 
 MOST_DECODERS: Final = 512
-"""Compiled reads of one device that are kept, at most."""
+"""Most compiled reads of one device that are kept."""
 KEPT_LATENCIES: Final = 1000
-"""Answered transactions of a link whose response time is kept, for quantiles."""
+"""Number of response times that are kept for each link, to compute quantiles."""
 MOST_SHARED_DECODERS: Final = 4096
-"""Decoders shared by devices that are kept, at most."""
+"""Most decoders that are kept to be shared by devices."""
 
 _log = logging.getLogger("busway.collector")
 
@@ -58,10 +58,16 @@ _GATEWAY_EXCEPTIONS: Final = frozenset(
 
 
 class PollLink(Protocol):
-    """Interface of the link over which a poller sends its reads; `busway.AsyncLink` has it."""
+    """Interface of the link over which a poller sends its reads; `busway.AsyncLink` implements it."""
 
     async def run(self, unit: int, requests: Sequence[Request], call_options: Any) -> list[Any]:
-        """Send requests to a unit with these `CallOptions`, and return a reply or an error for each, in order."""
+        """Send requests to a unit, and return a reply or a `ModbusError` for each request, in order.
+
+        Args:
+            unit: unit identifier.
+            requests: the requests.
+            call_options: a dictionary of `CallOptions`: the timeout in seconds, and the number of retries.
+        """
 
 
 @dataclass(slots=True, eq=False)
@@ -74,9 +80,10 @@ class _CompiledRead:
         decoder: makes values from the data of the reply.
         group: the device and the points, in the order of the values.
         data: the data of the last reply, for requests of raw registers; empty before the first.
-        at: when that reply was read, nanoseconds since 1970 UTC.
+        at: sample time of that reply, nanoseconds since 1970 UTC.
         exponents: names of the points in the read that are scale factors of other points.
-        scaled: the place of each point whose scale factor is in another read, and the name of that factor.
+        scaled: for each point in the read whose scale factor is in another read: its place among the values, and the
+            name of the factor.
     """
 
     read: PlannedRead
@@ -103,7 +110,7 @@ class _QueuedWrite:
 
 
 _decoders: dict[tuple[Any, ...], ReadDecoder] = {}
-"""Decoders by the range of a read and the identities of its points. Devices with the same profile share them."""
+"""Decoders by the range of a read and the ``id()`` of its points: devices with the same profile share them."""
 
 
 def _decoder_of(read: PlannedRead) -> ReadDecoder:
@@ -125,21 +132,23 @@ class PolledDevice:
         unit: its unit identifier.
         book: its read plans.
         timeout: how long to wait for its replies.
-        derived: totals and formulas computed from its reads; None without any.
-        pause: seconds from a reply to the next request to it, at least.
+        derived: computes totals and formulas from its reads; None if it has none.
+        pause: least seconds from a reply to the next request to the device.
         ready_at: when it may be asked next, seconds of the monotonic clock.
-        limits: seconds after which the value of a point is held, by name.
+        limits: seconds without a read after which the value of a point is held, by name.
         scale_factors: exponents read from the device that scale the values of other points, by name.
-        factors_at: when each of them was read, seconds of the monotonic clock.
-        reads: reads made in polling rounds since the start, failed ones included.
-        failures: reads of polling rounds that failed since the start.
-        last_seconds: how long its last transaction took.
+        factors_at: when each scale factor was read last, seconds of the monotonic clock, by name.
+        reads: number of reads in polling rounds since the device was added, failed ones included.
+        failures: number of these reads that failed.
+        last_seconds: how many seconds its last transaction took.
         last_error: the last error, also after the device answers again; empty if there was none.
-        maintained: the maintenance that ended last; None if none has.
-        suspended: the interval since when it is not polled, because it is silent or in maintenance; None while it is.
-        unread: points that no allowed read can fetch, each with the reason, as last told in the log.
-        unread_given: whether the points in ``unread`` have a bad sample since the start or the last interval.
-        single: for each point that got a sample of its own, the group with only that point.
+        maintained: the interval of the maintenance that ended last; None if none has ended.
+        suspended: the present interval in which the device is not polled, because it is silent or in maintenance; None
+            while it is polled.
+        unread: points that no allowed read can fetch, by name, each with the reason.
+        unread_given: whether the points in ``unread`` got their bad sample (rule 3) since the device was added, or
+            since its last interval ended.
+        single: for each point that got a sample on its own, a group with only that point, by name of the point.
     """
 
     name: str
@@ -179,17 +188,21 @@ class PolledDevice:
         return found
 
     def is_factor_held(self, name: str, now: float) -> bool:
-        """Whether a scale factor was not read again when it was due, so that what it scales is uncertain.
+        """Whether a scale factor was not read again when it was due, so that values scaled by it are uncertain.
 
-        False for one that was never read. ``now`` is in seconds of the monotonic clock.
+        False for a factor that was never read.
+
+        Args:
+            name: name of the point with the factor.
+            now: seconds of the monotonic clock.
         """
         at = self.factors_at.get(name)
         return at is not None and now - at > self.limits.get(name, math.inf)
 
     def compiled(self, read: PlannedRead) -> _CompiledRead:
-        """Return one planned read of the device with its request, decoder and points; made at its first use, and kept.
+        """Return a planned read of the device with its request, decoder and points; made at the first use, and kept.
 
-        Before more than `MOST_DECODERS` are kept, all are forgotten, with the last reply of each.
+        When `MOST_DECODERS` of them are kept, all are forgotten before the next is made, with the last reply of each.
         """
         found = self._compiled.get(id(read))
         if found is None or found.read is not read:
@@ -212,7 +225,7 @@ class PolledDevice:
 
 
 class LinkPoller:
-    """Polls the devices of one link, in the task `run` of an event loop. All methods are for the thread of that loop.
+    """Polls the devices of one link, in a task that runs `run`. All methods must be called in the event loop's thread.
 
     Args:
         name: name of the link.
@@ -220,9 +233,9 @@ class LinkPoller:
         schedule: decides what is sent next; `add` adds devices to it.
         clock: gives samples their time.
         samples: called with each batch of samples at once; must not block.
-        intervals: called with each interval in which a device is not read, when it begins and again when it ends; with
-            that of skipped rounds only once, when it is over.
-        numbered: whether replies carry a transaction identifier, so that timeouts may adapt.
+        intervals: called with each interval in which a device is not read, when it begins and again when it ends. An
+            interval of skipped rounds is passed only once, when it is over.
+        numbered: whether replies carry a transaction identifier, so that timeouts can adapt to reply times.
         now: returns seconds of the monotonic clock, which is also the clock of the schedule.
 
     Attributes:
@@ -255,9 +268,12 @@ class LinkPoller:
         self._latencies: deque[float] = deque(maxlen=KEPT_LATENCIES)
 
     def latencies(self, parts: Sequence[float]) -> list[float]:
-        """Return quantiles of the link's response times, in seconds: for each of ``parts`` (0…1), in order.
+        """Return quantiles of the response times of the link, in seconds, in the order of ``parts``.
 
-        They are of the last `KEPT_LATENCIES` answered transactions. Empty before the first answer.
+        They are computed from the last `KEPT_LATENCIES` answered transactions. Empty before the first answer.
+
+        Args:
+            parts: the quantiles wanted, each 0…1; 0.5 is the median.
         """
         kept = sorted(self._latencies)
         return [kept[min(int(part * len(kept)), len(kept) - 1)] for part in parts] if kept else []
@@ -282,11 +298,11 @@ class LinkPoller:
             unit: its unit identifier.
             book: its read plans.
             periods: poll periods in seconds, by poll class.
-            derived: totals and formulas to be computed from its reads; None without any.
-            pause: seconds from a reply to the next request to the device, at least.
-            on_line: whether it is on a serial line, local or behind a gateway, where another silent device holds up its
-                replies; its timeout then does not adapt.
-            limits: seconds after which the value of a point is held, by name.
+            derived: computes totals and formulas from its reads; None if it has none.
+            pause: least seconds from a reply to the next request to the device.
+            on_line: whether the device is on a serial line, local or behind a gateway, where another silent device
+                holds up its replies; its timeout then does not adapt.
+            limits: seconds without a read after which the value of a point is held, by name; None for no limits.
         """
         timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered and not on_line)
         if derived is not None:
@@ -296,7 +312,7 @@ class LinkPoller:
         self.wake()
 
     def remove(self, name: str) -> None:
-        """Stop polling a device and forget it; its silence or maintenance, if any, is reported as ended now."""
+        """Stop polling a device and forget it; an interval in which it is not polled is reported as ended now."""
         device = self.devices.pop(name, None)
         if device is not None:
             self._end_interval(device)
@@ -305,7 +321,7 @@ class LinkPoller:
     def pause(self, name: str, *, paused: bool, since: int | None = None) -> None:
         """Begin or end the maintenance of a device; a device in maintenance is not polled.
 
-        An interval in which the device is silent ends too, and is reported.
+        If the device is silent, the interval of its silence ends and is reported.
 
         Args:
             name: name of the device.
@@ -355,13 +371,13 @@ class LinkPoller:
         return taken
 
     async def wait_for(self, name: str) -> None:
-        """Wait until the pause that a device needs between two requests is over."""
+        """Wait until the pause that a device needs between two requests is over; return at once if there is none."""
         device = self.devices[name]
         if device.ready_at > self._now():
             await asyncio.sleep(device.ready_at - self._now())
 
     def note_asked(self, name: str) -> None:
-        """Begin the pause that a device needs between two requests, after the caller has sent it one for a command."""
+        """Begin the pause that a device needs between two requests, because the caller sent it one for a command."""
         device = self.devices.get(name)
         if device is not None and device.pause:
             device.ready_at = self._now() + device.pause
@@ -375,7 +391,7 @@ class LinkPoller:
         Args:
             name: name of the device.
             point: the point.
-            found: its value and the reason why that is not good.
+            found: its value, and the reason why the value is not good; the reason is 0 if it is good.
             began: when the read began, seconds of the monotonic clock; it ended now.
         """
         device = self.devices.get(name)
@@ -391,7 +407,7 @@ class LinkPoller:
         self._give(device, batch)
 
     def is_factor_held(self, name: str, factor: str) -> bool:
-        """Whether a scale factor of a device was not read when it was due, so that no value can be scaled by it."""
+        """Whether a scale factor of a device was not read again when it was due, so that it cannot be relied on now."""
         return self.devices[name].is_factor_held(factor, self._now())
 
     def wake(self) -> None:
@@ -405,7 +421,7 @@ class LinkPoller:
         return self._is_finishing or self._has_ended
 
     def finish(self) -> None:
-        """End polling after the transaction in progress, so that no reply is still on its way."""
+        """End polling after the transaction in progress, so that no reply is on its way then; return at once."""
         self._is_finishing = True
         self.wake()
 
@@ -413,6 +429,8 @@ class LinkPoller:
 
     async def run(self) -> None:
         """Poll the devices of the link until `finish` is called or the task is cancelled; then drop waiting writes.
+
+        For each dropped write its function ``drop`` is called.
 
         Raises:
             Exception: a defect of a decoder or a receiver of samples (rule 4).
@@ -443,9 +461,9 @@ class LinkPoller:
             pass
 
     def mend(self, correction: ClockCorrection) -> None:
-        """Correct each begin of a current silence or maintenance that was noted before the wall clock was right.
+        """Correct the begin of each present silence or maintenance that was noted before the wall clock was right.
 
-        Reports nothing.
+        Nothing is passed on to ``intervals``.
         """
         for device in self.devices.values():
             begun = device.suspended
@@ -453,13 +471,13 @@ class LinkPoller:
                 device.suspended = replace(begun, begin=correction.corrected(begun.begin))
 
     def close(self) -> None:
-        """Report the end of all current silences of devices, because polling stops; maintenance continues."""
+        """Report the end of each present silence of a device, because polling stops; maintenance goes on."""
         for device in self.devices.values():
             if device.suspended is not None and device.suspended.reason != Reason.MAINTENANCE:
                 self._end_interval(device)
 
     async def make(self, turn: Turn) -> None:
-        """Send the requests of one turn of the schedule (reads, or a write), pass on the samples, report the outcome.
+        """Send the reads or make the write of one turn, pass on the samples, and report the outcome to the schedule.
 
         Waits first for the pause that the device needs between two requests. If the maintenance of the device begins
         during that wait, its reads are neither sent nor reported to the schedule.
@@ -616,7 +634,7 @@ class LinkPoller:
             self._tell_unread(device)
 
     def _tell_unread(self, device: PolledDevice) -> None:
-        """Update `PolledDevice.unread`, and log with its reason each point that no allowed read can fetch since now."""
+        """Update `PolledDevice.unread`; log each point that is new in it, with the reason why no read can fetch it."""
         unread = {each.item.name: each.reason for each in device.book.unreadable}
         for point, reason in unread.items():
             if point not in device.unread:
@@ -626,9 +644,12 @@ class LinkPoller:
         device.unread = unread
 
     def _give_unread(self, device: PolledDevice, middle: int, half: int) -> None:
-        """Pass on a bad sample for each point that no read fetches (rule 3).
+        """Pass on a bad sample for each point that no read fetches (rule 3), once after each interval.
 
-        Does nothing if that was done before, since the start or the end of the device's last interval.
+        Args:
+            device: the device, which has answered now.
+            middle: time of the samples, nanoseconds since 1970 UTC.
+            half: half the length of the transaction, nanoseconds.
         """
         if device.unread_given:
             return
@@ -659,7 +680,7 @@ class LinkPoller:
         self._intervals(device.suspended)
 
     def _give(self, device: PolledDevice, batch: SampleBatch) -> None:
-        """Pass on the samples of a read, unless the device was in maintenance at their time."""
+        """Pass on the samples of a read; drop them if the device was in maintenance at their time."""
         begun = device.suspended if self._is_maintained(device) else device.maintained
         if begun is None or not begun.begin <= batch.time < (begun.end or batch.time + 1):
             self._samples(batch)
@@ -676,7 +697,7 @@ class LinkPoller:
 
 
 def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
-    """Return the reason why no read fetches an item: what the device answered, or a rule of the configuration."""
+    """Return the reason why no read fetches an item: the answer of the device, or a rule of the configuration."""
     for hole in known.holes:
         if hole.table is item.table and hole.start < item.start + item.width and item.start < hole.end:
             return exception_reason(hole.code) if hole.code else Reason.TIMEOUT
@@ -684,7 +705,11 @@ def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
 
 
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
-    """Return the reason for the bad samples of a failed read, and what its error shows about the device."""
+    """Return the reason for the bad samples of a failed read, and what its error shows about the device.
+
+    An exception of a gateway that does not reach the device shows that the device is silent; any other exception, and a
+    broken reply, that it answers.
+    """
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS
         return exception_reason(error.code), TurnOutcome.SILENT if unreachable else TurnOutcome.ANSWERED

@@ -1,7 +1,7 @@
-"""Hands the samples of a running collector to the programs that follow them, through one queue for each program.
+"""Passes the samples of a running collector to the programs that follow them, through one queue for each program.
 
-Knows batches of samples; knows no store. A reader that is too slow loses the oldest batches, which is counted; it never
-slows polling down.
+Knows batches of samples; knows no store. A program that is too slow loses the oldest batches, which are counted; it
+never slows polling down.
 """
 
 import asyncio
@@ -12,17 +12,17 @@ from typing import Final
 from .samples import SampleBatch
 
 MOST_WAITING: Final = 10_000
-"""Batches that wait for one reader, at most."""
+"""Most batches that wait for one program; beyond them the oldest is dropped."""
 
 
 class _Reader:
     """One program that follows samples, with the queue of batches that it has not read.
 
     Attributes:
-        devices: names of the devices whose samples it gets; None for all.
-        waiting: the batches it has not read, oldest first.
+        devices: names of the devices whose samples the program gets; None for all.
+        waiting: the batches that it has not read, oldest first.
         arrived: set when there may be new batches, or when reading ends.
-        lost: batches that were dropped because the queue was full.
+        lost: number of batches that were dropped because the queue was full.
     """
 
     def __init__(self, devices: frozenset[str] | None) -> None:
@@ -43,10 +43,11 @@ class _Reader:
 class SampleReaders:
     """The programs that follow the samples of one collector; passes new samples to each. Used in one event loop only.
 
-    ``bool()`` is True if there is such a program.
+    ``bool()`` of the object is True while at least one program follows.
 
     Attributes:
-        lost: batches that programs which no longer follow have missed, because they were too slow.
+        lost: number of batches that were dropped because a program was too slow; counted when the program ends its
+            iteration of `read`.
     """
 
     def __init__(self) -> None:
@@ -58,11 +59,15 @@ class SampleReaders:
         return bool(self._readers)
 
     def begin(self) -> None:
-        """Make `read` wait for new samples. Before `begin`, and after `end`, it stops when its queue is empty."""
+        """Let `read` wait for new samples. Before this call, and after `end`, `read` ends when its queue is empty."""
         self._has_begun = True
 
     async def read(self, devices: frozenset[str] | None) -> AsyncGenerator[SampleBatch, None]:
-        """Yield samples that are taken from now on, until `end` is called; ``devices`` None is all devices."""
+        """Yield the batches that `take` gets from the first iteration on, until `end` is called.
+
+        Args:
+            devices: names of the devices whose samples are wanted; None for all.
+        """
         reader = _Reader(devices)
         self._readers.append(reader)
         try:
@@ -86,7 +91,7 @@ class SampleReaders:
             reader.take(batches)
 
     def end(self) -> None:
-        """Let each `read` end after the samples that are queued for it."""
+        """Let each `read` end after the samples that are in its queue now."""
         self._has_begun = False
         for reader in self._readers:
             reader.arrived.set()

@@ -1,15 +1,16 @@
-"""Whether the wall clock of the machine is kept right by a time service: what the kernel says, and what that means.
+"""Judges whether a time service keeps the wall clock of the machine right: asks the kernel, and weighs its answer.
 
 Knows the kernel's call and how long the machine has run; `sample_clock` knows what follows for samples.
 
-1. The kernel knows whether a time service (chrony, ntpd, timesyncd, PTP) has set the clock: ``STA_UNSYNC`` of adjtimex.
-   It says so again when none has done that for hours. A container shares it with its host.
+1. The kernel knows whether a time service (chrony, ntpd, timesyncd, PTP) has set the clock: the bit ``STA_UNSYNC`` of
+   adjtimex is then clear. The kernel sets the bit again when no service has set the clock for hours. A container shares
+   the bit with its host.
 2. *Synchronised* proves that the clock is right. *Unsynchronised* proves nothing: chrony without ``rtcsync`` and the
-   tools of virtual machines set the clock and leave that bit, and a plant may have no time service at all. It counts
-   for the first `SETTLES` after the machine has started, while a time service may still come, and again when one that
-   was there has been lost for `SETTLES`.
-3. Where the kernel cannot be asked, nothing is known against the clock.
-4. A machine whose clock is set by other means says so once, in its environment (`BUSWAY_CLOCK`).
+   tools of virtual machines set the clock and leave the bit as it is, and a plant may have no time service at all. So
+   *unsynchronised* counts only for the first `SETTLES` seconds after the machine has started, while a time service may
+   still come, and again when a time service that was there has been lost for `SETTLES` seconds.
+3. If the kernel cannot be asked, the clock counts as right.
+4. For a machine whose clock is set by other means, the environment variable ``BUSWAY_CLOCK`` says so.
 """
 
 import ctypes
@@ -21,17 +22,17 @@ from typing import Final, Literal, cast, get_args
 from ...errors import ConfigError
 
 SETTLES: Final = 600.0
-"""Seconds within which a time service sets the clock after a start, or comes back after it was restarted."""
+"""Seconds allowed for a time service to set the clock after a start of the machine, or to come back once lost."""
 _UNSYNCHRONISED_BIT: Final = 0x0040
 """``STA_UNSYNC`` of <sys/timex.h>."""
 
 ClockTrust = Literal["auto", "synchronised", "trusted"]
 _VARIABLE: Final = "BUSWAY_CLOCK"
-"""Environment variable with the `ClockTrust` of collectors whose file does not say it."""
+"""Environment variable with the `ClockTrust` of collectors whose file has no option ``clock``."""
 
 
 class Synchronisation(Enum):
-    """What the kernel says of the wall clock."""
+    """Whether the kernel says that a time service keeps the wall clock right; ``UNKNOWN`` if it cannot be asked."""
 
     YES = "synchronised"
     NO = "unsynchronised"
@@ -39,7 +40,7 @@ class Synchronisation(Enum):
 
 
 class _Timex(ctypes.Structure):
-    """The beginning of ``struct timex`` of Linux, and room for the rest of it."""
+    """The first fields of ``struct timex`` of Linux, and room for the others."""
 
     _fields_ = (
         ("modes", ctypes.c_uint),
@@ -65,16 +66,22 @@ def kernel_synchronisation() -> Synchronisation:
 
 
 def seconds_since_boot() -> float:
-    """Return the seconds since the machine was started, suspended time included; `time.monotonic` if not on Linux."""
+    """Return the seconds since the machine was started, including the time it slept.
+
+    On other systems than Linux it is `time.monotonic`.
+    """
     boot = getattr(time, "CLOCK_BOOTTIME", None)  # Linux alone has it
     return time.monotonic() if boot is None else time.clock_gettime(boot)
 
 
 def trust_of(option: ClockTrust | None) -> ClockTrust:
-    """Return how far the wall clock is trusted: ``option``; if that is None, what ``BUSWAY_CLOCK`` says, else ``auto``.
+    """Return how far the wall clock is trusted: ``option``, or else the value of ``BUSWAY_CLOCK``, or else ``auto``.
+
+    Args:
+        option: the option of the collector file; None if it has none.
 
     Raises:
-        ConfigError: ``BUSWAY_CLOCK`` has another value.
+        ConfigError: ``BUSWAY_CLOCK`` has a value that is no `ClockTrust`.
     """
     said = option or os.environ.get(_VARIABLE) or "auto"
     if said not in get_args(ClockTrust):
@@ -98,8 +105,9 @@ class ClockJudge:
     def is_known(self, says: Synchronisation, now: float) -> bool:
         """Return whether the wall clock is known to be right. To be called every few seconds.
 
-        With ``auto``: True unless the kernel says that the clock is unsynchronised, and either the machine has run for
-        less than `SETTLES`, or a time service that was there has been lost for `SETTLES`. Remembers what it was told.
+        With ``auto``: False if the kernel says that the clock is unsynchronised, and either no time service was seen
+        yet and the machine has run for less than `SETTLES` seconds, or a time service that was seen has been lost for
+        `SETTLES` seconds. Otherwise True. Each call is remembered for the later ones.
 
         Args:
             says: what the kernel says now.

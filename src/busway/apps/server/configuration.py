@@ -223,9 +223,10 @@ def parse_configuration(
 
 
 def _what_reads_it(error: FileError) -> FileError:
-    """Return the error about an invalid file; if it has a key of simulations alone, an error that names the command.
+    """Return the error to raise for an invalid file.
 
-    The command is the one that reads simulation files.
+    If the file has a key that only simulation files have, this is an error with the command that reads simulation
+    files; otherwise it is ``error``.
     """
     from ...config.files.simulation import is_only_of_simulations
 

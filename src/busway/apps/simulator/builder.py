@@ -221,7 +221,7 @@ def _in_order(
 ) -> dict[SimulatedPoint, int]:
     """Return the points with behaviours in an order in which formulas can be computed, each with its rank.
 
-    The rank is that of `Driven.rank`: how many times a value passes to a formula of another unit before.
+    The rank is the largest number of changes of unit along a chain of formulas that ends with the point's formula.
 
     Args:
         planned: the points with behaviours.

@@ -34,8 +34,8 @@ class Driven:
         point: the point.
         behaviour: the behaviour that the point follows.
         every: seconds between two changes.
-        rank: how many times, on the way to this point's formula, the value of a point is used by a formula in another
-            unit; 0 without such a formula. Lower ranks are computed first.
+        rank: largest number of changes of unit along a chain of formulas that ends with this point's formula; 0 if
+            there is none. Lower ranks are computed first.
         order: position among all points with behaviours; after the points that this point's formula needs.
     """
 
@@ -108,7 +108,8 @@ class _Batch:
     def run(self, time: float) -> list[SimulatedPoint]:
         """Give the points the values of their behaviours at a time, and return the points whose value has changed.
 
-        Points that were set by hand keep their values, and so do points whose behaviour has no value that fits.
+        Points that were set by hand keep their values; so do points of other types than floats if the behaviour returns
+        NaN.
         """
         changed: list[SimulatedPoint] = []
         changes = changed.append
@@ -153,8 +154,8 @@ class Engine:
 
     Attributes:
         changes: number of new values that points have got so far.
-        left_out: number of moments left out so far because the program could not keep up, added up over all groups of
-            points (points of one unit with the same ``every``).
+        left_out: number of moments left out so far because the program could not keep up; each group of points of one
+            unit with the same ``every`` and ``rank`` counts for itself.
     """
 
     def __init__(self, driven: Iterable[Driven], changed: Callable[[list[SimulatedPoint], float], None]) -> None:

@@ -46,7 +46,7 @@ class SimulatedPoint:
         number: the value in the unit of measure, as formulas use it; NaN if it is no number.
         stored: the value before scaling, as the registers hold it: a value of the type, or ``bool``; None if the
             registers hold no valid value of the type.
-        changed_at: when the value changed last, in seconds of the simulation.
+        changed_at: when the value changed or was set last, in seconds of the simulation.
         last_writer: ``simulation``, ``api``, or the address of a Modbus client.
     """
 
@@ -121,7 +121,7 @@ class SimulatedPoint:
 
     @property
     def scale(self) -> float:
-        """The factor by which the number in the registers is multiplied to give the value in the unit of measure."""
+        """The factor between registers and unit of measure: value = number in the registers × scale (+ an offset)."""
         return self.form.section.scale
 
     @property

@@ -141,7 +141,7 @@ class Simulation:
 
     @property
     def time(self) -> float:
-        """The current time of the simulation, in seconds since its beginning."""
+        """The current time of the simulation, in seconds since its beginning; without a clock that of the last tick."""
         return self._time if self._clock is None else self._time_at(self._clock.now())
 
     @property
@@ -151,7 +151,10 @@ class Simulation:
 
     @property
     def left_out(self) -> int:
-        """The number of moments at which points did not get their values because the program was too slow."""
+        """The number of moments at which points did not get their values because the program was too slow.
+
+        Each group of points that change together counts for itself.
+        """
         return self._engine.left_out
 
     def point(self, key: str) -> SimulatedPoint:

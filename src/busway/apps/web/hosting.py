@@ -55,7 +55,7 @@ class HostedPage(ABC):
             its own.
 
     Raises:
-        ConfigError: the address is invalid, or the token is too short.
+        ConfigError: the address is invalid, or the token is too short or has invalid characters.
     """
 
     title: ClassVar[str]

@@ -42,7 +42,7 @@ class ControlPage(HostedPage):
         streams: the WebSockets of the open pages.
 
     Raises:
-        ConfigError: the address is invalid, or the token is too short. Raised by `start`: traffic is recorded already.
+        ConfigError: the address or the token is invalid. Raised by `start`: traffic is recorded already.
     """
 
     title = "busway simulator"

@@ -5,7 +5,7 @@ passes everything on to the capture file if there is one.
 
 1. To keep a frame costs 8 µs and the memory for its bytes. To explain it costs ten times as much, so that is done once,
    and only for frames that are shown.
-2. Frames are numbered. A client asks for the frames after a number, and learns how many of them are no longer kept.
+2. Frames are numbered. A client asks for the frames after a number, and learns how many of them it does not get.
 3. Frames of the client connections of this program are left out.
 """
 

@@ -1,7 +1,7 @@
 """Keys of simulation files for behaviours: what makes the value of a simulated point change.
 
-Knows the keys of each kind and what they may be; computes no value (`apps.simulator.behaviours` does) and reads no
-formula (only their position; the simulator, which knows the points, checks them).
+Knows the keys of each kind and which values they can have; computes no value (`apps.simulator.behaviours` does) and
+parses no expression (the simulator, which knows the points, does).
 
 An example is in `docs/simulator.md`.
 
@@ -108,7 +108,7 @@ class NoiseSection(BehaviourSection):
 
 
 class RandomWalkSection(BehaviourSection):
-    """Behaviour ``random walk``: the value goes up and down in random steps."""
+    """Behaviour ``random-walk``: the value goes up and down in random steps."""
 
     begins: ClassVar[bool] = True
 

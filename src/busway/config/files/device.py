@@ -1,4 +1,4 @@
-"""The schema of device files: units with their tables and typed, named points, for every component that plays devices.
+"""The schema of device files: units with their tables and typed, named points, for servers, simulators and clients.
 
 Knows what can be written and what fits together; knows no device (`busway.config.devices` makes them).
 
@@ -362,7 +362,9 @@ class ReadSection(Section):
 
 
 def item_range(text: str) -> tuple[Table, ItemRange]:
-    """Return table and range that a text such as ``4x1-4x100`` names, both ends included; ``4x1`` is one item.
+    """Parse a range of items: ``4x1-4x100``, both ends included, or ``4x1`` for one item.
+
+    Returns the table, and the range as offsets: of the first item, and after the last.
 
     Raises:
         InvalidRequest: the text is no range of items of one table.

@@ -24,7 +24,7 @@ from .schema import NO_TABLE, FileProblems, Section, Source, keys_of
 
 _MOST_SECONDS: Final = 366 * 86_400.0
 _OFFSETS: Final = re.compile(r"\s*[0-9]{1,4}\s*((\.\.|…|-)\s*[0-9]{1,5}\s*)?")
-"""A number or a range without a table. A number of five digits is the notation of an address, such as ``40001``."""
+"""Matches a number or range of items without a table. One that begins with five digits is an address: ``40001``."""
 
 
 def _as_parameter(value: object) -> object:

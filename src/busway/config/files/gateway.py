@@ -33,7 +33,7 @@ NOT_OF_GATEWAYS: Final = {
     "deadline": "client_deadline of a listener says when its clients have given up",
     "max_connections": "connections says how many there are",
 }
-"""Options of links that have no effect in a gateway, and what there is instead."""
+"""By name, the options of links that have no effect in a gateway, each with the reason for the error message."""
 
 
 def is_gateway(sections: Container[str]) -> bool:

@@ -37,7 +37,7 @@ class ListenerSection(OptionSection):
 
     checked_later: ClassVar[tuple[type[Any], ...]] = (TlsParameters, ListenerParameters)  # with those of [security]
     on_lines: ClassVar[frozenset[str]] = frozenset({"url"})
-    """Keys that have an effect on a serial line too."""
+    """Names of the keys that have an effect on a serial line; the others are refused for such a listener."""
 
     url: Annotated[Url, "the endpoint to listen on."]
     allow: Hosts = NO_LIST

@@ -2,7 +2,7 @@
 
 Knows declared options (`busway.options.declaration`) and pydantic; knows no particular option.
 
-1. A key has the name and the type of the option; the text ``none`` is the value of an option that has none.
+1. A key has the name and the type of the option; for an option that can be None, the text ``none`` means None.
 2. Each key is checked by its declaration; the parameter class checks what goes together when all of its keys are there.
 """
 

@@ -5,7 +5,7 @@ Pure: knows no device, no file and no clock.
 1. A key names a command for ever. Keys that the collector makes begin with `MADE`; keys of callers must not.
 2. Times are seconds since 1970 UTC.
 3. What a caller gives has limits: lengths of texts and lists, and how far away the expiry is. Texts must be possible in
-   UTF-8, because journal and answers hold them; the name of the giver has only printable characters.
+   UTF-8, because journal and answers hold them; the name of the writer has only printable characters.
 """
 
 import json
@@ -38,7 +38,7 @@ _HALF_PAIR: Final = re.compile(r"[\ud800-\udfff]")
 
 
 class CommandState(StrEnum):
-    """States of a command while it is open, and the states with which it can end."""
+    """States of a command: OPEN until it ends, and the states with which it can end."""
 
     OPEN = "open"  # recorded, and not finished
     DONE = "done"  # the device has answered, and shows the value where the rule asks for that
@@ -70,7 +70,7 @@ class PointCommand:
     Attributes:
         key: names the command for ever; a command with this key is sent at most once.
         device, point: the point to write.
-        value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
+        value: a number in the unit of measure, a state, a text, the name of a number, or a list of names of flags.
         by: name of the person or program that gives it.
         origin: by which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``, ``fleet``.
         expires: until when it may be sent, seconds since 1970 UTC.
@@ -102,7 +102,7 @@ class PointCommand:
         _check_value(self.value)
 
     def is_same(self, other: "PointCommand") -> bool:
-        """Whether another command writes the same value to the same point; key, giver and expiry do not matter."""
+        """Whether another command writes the same value to the same point, whatever its key, writer and expiry."""
         return (self.device, self.point) == (other.device, other.point) and same_value(self.value, other.value)
 
 

@@ -83,8 +83,8 @@ class InputMessage:
         where: its topic or subject.
         payload: its content.
         by: name of the sender, as a header or property of the message says; empty if none says.
-        seconds_left: seconds from its arrival until it expires; None if the broker sets no limit.
-        is_retained: whether a broker keeps it for later subscribers.
+        seconds_left: seconds from its arrival until it expires; None if the message has no expiry of its own.
+        is_retained: whether it was published with the retain flag, so that a broker keeps it for later subscribers.
         arrived: when it arrived, seconds of the monotonic clock; None for now.
     """
 
@@ -174,7 +174,7 @@ class CommandReceiver:
     In a fleet, creating it makes ``made`` join the group of the collectors (`CommandInput.join`).
 
     Args:
-        name: the name of the sink whose table asks for the commands; it begins the name of their giver.
+        name: the name of the sink whose table asks for the commands; ``by`` of each command begins with it.
         made: receives the messages from the server.
         runner: executes the commands.
         configuration: returns the present configuration.

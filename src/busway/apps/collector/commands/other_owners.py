@@ -28,8 +28,8 @@ class OtherOwners(Protocol):
         """Return whether this collector answers a message for a device, where each message goes to all collectors.
 
         The owner of the device's link answers. For a link without an owner, and for a message without a device, one
-        collector answers, the same in the view of all. If a link seems to have no owner, ownership is looked up again
-        after a pause.
+        collector answers, which all choose alike. If a link seems to have no owner, ownership is looked up again after
+        a pause.
 
         Args:
             device: name of the device; None for a message that names none.

@@ -47,7 +47,7 @@ class PointRead:
         """Return the point's own part of a reply's data: the bytes of its registers, or for a bit one byte, 0 or 1.
 
         Raises:
-            InvalidRequest: the reply has not the number of bytes that the request asked for.
+            InvalidRequest: the reply has more or fewer bytes than the request asked for.
         """
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width

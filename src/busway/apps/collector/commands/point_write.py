@@ -55,7 +55,7 @@ class PointWrite:
     Attributes:
         point: the point.
         value: the value to write.
-        exponents: the values of the points named in ``scale_from``, by name.
+        exponents: values of points that other points name in ``scale_from``, by name: exponents of ten.
         function: the function code of the write: 5, 6, 15, 16 or 22.
         before: the read that must come first, because the point is only some bits of its register; None if none is
             needed.
@@ -104,7 +104,7 @@ class PointWrite:
     # Confirming.
 
     def shows(self, data: bytes) -> tuple[bool, Reading]:
-        """Compare data that was read back with the written value. Only if ``shown`` is not None.
+        """Compare data that was read back with the written value. Call it only if ``shown`` is not None.
 
         Args:
             data: the bytes that the read ``shown`` returned for its point (`PointRead.own`).
@@ -131,8 +131,8 @@ def point_write(
 
     Args:
         point: the point.
-        value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
-        exponents: the values of the points named in ``scale_from``, by name.
+        value: a number in the unit of measure, a state, a text, the name of a number, or a list of names of flags.
+        exponents: values of points that other points name in ``scale_from``, by name: exponents of ten.
         rules: the limits for reading the device; None for no limits.
 
     Raises:

@@ -259,11 +259,12 @@ class CommandRunner:
     ) -> CommandResult:
         """Write a value to a point by a command, and return the command's result.
 
-        A command with a key that was used before is not sent again: its first result is returned.
+        If the same command was given before with this key, it is not sent again, and the result of the first is
+        returned. If the key was used for another command, the result is a refusal.
 
         Args:
             device, point: the point to write.
-            value: a number in the unit of measure, a state, a text, or a name of a number; a list of flags.
+            value: a number in the unit of measure, a state, a text, the name of a number, or a list of names of flags.
             by, origin: who gives the command, and by which way it came.
             expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.
             key: names the command for ever, without the prefix `MADE`; None for a new key.
@@ -858,7 +859,7 @@ async def _asked(poller: LinkPoller, device: str, request: Request, seconds: flo
 
 
 async def _in_turn(poller: LinkPoller, device: str, make: Callable[[], Awaitable[_T]]) -> _T:
-    """Have the poller of a link call ``make`` before its next reads, and return the result.
+    """Have the poller of a link call ``make`` before its next reads, and return the result of ``make``.
 
     Raises:
         Overloaded: too many writes wait for the link; nothing was sent.

@@ -126,10 +126,10 @@ class Delivery:
         monotonic: Callable[[], float] = time.monotonic,
         pause: Callable[[float], Awaitable[object]] = asyncio.sleep,
     ) -> None:
-        """Continue after the sink's cursor, the last commit it got; a new sink begins with the oldest samples.
+        """Prepare to send what follows the sink's cursor, the last commit that it got; `run` sends.
 
-        The cursor of a new sink is put into the manifest. A sink that shows current values is told the last samples
-        that it got (`CurrentSink.remember`).
+        A new sink begins with the oldest samples; its cursor is put into the manifest. A sink that shows current values
+        is told the last samples that it got (`CurrentSink.remember`).
 
         Args:
             name: the name of the sink and of its cursor.

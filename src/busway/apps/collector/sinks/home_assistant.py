@@ -6,7 +6,8 @@ Pure. Knows points and units of measure; knows no topics.
    and no other class has the unit. Home Assistant refuses an entity whose unit does not go with its class.
 2. Numbers are measurements. Counters with a rollover and energies are totals that only grow; the energy dashboard takes
    no others. Texts, states, and numbers that stand for names have no state class.
-3. ``meta`` of the point overrides both, by ``device_class`` and ``state_class``; an empty text leaves them out.
+3. ``meta`` of the point overrides device class and state class, by the keys ``device_class`` and ``state_class``; an
+   empty text leaves the class out.
 
 Home Assistant, Sensor entity: "Available device classes", "Available state classes". MQTT sensor, MQTT binary sensor.
 """

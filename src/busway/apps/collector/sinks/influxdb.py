@@ -3,7 +3,8 @@
 Knows lines and what the answers mean; the protocol is httpx's (``busway[influxdb]``).
 
 1. A line is ``measurement,device=…,point=… value=…,reason=…i time``. Tags and time are the key, so a line that comes
-   again replaces itself. Texts are in the field ``text``: a field has one type. A bad sample has ``reason`` alone.
+   again replaces itself. Texts are in the field ``text``: a field has one type. Without a value, there is only
+   ``reason``.
 2. A line of an event of an alarm is ``alarms,device=…,point=…,limit=H,event=raised commit=…i,place=…i,value=… time``,
    with the fields ``text`` and ``by``: its tags and time are its key too.
 3. 400, 413 and 422 mean that these lines are refused. Any other error is one of the server or of the credentials, and

@@ -210,7 +210,10 @@ class MqttSink:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names that a device and a point have in topics, or in Home Assistant (`TopicSink`)."""
+        """Return the names of a device and a point in topics; with discovery, those in Home Assistant (`TopicSink`).
+
+        Without ``per_point`` the name of the point is in no topic, and unchanged.
+        """
         if self._discovery is not None:
             return _plain(device), _plain(point)
         return topic_level(device), topic_level(point) if self._per_point else point

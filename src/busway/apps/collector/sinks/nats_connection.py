@@ -30,7 +30,10 @@ def nats_client_kind() -> Any:  # Any: the package is loaded when it is used
                 raise
 
         def _connect_command(self) -> bytes:
-            """Return the first bytes that the library sends to a server, which contain the credentials."""
+            """Return the first bytes that the library sends to a server, which contain the credentials.
+
+            Raises an error of the library if ``must_encrypt`` is set and the server offers no TLS.
+            """
             if self.must_encrypt and not self._server_info.get("tls_required"):
                 raise nats.errors.Error("it offers no TLS, which the URL asks for; nothing was sent")
             command: bytes = super()._connect_command()

@@ -175,7 +175,7 @@ class LastValues:
     def intervals(self) -> dict[str, StateInterval]:
         """Return for each device the last interval in which it was not read; its end is None while it lasts.
 
-        Skipped rounds are not such intervals.
+        Skipped rounds are not such intervals. Devices without an interval since the start are left out.
         """
         with self._lock:
             return dict(self._intervals)

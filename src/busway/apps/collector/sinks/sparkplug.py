@@ -118,7 +118,8 @@ class _Device:
 def _wider(known: DataType | None, value: Value) -> DataType:
     """Return the type of a metric that gets a new value; ``known`` is its type so far, None for a new metric.
 
-    A metric of type DOUBLE or UINT64 keeps its type for an integer that this type holds exactly.
+    A metric of type DOUBLE or UINT64 keeps its type for an integer that this type holds exactly; else the type is that
+    of the value.
     """
     new = type_of(value)
     if not isinstance(value, int) or isinstance(value, bool):
@@ -685,7 +686,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
 
 
 def _kind_in_message(value: Value) -> DataType:
-    """Return the type of a value for `_parts`: an integer that a float holds exactly counts as DOUBLE."""
+    """Return the type of a value for `_parts`: an integer of less than `_MOST_EXACT` counts as DOUBLE, like floats."""
     kind = type_of(value)
     return DataType.DOUBLE if kind is DataType.INT64 and abs(int(value)) < _MOST_EXACT else kind
 

@@ -1,7 +1,7 @@
 """Reads the alarm events of a store, from the open segment and the manifest together, and deletes old ones.
 
-Knows both places. A segment has its own events; when it ends they move into the manifest, in the transaction that lists
-the segment as finished, so that they outlive its samples.
+Knows segments and the manifest. A segment has its own events; when it ends, they are copied into the manifest, in the
+transaction that lists the segment as closed, so that they outlive its samples.
 """
 
 import sqlite3

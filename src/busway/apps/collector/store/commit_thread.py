@@ -2,7 +2,8 @@
 
 Knows when to commit, and what to do while that fails; knows nothing of segments.
 
-1. A sample is committed at most `INTERVAL` after it was added, while the disk keeps up. Then subscribers are told.
+1. A sample is committed at most `INTERVAL` seconds after it was added, while the disk keeps up. Then subscribers are
+   called.
 2. While commits fail (a full disk), samples wait in memory, up to a limit. Beyond it the oldest are dropped and
    counted, and the next commit that succeeds records the time of the dropped samples as a gap, with their number.
    Polling never waits.
@@ -14,7 +15,7 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
 6. Names and descriptions of points change between two commits: samples that were added before are stored under the
    names of that time.
 7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit;
-   subscribers are told of them all the same, because they show that the earlier values still hold.
+   subscribers are called with them nevertheless, because they show that the earlier values still hold.
 8. Last values come from commits. `Committer.is_behind` says when they are out of date, because commits fail or hang.
 """
 
@@ -394,7 +395,10 @@ class Committer:
         return taken
 
     def _is_next(self, queued: StateInterval | Gap | AlarmEvent) -> bool:
-        """Whether the next commit may contain ``queued``: while wrong times are queued, it must have one of these."""
+        """Whether the next commit may contain ``queued``.
+
+        While a correction is queued and wrong times are not all stored, it must have been queued before the correction.
+        """
         correction = self._correction
         return correction is None or correction.last is not None or id(queued) in correction.others
 
@@ -592,6 +596,7 @@ class Committer:
 def _key_of(interval: StateInterval | Gap) -> tuple[str, int, int]:
     """Return what identifies an interval in which a device was not read: device, begin and reason.
 
-    It is the same for the two entries of an interval, one for its begin and one for its end.
+    It is the same for the two entries of an interval, one for its begin and one for its end. The device of a gap is
+    empty.
     """
     return "" if isinstance(interval, Gap) else interval.device, interval.begin, interval.reason

@@ -432,9 +432,10 @@ class Manifest:
             database.execute("DELETE FROM unlinks WHERE file = ?", (file,))
 
     def intervals(self, after: int = 0) -> list[IntervalRow]:
-        """Return the intervals of sealed segments that were stored after a commit number, ordered by commit.
+        """Return the intervals in the manifest that were stored after a commit number, ordered by commit.
 
-        Intervals of open and closed segments are in the segment files.
+        They are those of sealed segments, and some of dropped ones. Intervals of open and closed segments are in the
+        segment files.
         """
         rows = self._all("SELECT * FROM intervals WHERE commit_number > ? ORDER BY commit_number", after)
         return [IntervalRow(*row) for row in rows]
@@ -602,7 +603,7 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """Return for each sink the last commit that it got (its cursor), and the number of samples lost for it."""
+        """Return by name of sink the last commit that it got (its cursor), and the number of samples lost for it."""
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:

@@ -66,8 +66,8 @@ class Counter:
     def value(self, time: float) -> float:
         """Return the value of the counter at a time, in seconds of the simulation.
 
-        Since the last call or `resume`, it has grown by the rate that the last `observe` has computed. If that was at a
-        later time, the value is returned unchanged.
+        Since the last call of `value` or `resume`, the counter has grown by the rate that the last `observe` has
+        computed. If that call was for a later time, the value is returned unchanged.
         """
         value = self._value + self._seen * max(time - self._time, 0.0)
         self._value = value if self._rollover is None else value % self._rollover
@@ -142,8 +142,8 @@ class Lag:
     def value(self, time: float) -> float:
         """Return the lagging value at a time, in seconds of the simulation.
 
-        It approaches the target that the last `observe` has computed. It does not change without a finite target, or if
-        it was computed for a later time already.
+        Since the last call of `value` or `resume`, the value has approached the target that the last `observe` has
+        computed. It has not changed if that target is not finite, or if that call was for a later time.
         """
         if math.isfinite(self._seen):
             way = self._value - self._seen

@@ -38,7 +38,7 @@ class Constant(_Timeless):
 class Ramp(_Timeless):
     """Behaviour ``ramp``: the value goes from ``first`` to ``last`` in ``duration`` seconds, on a straight line.
 
-    Then it stays, starts again from ``first``, or goes back to ``first`` in the same way, as ``at_end`` says.
+    Then, as ``at_end`` says, it stays, or starts again from ``first``, or goes back to ``first`` and forth again.
     """
 
     __slots__ = ("_at_end", "_duration", "_first", "_rise")
