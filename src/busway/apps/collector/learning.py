@@ -20,8 +20,8 @@ What the device refuses:
 4. Test reads ask for each half of a refused read once, at low priority; then for the halves of a half that is refused.
    An item that is refused alone is a hole.
 5. If both halves succeed, a test read of the items on both sides of the cut finds the reason. If it is refused, the
-   device has a hole or a border there; if it succeeds, the read was too wide. The largest width is then found by reads
-   of widths in between.
+   device has a hole or a border there; if it succeeds, the read was too wide, unless an equally wide read has
+   succeeded before: then no reason is found. The largest width is found by reads of widths in between.
 6. A fact that is learnt is used from then on, and not tested again.
 """
 

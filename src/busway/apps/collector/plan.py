@@ -3,7 +3,7 @@
 Knows items, what a device allows, and what a read costs; knows no clock, no socket and no value.
 
 1. An item is the place of one value. The bits of one register are one item, an atomic group is one item, and an item
-   inside another is free.
+   that lies inside another one takes no extra time.
 2. A value is never split over two reads.
 3. Reads stop at forbidden registers, at the borders of readable ranges and at those of exact blocks.
 4. A register that belongs to no item could change when it is read. So a hole of such registers between two items is
@@ -58,7 +58,7 @@ class ReadItem(Protocol):
 
     @property
     def group(self) -> Hashable | None:
-        """The atomic group of the item: all its items must be read by one request. None for no group."""
+        """The atomic group of the item: all items of a group must be read by one request. None for no group."""
 
 
 @dataclass(frozen=True, slots=True)

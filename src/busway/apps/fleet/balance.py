@@ -5,13 +5,14 @@ and carries out only its own part of the plan.
 
 1. The load of a shard is the line time that polling its links needs: seconds per second, from the read plans. The fair
    load of a collector is its part of the sum of all loads, in proportion to its capacity.
-2. Free shards go to the least loaded, the dearest shard first.
+2. Free shards go to the least loaded collector, the shard with the highest load first.
 3. Shards begin to move when the load of a collector is further than `BEGIN` from its fair load, and go on moving until
    all collectors are within `END`. So small changes of loads move nothing.
-4. A move takes the shard that levels giver and taker best: the fewest moves, since each costs its links a moment.
-5. If no move improves the balance any more, two collectors exchange a dearer and a cheaper shard, if that removes at
-   least half of the difference between them: if shards are few and unlike, nothing else levels the loads. Each
-   collector takes part in one exchange at a time.
+4. A move takes the shard that makes the loads of giver and taker most equal, so that few moves are needed: each move
+   interrupts the polling of its links for a moment.
+5. If no move improves the balance any more, two collectors exchange a shard with more load for one with less, if that
+   removes more than half of the difference between the collectors: if shards are few and unlike, nothing else levels
+   the loads. Each collector takes part in one exchange at a time.
 6. A collector that drains gives away all its shards. A pinned shard (`pinned_shard`) goes only to a collector on one of
    its hosts, the first host with a live collector; it never moves to level loads.
 """
@@ -74,9 +75,9 @@ class Move:
 def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]:
     """Return which collector should take each shard (group of links) that has no owner, by name of the shard.
 
-    The dearest shard is placed first; each goes to the collector whose load relative to its capacity is then lowest. A
-    pinned shard goes to a collector on the first of its hosts that has one. Shards that no collector may take are left
-    out.
+    The shard with the highest cost is placed first; each goes to the collector whose load relative to its capacity is
+    then lowest. A pinned shard goes to a collector on the first of its hosts that has one. Shards that no collector may
+    take are left out.
 
     Args:
         free: the cost of each shard without owner, by name, in seconds of line time per second.
@@ -117,7 +118,7 @@ def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, mo
 
 
 def _drained(owned: Mapping[str, tuple[str, float]], state: Mapping[str, Share], able: list[Share]) -> list[Move]:
-    """Return the moves of shards (groups of links) away from the collectors that drain, the dearest shard first.
+    """Return the moves of shards (groups of links) away from the collectors that drain, the costliest shard first.
 
     Changes the loads of the collectors in ``state``.
 
@@ -274,7 +275,7 @@ class _Takers:
             heapify(heap)
 
     def take(self, shard: str, cost: float) -> Share | None:
-        """Choose the collector for a shard, add the shard's cost to its load, and return it.
+        """Choose the collector for a shard, add the shard's cost to the collector's load, and return the collector.
 
         None if no collector may own the shard.
 

@@ -68,7 +68,7 @@ class Coordinator(Protocol):
             value: content of the entry, at most `LONGEST_VALUE` bytes.
 
         Raises:
-            RevisionConflict: the entry exists.
+            RevisionConflict: the entry exists, perhaps as a deleted one; nothing was changed.
             CoordinatorDown: nothing was changed.
             OutcomeUnknown: the entry may have been added.
             ConfigError: the value is too long; nothing was changed.

@@ -433,7 +433,10 @@ class FleetCollector:
         self._permitted[link] = self._now()
 
     def _may_send(self, link: str) -> bool:
-        """Whether a frame may be sent on a link now: True if it reaches the device before the lease ends (rule 2)."""
+        """Whether a frame may be sent on a link now (rule 2).
+
+        True if this collector owns the link by a lease that ends later than any byte of the frame can reach the device.
+        """
         times = self._times_of.get(link)
         worst = math.inf if times is None else times.after_sending
         return self.member.may_begin(self.shard_of(link), self._now(), worst)
@@ -445,7 +448,7 @@ class FleetCollector:
             self._held_until[link] = self._now() + times.after_sending
 
     def _held_for(self, links: Iterable[str]) -> float:
-        """Return the seconds from now for which a gateway behind one of some links may still hold a request."""
+        """Return for how many more seconds a gateway behind any of these links may hold a request; 0 if none does."""
         now = self._now()
         for link in [link for link, until in self._held_until.items() if until <= now]:
             del self._held_until[link]

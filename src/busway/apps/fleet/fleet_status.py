@@ -79,7 +79,7 @@ class ZoneStatus:
 
 
 async def zone_status(coordinator: Coordinator, seconds: float) -> ZoneStatus:
-    """Return the status of a zone; first follow its table until every collector that has not ended renewed its entry.
+    """Return the status of a zone, after following its table until each running collector has renewed its entry.
 
     Args:
         coordinator: the coordinator of the zone; not closed here.

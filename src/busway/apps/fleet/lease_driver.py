@@ -1,4 +1,4 @@
-"""The asyncio driver of a fleet member: makes its proposed changes at the coordinator, and tells it the answers.
+"""The asyncio driver of a `FleetMember`: makes its proposed changes at the coordinator, and passes the answers back.
 
 Knows tasks and the clock; which changes are proposed, and what follows from an answer, is decided by `lease_holder`.
 

@@ -1,9 +1,9 @@
-"""Gaps of ownership: times in which a link had no owner, because the former one fell silent.
+"""Gaps of ownership: times in which a link had no owner, because its former owner fell silent.
 
 Pure: knows no file, stream or sink.
 
-1. The new owner records a gap, from the last renewal of the lease before to the begin of its own ownership. The former
-   owner may have gone on for a while after that renewal.
+1. The new owner records a gap: from the former owner's last renewal of the lease to the begin of the new ownership. The
+   former owner may have polled for a while after that renewal, so the real gap can be shorter.
 2. Nothing of a device is missing before its newest sample in the gap, so the time of that sample is the true begin.
    The sample may be of either owner, and may arrive late: then a later sample moves the begin to its own time, and an
    earlier one changes nothing. The order in which samples arrive does not matter.

@@ -1,12 +1,12 @@
 """The part of a plant's configuration that one collector of a fleet works on, and what its links need.
 
-1. What has one owner is the endpoint, however many links name it, and however they spell it: a line has one master.
-   Links to one endpoint are in one shard, that of the first of their names.
+1. An endpoint has one owner, no matter how many links name it and how they spell it: a serial line has one master. All
+   links to one endpoint are in one shard, that of the link whose name sorts first.
 2. A serial port is a port of one machine: another machine has another line, or none, under the same path. Links to it
    name their hosts, unless all collectors are on one machine.
 3. A gateway may hold a request in a queue and send it to the device later, also when its client has gone. The plant
    says for how long (``gateway_wait`` of a link); that time is a part of each transaction. Where links to one endpoint
-   say different times, the longest counts for all: what one of them sends, the device hears.
+   say different times, the longest counts for all, because all of them reach the same devices.
 4. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
    move an endpoint from one shard to another while a collector may live.
 """
@@ -63,6 +63,7 @@ def name_edge_nodes(configuration: CollectorConfiguration, member: str) -> None:
 def with_short_user_timeout(configuration: CollectorConfiguration) -> CollectorConfiguration:
     """Return a copy of a configuration in which no link has a ``user_timeout`` above its timeout for a reply.
 
+    A timeout below 0.1 s counts as 0.1 s here. Links without this option, such as serial ones, stay as they are.
     ``user_timeout`` is how long TCP repeats bytes that the device has not acknowledged. With the default of 30 s a
     request could still reach the device, once a cable is mended, after another collector has taken over the link.
     """

@@ -115,7 +115,7 @@ class MemberRecord:
         gone: True once the collector has released all its shards and ended; False while it runs or if it was killed.
         at: when the record was written, seconds since 1970 UTC by the collector's wall clock; shows wrong clocks.
         problem: why the collector may own no shard; empty while it may.
-        behind: commits of the collector's store that not all sinks have.
+        behind: number of commits of the collector's store that not all sinks have.
     """
 
     name: str

@@ -6,7 +6,7 @@ Pure: knows what nats-server reads, and public keys; secrets are made elsewhere 
 2. Words that an older server refuses are left out: ``sync_interval`` is for 2.10 and newer.
 3. An edge site is a server of its own whose streams are a domain with the name of its zone. It connects to the centre
    as a leaf node, for the account of its zone alone. nats-server 2.9 knows leaf nodes by passwords, not by nkeys:
-   these are in files of their own (`LEAFS_FILE`, `site_secret_text`).
+   the passwords are in secret files of their own (`LEAFS_FILE`, `site_secret_text`).
 4. Each zone has an account of its own, so subjects and streams of one zone do not exist for another.
 """
 

@@ -1,7 +1,8 @@
 """Shards: the groups of links that move between the collectors of a zone as a whole.
 
 Pure; knows names only. A lease costs the coordinator a message every few seconds, so links are owned in groups. The
-group of a link follows from its name alone: every collector finds the same one without asking.
+group of a link follows from its name alone, or from its hosts if only some hosts can reach it: every collector finds
+the same group without asking.
 """
 
 import hashlib

@@ -6,7 +6,7 @@ passes everything on to the capture file if there is one.
 1. To keep a frame costs 8 µs and the memory for its bytes. To explain it costs ten times as much, so that is done once,
    and only for frames that are shown.
 2. Frames are numbered. A client asks for the frames after a number, and learns how many of them it does not get.
-3. Frames of the client connections of this program are left out.
+3. Frames of the client connections of this program with Modbus TCP framing are left out.
 """
 
 import time
@@ -92,11 +92,11 @@ class Passed:
 
 
 class Traffic:
-    """Records the latest Modbus frames of a server, on connections that are opened between `start` and `stop`.
+    """Records the latest Modbus frames on connections and lines that are opened between `start` and `stop`.
 
     Args:
-        ports: called for each new connection; returns the ports that the server listens on. Connections to other local
-            ports are not recorded.
+        ports: called for each new connection with Modbus TCP framing; returns the ports that the server listens on.
+            Such connections with another local port are not recorded.
         kept: number of the latest frames that are kept.
         functions: the table of functions with which PDUs are explained.
         clock: returns seconds since 1970 UTC.
@@ -197,8 +197,8 @@ class Traffic:
     def line(self, name: str) -> "LineRecorder":
         """Return the recorder for the frames of a serial line, or of a connection with serial framing.
 
-        Called by `busway.observe.trace`. Frames of a line that is opened after `stop` are passed to the capture file
-        alone.
+        Called by `busway.observe.trace` for each such line or connection of this program, of a server or of a client
+        link. Frames of one that is opened after `stop` are passed to the capture file alone.
 
         Args:
             name: name of the line, shown as the peer of its frames.
