@@ -33,6 +33,7 @@ class ModbusError(Exception):
     """Base of all errors of this library.
 
     Attributes (each ``None`` where it does not apply or is not known):
+        message: what is wrong, in words, without the facts in the other fields; never None.
         endpoint: URL of the device, line or server that was asked.
         unit: unit identifier, 0…255.
         function: function code of the request, 1…127.

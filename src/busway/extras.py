@@ -56,9 +56,10 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 
 
 def missing_extra(error: ImportError) -> MissingExtra | None:
-    """Return a `MissingExtra` if ``error`` is the failed import of an optional package of `EXTRA_OF`; None otherwise.
+    """Return a `MissingExtra` if ``error`` is the failed import of an optional package; None otherwise.
 
-    The message of the new error says that "this command" needs the package. It is returned, not raised.
+    A package is found by its top-level name, which must be a key of `EXTRA_OF`: ``nats`` for ``nats.js``. The message
+    of the new error says that "this command" needs the package. The new error is returned, not raised.
     """
     package = (error.name or "").partition(".")[0]
     if package not in EXTRA_OF:

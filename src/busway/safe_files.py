@@ -194,7 +194,9 @@ def _give_rights(handle: int, like: os.stat_result) -> None:
 
 
 def past_links(path: str | os.PathLike[str]) -> str:
-    """Return the absolute path of a file with all symbolic links resolved; the file itself may be missing.
+    """Return the absolute path of a file with all symbolic links resolved; the file itself can be missing.
+
+    If a folder in the path is missing, the rest of the path is returned as it was given.
 
     Raises:
         ConfigError: a link in the path belongs to another user, there are more than 40 links (they may form a circle),

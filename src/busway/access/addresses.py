@@ -24,7 +24,7 @@ def allow_all(host: str) -> bool:
 def both(server: HostAuthorizer, listener: HostAuthorizer | None) -> HostAuthorizer:
     """Return a host check that permits a host only if the server's check and the listener's check both permit it.
 
-    Without a check of the listener (None) it is the server's check.
+    If ``listener`` is None, the result is ``server`` itself.
     """
     if listener is None:
         return server
@@ -43,8 +43,11 @@ class AddressList:
         deny: addresses and networks that may not connect, even if ``allow`` has them.
         secure: whether a host that is in neither list is refused; None: only if ``allow`` is not empty.
 
+    Attributes:
+        allow, deny, secure: the same; ``secure`` is True or False.
+
     Raises:
-        ConfigError: an entry is no address or network; names the entry.
+        ConfigError: an entry is no address or network; the error names the entry.
     """
 
     __slots__ = ("allow", "deny", "secure")

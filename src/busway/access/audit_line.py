@@ -4,17 +4,17 @@ Knows requests and their outcome; writes nothing. Lines are formatted by hand fr
 write thousands of times a second. For writes on the fast path (`busway.access.fast_path_rights`) all but time, address
 and items is prepared.
 
-===============  =====================================================================================
+===============  ===========================================================================================
 key              value
-===============  =====================================================================================
+===============  ===========================================================================================
 ``time``         when the request was denied or answered, UTC: ``2026-03-01T12:00:00.250Z``
 ``peer``         ``host:port`` of the client, or the name of a serial line
 ``role``         role of the client's certificate; null without one
 ``listener``     URL of the listener
 ``unit``         0…255
 ``function``     function code; ``sub_function`` beside it for 08 and 43
-``address``      first item, 0-based; null if the request touches no table
-``count``        number of items
+``address``      first item, 0-based, of function 23 the first one written; null if the request touches no table
+``count``        number of items, for files of registers; null if the request touches neither items nor files
 ``old``          items before a write that was executed; null if they are not known
 ``new``          items that were, or would have been, written; null if they are not known
 ``outcome``      ``done``, ``exception`` (the device refused), ``denied`` (by a rule), ``no answer``
@@ -22,7 +22,7 @@ key              value
 ``rule``         name of the rule that decided; ``default`` if no rule applied
 ``repeated``     number of equal denials (same host, role and rule) since their last line; this line shows the latest of
                  them. Absent if the line is about one denial alone
-===============  =====================================================================================
+===============  ===========================================================================================
 
 Some functions have further keys: ``masks`` of function 22, ``records`` (``[file, record, count]``) of 20 and 21,
 ``data`` (hexadecimal) of requests without known items.
@@ -55,7 +55,7 @@ _NULL: Final = "null"
 
 
 def who_text(client: Requester) -> str:
-    """Return the JSON members that all audit lines of one client share: its address, role and listener.
+    """Return the JSON members that all audit lines of one client share: ``"peer":…,"role":…,"listener":…``, no braces.
 
     Also stores the text in ``client.audit_text``, for the next line.
     """
@@ -123,16 +123,17 @@ DONE: Final[dict[type[Request], Done]] = {
     WriteMultipleCoils: _done_bits,
     WriteMultipleRegisters: _done_registers,
 }
-"""By request class, for functions that write one range and do nothing else: a formatter that takes address, count, old
-and new items in wire order, and returns them as JSON text.
+"""By request class, a function that formats the items of an executed write, for functions that only write one range.
+
+It takes address, count, old and new items in wire order, and returns the JSON text from the address on.
 """
 
 
 def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
     """Return outcome (``done``, ``exception`` or ``no answer``) and exception code of a request for its audit line.
 
-    The code is None unless the outcome is ``exception``. The outcome of None, and of a reply that is still deferred, is
-    ``no answer``.
+    ``reply`` is the reply to the request. Its code is None unless the outcome is ``exception``. If ``reply`` is None or
+    a `Deferral`, the outcome is ``no answer``. The outcome ``denied`` is not found here.
     """
     if isinstance(reply, ExceptionResponse):
         return "exception", int(reply.exception)
@@ -140,10 +141,11 @@ def outcome_of(reply: Message | Deferral | None) -> tuple[str, int | None]:
 
 
 def _facts(request: AnyRequest, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return three pieces of a request's audit line.
+    """Return three pieces of a request's audit line, as JSON.
 
-    The members ``"function":…,"address":…`` without braces, then the old and the new values as JSON lists, or ``null``
-    where they are unknown or where there are none. ``replaced``: the values before; None if unknown.
+    The first has the members ``"function":…,"address":…,"count":…`` and those of the function, without braces. The
+    second and third are the old and the new values as lists, or ``null`` where they are unknown or there are none.
+    ``replaced`` has the old values; None if unknown.
     """
     if isinstance(request, ReadFileRecord | WriteFileRecord):
         return _file_facts(request, replaced)
@@ -183,7 +185,7 @@ def _coils_facts(request: WriteMultipleCoils, before: bytes | None) -> tuple[str
 
 
 def _file_facts(request: ReadFileRecord | WriteFileRecord, replaced: Replaced | None) -> tuple[str, str, str]:
-    """Return the three JSON texts for an audit line about functions 20 and 21, with all groups of file records."""
+    """Return the three pieces of `_facts` for functions 20 and 21, with all groups of file records."""
     groups: Sequence[FileReference | FileData] = request.groups
     records = [[group.file, group.record, group.count] for group in groups]
     count = sum(group.count for group in groups)
@@ -201,7 +203,7 @@ def _unread_facts(request: OpaqueRequest | MalformedRequest, before: bytes | Non
 
 
 def _other_facts(request: Request, before: bytes | None) -> tuple[str, str, str]:
-    """Return the three JSON texts for an audit line about reads, requests without a table, and the user's functions."""
+    """Return the three pieces of `_facts` for reads, requests without a table, and the user's functions."""
     spans = request.spans()
     span = next((span for span in spans if span.writes), spans[0] if spans else None)
     what = f'"function":{request.code:d}'

@@ -52,14 +52,17 @@ _LATE: Final = 1.0
 
 
 class FlushSchedule(Protocol):
-    """Interface of the function by which an audit log lets one of its methods be called later, such as `flush`."""
+    """Interface of the function by which an audit log schedules a later call of one of its own methods.
+
+    The audit log uses it to write buffered lines, and to append lines about repeated denials.
+    """
 
     def __call__(self, seconds: float, function: Callable[[], None], /) -> bool:
-        """Arrange that ``function`` is called after ``seconds``; return False if there is no event loop for that."""
+        """Let ``function`` be called after ``seconds``. Return True if it will be, False if no event loop can do it."""
 
 
 def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
-    """Arrange that the running event loop calls ``function`` after ``seconds``; return False if no loop is running."""
+    """Let the running event loop call ``function`` after ``seconds``. Return True; False if no loop is running."""
     try:
         asyncio.get_running_loop().call_later(seconds, function)
     except RuntimeError:
@@ -70,8 +73,10 @@ def by_event_loop(seconds: float, function: Callable[[], None]) -> bool:
 class WallClock:
     """A clock: calling it returns the current UTC time as text, ``2026-03-01T12:00:00.250Z``.
 
-    The text is formatted at most once a millisecond. It can be called from any thread. ``now`` returns seconds since
-    1970.
+    The text is formatted at most once a millisecond. It can be called from any thread.
+
+    Args:
+        now: function that returns the current time in seconds since 1970.
     """
 
     __slots__ = ("_now", "_second", "_text")
@@ -104,9 +109,10 @@ Room = Callable[[int], tuple[int, int]]
 
 
 def room_of_file(file: int) -> tuple[int, int]:
-    """Return free and total bytes of an open file's file system.
+    """Return free and total bytes of the file system of an open file, given by its descriptor. Raises `OSError`.
 
-    `MOST_RESERVED` for both if the system does not say.
+    The free bytes are those that this user may write. On systems that do not tell (Windows), both are `MOST_RESERVED`,
+    so that the space always suffices.
     """
     if not hasattr(os, "fstatvfs"):
         return MOST_RESERVED, MOST_RESERVED
@@ -117,26 +123,27 @@ def room_of_file(file: int) -> tuple[int, int]:
 class AuditLog:
     """An append-only file of JSON lines about writes and denied requests.
 
-    Any number of threads and servers can share it.
+    Any number of threads and servers can share it. As a context manager it is closed at the end.
 
     Args:
         path: the file; created with rights for its owner alone (0600) if it does not exist, never truncated.
-        interval: most seconds, 0…10, until a line is in the file; 0: at once.
+        interval: most seconds, 0…10, until a line is in the file; 0, or without an event loop: at once.
         on_failure: what happens to write requests while the file cannot be written. ``serve``: they are executed, and
             lost lines are counted and logged. ``refuse``: they are answered with exception 04.
         repeat_interval: seconds, 0…3600, after which repeated denials get a line with their number; 0: each denial gets
             a line of its own.
         schedule: calls a function later; the running event loop by default.
-        clock: seconds, monotonic.
-        now: seconds since 1970, for the time in the lines.
-        room: returns free and total bytes of the file system.
+        clock: returns monotonic seconds.
+        now: returns seconds since 1970, for the time in the lines.
+        room: takes the file's descriptor, and returns free and total bytes of its file system.
 
     Raises:
         ConfigError: the file cannot be opened or is no regular file, or an argument is not valid.
 
     Attributes:
+        path: the file.
         timestamp: called without arguments, returns the current time as the text for a line.
-        written: number of lines written to the file.
+        written: number of lines written to the file, those about lost lines and left-out denials included.
         lost: number of lines that could be neither written nor buffered.
         failures: number of attempts to write that failed.
         is_failing: whether the last attempt to write failed.
@@ -194,8 +201,8 @@ class AuditLog:
     def append(self, line: str) -> None:
         """Append one audit line: ASCII text that ends with a line feed.
 
-        It is in the file after at most ``interval`` seconds. Raises nothing: a line that can be neither
-        written nor buffered is dropped, and counted in ``lost``.
+        It is in the file after at most ``interval`` seconds, or as soon as the file can be written again. Raises
+        nothing: a line that can be neither written nor buffered is dropped, and counted in ``lost``.
         """
         with self._lock:
             if self._file is None or self._size >= _KEPT:
@@ -217,6 +224,8 @@ class AuditLog:
     def append_denied(self, about: About, line: DenialLine) -> None:
         """Append the audit line of a denied request, or only count the request if it repeats an earlier one.
 
+        If the remaining space is kept for writes, the line is left out, and counted in ``denials_left_out``.
+
         Args:
             about: host, role and rule; denials that agree in all three are repetitions of each other.
             line: function that creates the line; called with 0 for the line about this denial alone, or later with the
@@ -235,13 +244,19 @@ class AuditLog:
                 self._schedule(self._repeat_interval, self._tell_repeated)
 
     def flush(self) -> None:
-        """Write the buffered audit lines to the file now. Raises nothing: a failure is counted, logged and retried."""
+        """Write the buffered audit lines to the file now. Raises nothing: a failure is counted, logged and retried.
+
+        The retry is made a second later; without an event loop, when the next line is appended.
+        """
         with self._lock:
             self._due = None
             self._write_kept()
 
     def reopen(self) -> None:
         """Close the audit file and open the same path again, after log rotation has renamed the file.
+
+        Buffered lines are written to the old file first; those that it does not take are written to the new one. A line
+        of which the old file has only the beginning is lost.
 
         Raises:
             ConfigError: the file cannot be opened; then the old file stays in use.
@@ -259,7 +274,10 @@ class AuditLog:
             self.flush()
 
     def close(self) -> None:
-        """Write the buffered audit lines and close the file. Lines appended later are lost, and counted."""
+        """Write the buffered audit lines and close the file.
+
+        Lines that cannot be written now, and lines appended later, are lost, and counted in ``lost``.
+        """
         with self._lock:
             self._tell_repeated()
             self._tell_left_out()
@@ -289,7 +307,7 @@ class AuditLog:
     def _append_denied(self, line: DenialLine, repeated: int) -> None:
         """Append an audit line about denied requests if there is space for it, else count those requests as left out.
 
-        ``repeated``: how many denials the line stands for; 0 for one.
+        ``line`` creates the line. ``repeated``: how many denials the line stands for; 0 for a single one.
         """
         if self._has_room_for_denials():
             self._tell_left_out()
@@ -299,7 +317,11 @@ class AuditLog:
             self._left_out += repeated or 1
 
     def _tell_repeated(self) -> None:
-        """Append a line for each client and rule whose denials were only counted, and schedule the next such call."""
+        """Append an audit line for each client and rule whose denials were only counted since the last call.
+
+        One more line is for all denials that were not counted by client and rule. The next call is scheduled if a
+        client repeated a denial.
+        """
         with self._lock:
             self._repeated_due = None
             for line, count in self._repeated.take():
@@ -395,5 +417,8 @@ class AuditLog:
 
 
 def _others_line(time: str, repeated: int) -> str:
-    """Return one audit line for all denials that were counted together, as their clients and rules are too many."""
+    """Return the audit line for denials that were not counted by client and rule, because there were too many of those.
+
+    ``time`` is the time as text; ``repeated`` is the number of denials.
+    """
     return f'{{"time":"{time}","outcome":"denied","repeated":{repeated}}}\n'

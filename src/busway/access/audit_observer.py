@@ -18,8 +18,8 @@ from .audit_log import AuditLog
 class AuditObserver:
     """Observer of a server's requests that appends an audit line for each denied request, and for each write.
 
-    Only writes of the generic path come here; the fast path records its own (`busway.access.fast_path_rights`).
-    Repeated denials of a client are recorded as one line with their number.
+    Only writes of the generic path come here; the fast path records its own (`busway.access.fast_path_rights`). The
+    first of a client's equal denials gets a line of its own; the later ones get one line with their number.
     """
 
     def __init__(self, log: AuditLog) -> None:
@@ -36,7 +36,7 @@ class AuditObserver:
     ) -> None:
         """Append an audit line for a request of the generic path that has ended, if it was a write or was denied.
 
-        A denial that the client repeats is only counted.
+        A denial that the client repeats is only counted. A request without ``context.judged`` is not recorded.
         """
         judged = context.judged
         if judged is None:

@@ -2,9 +2,9 @@
 
 Knows requests, clients and the policy; executes nothing: the responder does that.
 
-1. A denied request never reaches the responder. It is answered with the exception code of the rule: 01, or 02 if a
-   rule about items says so. A permitted request above the rate of its rule is answered 06, because the client may
-   try again.
+1. A denied request never reaches the responder, except a mask write (function 22) that is decided by the register's
+   old value. It is answered with the exception code of the rule: 01, or 02 if a rule about items says so. A permitted
+   request above the rate of its rule is answered 06, because the client may try again.
 2. The rules that apply to a client are compiled once for all clients with equal rights
    (`busway.access.rule_evaluation`). They decide on the generic path, and what they permit is bound to the fast path
    (`busway.access.fast_path_rights`).
@@ -65,15 +65,16 @@ class PolicyRights:
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
         """Return the function of the fast path that answers permitted requests of the class ``kind`` from their bytes.
 
-        None if the policy has to decide about each request of that class.
+        None if all requests of that class must take the generic path: the policy decides about each, or the device
+        gives no direct access to its memory. ``unit`` is the unit asked, 0…255.
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
-        """Whether a gateway or server may keep a plan for a read: equal reads of these clients need no check then.
+        """Whether a gateway or server may cache how it answers a read, so that repetitions of it are not checked again.
 
-        True if the request is no write and is permitted without a rate limit. ``served`` is None if no device answers
-        for the unit.
+        True if the request is no write and is permitted without a rate limit to all clients that have these rights.
+        ``unit`` is the unit asked, 0…255. ``served`` is None if no device answers for the unit.
         """
         question = Question.of(request, unit=unit, listed=_NO_UNITS if served is None else served.units, asker=_ANYBODY)
         decision = self.rights.decide(question)
@@ -82,7 +83,7 @@ class PolicyRights:
 
 _NO_UNITS: Final[frozenset[int]] = frozenset()
 _ANYBODY: Final = Asker()
-"""An unnamed client: rights hold for the clients that have them, so a question to them needs no client."""
+"""A client without a name, for questions to compiled rights: these hold for any client that has them."""
 
 
 class _InForce:
@@ -104,11 +105,12 @@ class PolicyAuthorizer:
         policy: the rules.
         audit: the audit log, for writes on the fast path; an `AuditObserver` records the others. None records no write.
         rates: token buckets by rule name, for several authorizers that count together; None: this one counts alone.
-        clock: monotonic seconds, for rates.
+        clock: monotonic seconds, for rates and for repeated log messages.
 
     Attributes:
-        refusals: number of refused requests by name of the rule (``default`` if no rule applied).
-        generation: changes when the policy is replaced.
+        refusals: number of requests that the policy refused, also those above a rate, by name of the rule that decided
+            (``default`` if no rule applied).
+        generation: a number that grows by 1 when the policy is replaced.
     """
 
     def __init__(
@@ -160,11 +162,13 @@ class PolicyAuthorizer:
         """Return None if a request may be executed, otherwise the exception reply that refuses it.
 
         A request is refused by the policy, or, if it is a write and the audit log takes none now, with exception 04.
-        What the policy refuses is counted in `refusals`, logged, and marked as denied in ``context.judged``.
+        What the policy refuses is counted in `refusals`, logged, and marked as denied in ``context.judged``. For a
+        permitted request, ``context.judged`` has the name of the rule; it stays None only if the policy permits
+        everything and there is no audit log.
 
         Function 22 (mask write) can depend on the register's old value if a rule bounds the values. Then it is
         permitted for now if the device is in this process, and decided when the responder reports that value
-        (`RequestContext.replacing`).
+        (`RequestContext.replacing`). ``served`` is None if no device answers for the unit.
         """
         asker, known = self._known(context.client)
         rights = known.rights
@@ -190,7 +194,11 @@ class PolicyAuthorizer:
         return None
 
     def _judge(self, context: RequestContext, rights: Rights, question: Question, replaced: Replaced) -> None:
-        """Decide about a mask write (function 22) once the old register value is known. Raises `Refusal`."""
+        """Decide about a mask write (function 22) when the responder reports the old register value.
+
+        Raises `Refusal` if the policy refuses the write, also if the value in ``replaced`` is None (unknown) and the
+        masks alone do not keep the result within the limits.
+        """
         current = replaced[0] if replaced else None
         if current is not None:
             question = question.with_current(int.from_bytes(current, "big"))
@@ -207,12 +215,13 @@ class PolicyAuthorizer:
         """Return the exception code that refuses a request to several units; 0 if it is permitted for all of them.
 
         A rule with a rate counts the request once, whatever the number of units. A refusal is counted, logged and
-        recorded like that of a request to one unit.
+        marked as denied in ``context.judged``, like that of a request to one unit.
 
         Args:
-            context: the context of the request as received.
+            context: the context of the request as received. If it is no broadcast, the rules for ``context.unit`` have
+                counted the request already.
             request: the request.
-            units: the units that the request reaches.
+            units: the units that the request reaches, 0…255.
             charged: ids (``id(rule)``) of the rules that have counted the request already; rules that count it now are
                 added.
         """
@@ -258,12 +267,15 @@ class PolicyAuthorizer:
         return ExceptionResponse(context.function, decision.code)
 
     def _too_fast(self, decision: Decision, asker: Asker, charged: set[int] | None) -> Decision | None:
-        """Count a permitted request against the rates of its rules.
+        """Count a permitted request against the rates of its rules; return its refusal if it is above one, else None.
 
-        Returns its refusal if it is above one of them, else None.
+        The rules are taken in order up to the first whose rate is exceeded; those before it have counted the request.
 
-        ``charged`` has the ids of the rules that have counted this request already, so that a broadcast counts once,
-        and gets the ids of those that count it now; None for a request to one unit.
+        Args:
+            decision: the permission, with its rules in ``rates``.
+            asker: the client.
+            charged: ids (``id(rule)``) of the rules that have counted this request already, so that a broadcast counts
+                once; rules that count it now are added. None for a request to one unit.
         """
         for rule in decision.rates:
             if charged is not None and id(rule) in charged:
@@ -279,7 +291,7 @@ class PolicyAuthorizer:
         return None
 
     def _known(self, client: ClientIdentity) -> tuple[Asker, PolicyRights]:
-        """Return from a cache a client's host, role and listener, as rules compare them, and the client's rights."""
+        """Return a client's host, role and listener, as rules compare them, and its rights: from a cache if known."""
         in_force = self._in_force
         found = in_force.of_clients.get(client)
         if found is None:

@@ -3,10 +3,10 @@
 Knows address ranges with their rules (zones), declarations of functions and memory blocks of devices; knows no client,
 no session.
 
-1. An answering function that is permitted at all addresses is used unchanged. If it is permitted in some address
-   ranges, a check of the address comes before it. For a write with value limits or with an audit line, the function
-   gets a memory block that checks what is written (`Block.put`); so the request itself is validated as always, before
-   that check.
+1. A function that answers requests is used unchanged if they are permitted at all addresses. If they are permitted in
+   some address ranges, a check of the address comes before it. For a write with value limits or with an audit line, the
+   function gets a memory block that checks what is written (`Block.put`); so the request itself is validated as always,
+   before that check.
 2. Functions under a rate, and requests that are not one plain range, take the generic path.
 3. A request that fails a check changes nothing and takes the generic path, where it is decided, counted and recorded:
    denied requests, writes across several zones, and all writes while the audit log cannot be written
@@ -41,7 +41,9 @@ _unpack_two = struct.Struct(">HH").unpack_from
 def bind(
     rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: "AuditLog | None" = None
 ) -> Answer | None:
-    """Return a function that answers requests with one function code from their bytes, within the rights of clients.
+    """Return a function that answers requests with one function code from their bytes, if the clients' rights permit.
+
+    It returns the reply; None for a request that must take the generic path.
 
     Args:
         rights: the rights of the clients.
@@ -51,7 +53,7 @@ def bind(
         audit: the log where each write is recorded; None records none.
 
     Returns:
-        The answering function; None if all requests must take the generic path.
+        The answering function; None if all requests must take the generic path, such as those that no rule permits.
     """
     device = served.device
     if device is None:
@@ -78,8 +80,14 @@ def _within(
 ) -> Answer | None:
     """Return a function that checks whether the touched items are permitted, and then calls ``answer``.
 
-    Returns ``answer`` itself if all addresses are permitted, and None if the bytes of a request are not enough to check
-    it.
+    Returns ``answer`` itself if all addresses are permitted without value limits, and None if the bytes of a request
+    are not enough to check it, or no address is permitted.
+
+    Args:
+        kind: the request class.
+        answer: answers a request from its bytes.
+        rights: the rights of the clients.
+        access: returns the kind of request for which zones are looked up, for a table and whether it is written.
     """
     if kind.spans is not Request.spans:
         return None  # it says for itself what it touches: only a request can tell
@@ -141,9 +149,9 @@ def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
 
 
 def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
-    """Return a function that checks the address of a request for one item, and then calls ``answer``.
+    """Return a function that calls ``answer`` if the address of a request for one item is permitted, else returns None.
 
-    ``permitted`` has the permitted address ranges, ascending.
+    ``permitted`` has the permitted address ranges, ascending; at least one.
     """
     firsts, ends = zip(*permitted, strict=True)
 
@@ -166,7 +174,7 @@ class _CheckedDevice:
 
     Args:
         device: the device itself.
-        checked: returns for a memory block a ``put`` that checks; None if the block cannot have one.
+        checked: takes a memory block, and returns a ``put`` that checks each write to it; None if there cannot be one.
     """
 
     __slots__ = ("_checked", "_device")

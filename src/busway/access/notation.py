@@ -38,7 +38,7 @@ FUNCTION_GROUPS: Final[Mapping[str, frozenset[int]]] = {
     "write": frozenset({5, 6, 15, 16, 21, 22, 23}),
     "diagnostics": frozenset({7, 8, 11, 12, 17}),
 }
-"""Function codes by group name. 23, which also reads, is in the group of writes."""
+"""Function codes by group name. 23, which also reads, is in the group of writes; 43 is in no group."""
 _SHORT_NAMES: Final[Mapping[str, FunctionCode]] = {
     "write_coil": FunctionCode.WRITE_SINGLE_COIL,
     "write_register": FunctionCode.WRITE_SINGLE_REGISTER,
@@ -54,19 +54,31 @@ _SUB_NAMES: Final[Mapping[str, Function]] = {
 
 
 def parse_units(value: str | int | Iterable[str | int]) -> frozenset[int]:
-    """Parse unit numbers such as ``1-10, 17`` into the set of units. Raises `ConfigError`."""
+    """Parse unit numbers such as ``1-10, 17`` into the set of units. An empty list gives an empty set.
+
+    Raises:
+        ConfigError: a part of the text is no number or range, is above 255, or ends before it begins.
+    """
     return frozenset(unit for first, end in _ranges(value, 255, "unit") for unit in range(first, end))
 
 
 def parse_files(value: str | int | Iterable[str | int]) -> tuple[Range, ...]:
-    """Parse file numbers such as ``1-4`` into ascending ranges. Raises `ConfigError`."""
+    """Parse file numbers such as ``1-4`` into ascending ranges, joined where they touch: ``((1, 5),)``.
+
+    Raises:
+        ConfigError: a part of the text is no number or range, is above 65535, or ends before it begins.
+    """
     return merged(_ranges(value, 0xFFFF, "file"))
 
 
 def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Function]:
-    """Parse function codes or names such as ``3, write single coil``, with sub-functions. Raises `ConfigError`.
+    """Parse function codes, names and groups, such as ``3, write single coil, diagnostics, 8/1``, into a set of pairs.
 
-    Returns pairs of code and sub-function, which is None for all sub-functions.
+    Each pair is a function code and a sub-function, which is None for the whole function with all its sub-functions.
+    Capitals do not matter.
+
+    Raises:
+        ConfigError: a name is unknown, a code is not 1…127, or a code other than 8 and 43 has a sub-function.
     """
     found: set[Function] = set()
     for each in [value] if isinstance(value, str | int) else value:
@@ -76,9 +88,14 @@ def parse_functions(value: str | int | Iterable[str | int]) -> frozenset[Functio
 
 
 def parse_whole_functions(value: str | int | Iterable[str | int], what: str) -> frozenset[int]:
-    """Parse function codes or names into a set of codes. Raises `ConfigError`, also for a sub-function.
+    """Parse function codes, names and groups into a set of function codes. Sub-functions such as ``8/1`` are refused.
 
-    ``what`` is the subject of that error, such as ``a route``.
+    Args:
+        value: the notation, as for `parse_functions`.
+        what: whose functions they are, for the error about a sub-function: ``a route``.
+
+    Raises:
+        ConfigError: the notation is invalid, or names a sub-function.
     """
     found = parse_functions(value)
     for code, sub_code in found:
@@ -105,11 +122,15 @@ def parse_table(value: str | Table) -> Table:
 
 
 def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> dict[Table, tuple[Range, ...]]:
-    """Parse item ranges such as ``holding:100-199`` into ascending ranges by table. Raises `ConfigError`.
+    """Parse item ranges such as ``holding:100-199`` into ascending ranges by table, joined where they touch.
 
     Args:
         value: the notation.
-        table: the table of offsets that are given without one; None if every range must name its table.
+        table: the table of offsets that name none, such as ``100-199``; a range that names another table is refused.
+            None: every range must name its table.
+
+    Raises:
+        ConfigError: a range is invalid, names no table or another than ``table``, or is for a bit of a register.
     """
     found: dict[Table, list[Range]] = {}
     for each in [value] if isinstance(value, str | int) else value:
@@ -131,7 +152,16 @@ def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
 
 
 def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[Range]:
-    """Parse numbers and ranges such as ``1-10, 17``; ``highest`` is the limit, ``what`` names them in errors."""
+    """Parse numbers and ranges such as ``1-10, 17`` into ranges, in the order in which they are written.
+
+    Args:
+        value: the notation.
+        highest: the highest number that is allowed; the lowest is 0.
+        what: what the numbers are, for errors: ``unit``.
+
+    Raises:
+        ConfigError: a part of the text is no number or range, is above ``highest``, or ends before it begins.
+    """
 
     def number(text: str) -> int:
         if not _NUMBER.fullmatch(text):
@@ -162,9 +192,9 @@ def _ends(part: str, number: Callable[[str], int]) -> Range:
 
 
 def _with_single_blanks(part: str) -> str:
-    """Return one part of a rule's text, trimmed and with single blanks inside. Raises `ConfigError` if it is too long.
+    """Return one number or range of a rule's text without blanks around it, and with single blanks inside.
 
-    The length is bounded here, because later steps take time with the square of the length.
+    Raises `ConfigError` if it has more than 100 characters then: later steps take time with the square of the length.
     """
     text = " ".join(part.split())
     if len(text) > _LONGEST_PART:
@@ -197,7 +227,15 @@ def _functions(text: str | int) -> set[Function]:
 
 
 def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
-    """Parse one item range such as ``holding:100-199`` into its table and its addresses."""
+    """Parse one item or item range such as ``holding:100-199`` into its table and its range of offsets.
+
+    Args:
+        part: the item or range.
+        table: its table if it names none; None: it must name its table.
+
+    Raises:
+        ConfigError: the range is invalid, names no table or another than ``table``, or is for a bit of a register.
+    """
     if isinstance(part, str):
         text = _with_single_blanks(part)
         # A minus sign may belong to a table's name (holding-registers:5): the last one may be the sign of a range.
@@ -216,9 +254,9 @@ def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
 
 
 def _with_notation_of(first: str, last: str) -> str:
-    """Return the end of an item range with the notation of its start.
+    """Return the end of an item range with the prefix of its start: ``199`` after ``holding:100`` is ``holding:199``.
 
-    ``199`` of ``holding:100-199`` becomes ``holding:199``.
+    An end that has a prefix of its own is returned unchanged, and so is the end if the start has none.
     """
     prefix = re.match(r"[0134][xX]|[A-Za-z _-]+:|%[mM][wW]?", first.strip())
     if prefix is None or not (last.isdecimal() or (prefix[0].endswith(":") and _NUMBER.fullmatch(last))):

@@ -41,7 +41,7 @@ class TouchedRange:
 
     Attributes:
         space: a table, `FILES`, or None if the request touches neither.
-        first, end: the range: from ``first`` to ``end - 1``.
+        first, end: the range of offsets or file numbers: from ``first`` to ``end - 1``; 0 and 1 if ``space`` is None.
         writes: whether the range is written; else it is read.
     """
 
@@ -146,7 +146,7 @@ class Question:
     def with_current(self, current: int) -> "Question":
         """Return a copy of a mask write (function 22) with the value it would write if the register holds ``current``.
 
-        Other requests are returned as they are.
+        The copy has this value in ``written``, and None in ``masks``. Other requests are returned unchanged.
         """
         if self.masks is None:
             return self
@@ -155,7 +155,10 @@ class Question:
 
 
 def masked(current: int, and_mask: int, or_mask: int) -> int:
-    """Return the value that a mask write (function 22) gives a register (Application Protocol V1.1b3 §6.16)."""
+    """Return the value that a mask write (function 22) gives a register that holds ``current``; all are 0…65535.
+
+    Application Protocol V1.1b3 §6.16.
+    """
     return (current & and_mask | or_mask & ~and_mask) & 0xFFFF
 
 
@@ -203,7 +206,7 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
 
 
 def _sub_function(function: int, data: bytes) -> int | None:
-    """Return the sub-function code at the start of the request data; None if there is none or it is cut off."""
+    """Return the sub-function at the start of a request's data; None if it is cut off, or the function has none."""
     width = _SUB_WIDTH.get(function)
     return int.from_bytes(data[:width], "big") if width is not None and len(data) >= width else None
 

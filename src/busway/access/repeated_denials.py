@@ -26,14 +26,21 @@ MOST_APART: Final = 1024
 
 @dataclass(slots=True)
 class _Repeated:
-    """How often one rule denied one client since the last audit line about that, and how to create the next line."""
+    """How often one rule denied one client since the last audit line about that, and how to create the next line.
+
+    Attributes:
+        count: denials since that line.
+        line: creates the audit line of the latest of them; None while ``count`` is 0.
+    """
 
     count: int = 0
     line: DenialLine | None = None
 
 
 class RepeatedDenials:
-    """Counts of denied requests that the audit log does not show yet, by client and rule.
+    """Counts of denied requests that the audit log does not show yet, by host, role and rule.
+
+    True as a condition if a combination of these, or a denial in ``others``, is remembered.
 
     Attributes:
         others: number of denials that are not counted by client and rule, because there are `MOST_APART` combinations.
@@ -47,9 +54,9 @@ class RepeatedDenials:
         return bool(self._repeated or self.others)
 
     def is_first(self, about: About, line: DenialLine) -> bool:
-        """Whether a denied request is the first of its client and rule, and needs an audit line of its own now.
+        """Whether a denied request is the first of its host, role and rule, and needs an audit line of its own now.
 
-        Otherwise it was counted: as a repetition, or in ``others`` if `MOST_APART` combinations are counted already.
+        If False, it was counted: as a repetition, or in ``others`` if `MOST_APART` combinations are remembered already.
 
         ``line`` creates the audit line of this denial; the latest one is kept for the line about the repetitions.
         """
@@ -67,8 +74,8 @@ class RepeatedDenials:
     def take(self) -> list[tuple[DenialLine, int]]:
         """Return a function for each audit line about repeated denials, with their number, and set the counts to 0.
 
-        Combinations of client and rule without a repetition since the last call are forgotten: their next denial is a
-        first one again.
+        There is one line for each host, role and rule with repetitions. Those without a repetition since the last call
+        are forgotten: their next denial is a first one again. Denials in ``others`` are not in the result.
         """
         again = {about: each for about, each in self._repeated.items() if each.count}
         found = [(each.line, each.count) for each in again.values() if each.line is not None]

@@ -22,9 +22,9 @@ class _Said:
 
 
 class Repeats:
-    """Decides whether a repeated log message is written now.
+    """Decides whether a repeated log message is written now, and counts those that are not.
 
-    ``pause``: seconds between two messages about the same name.
+    ``pause``: least seconds between two messages about the same name.
     """
 
     def __init__(self, pause: float = PAUSE) -> None:
@@ -32,9 +32,9 @@ class Repeats:
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
     def again(self, name: str, now: float) -> int | None:
-        """Decide about one more message: None if it must not be logged now; otherwise log it.
+        """Decide about one more message: None means that the caller must not log it now, a number that it must.
 
-        The number that is returned then says how many were suppressed since the last one that was logged.
+        The number says how many messages about ``name`` were suppressed since the last one that was logged, 0 or more.
 
         Args:
             name: what the message is about, such as a host; messages about one name repeat each other.

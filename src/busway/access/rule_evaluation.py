@@ -32,7 +32,7 @@ class Decision:
         code: exception code of the refusal; 0 if allowed.
         rule: the rule that refused, or the first that permitted; None if the default decided.
         reason: why it is refused, in words; empty if allowed.
-        rates: the rules with a rate that permit it; the caller counts the request against them.
+        rates: the rules with a rate that permit it, against which the caller counts the request; empty if refused.
         needs_current: whether it is refused only because the result of a mask write (function 22) is not known; a
             caller that knows the register's value asks again with `Question.with_current`.
     """
@@ -57,7 +57,7 @@ class Zone:
     Attributes:
         first, end: the range of items: from ``first`` to ``end - 1``.
         rule: the rule that decides there; None for the default.
-        order: position of the rule in the policy.
+        order: position of the rule among the rules for these clients; for the default, the number of these rules.
         action: what the rule or the default does.
         permits: whether the access is permitted there, within limits and rate of the rule.
         limits: the values that may be written to each register; None: all values, or no write of holding registers.
@@ -106,7 +106,7 @@ class Rights:
     """The rules of a policy that apply to certain clients, and the decisions about requests that follow from them.
 
     Args:
-        rules: in their order; all of them apply to the clients.
+        rules: the rules, in their order; all of them apply to the clients.
         default: decides if no rule fits a request.
 
     Attributes:
@@ -132,7 +132,10 @@ class Rights:
         return tuple(zone for zone in self.zones(access) if zone.permits and zone.rate is None)
 
     def decide(self, question: Question) -> Decision:
-        """Decide whether the rules permit a request to these clients. Counts nothing; see `Decision.rates`."""
+        """Decide whether the rules permit a request of these clients.
+
+        Nothing is counted: the caller counts the request against the rates in `Decision.rates`.
+        """
         rates: list[Rule] = []
         first_rule: Rule | None = None
         is_first = True
@@ -214,9 +217,10 @@ class Rights:
         return Zone(first, end, rule, order, action, action.permits(access.writes), limits)
 
     def _of_unit(self, unit: int, listed: frozenset[int]) -> tuple[tuple[int, Rule], ...]:
-        """Return the rules that apply to a unit, each with its position in the policy. The result is cached.
+        """Return the rules that apply to a unit, each with its position among the rules for these clients.
 
-        ``listed``: the units under which the device is configured.
+        ``listed``: the units under which the unit's device is configured; a rule for any of them applies too. The
+        result is cached.
         """
         key = unit, listed
         found = self._of_units.get(key)
@@ -246,11 +250,10 @@ def _code(rule: Rule | None) -> int:
 
 
 def _beyond(limits: Limits, question: Question, start: int, end: int) -> str:
-    """Return in words why the written registers from ``start`` to ``end - 1`` are outside the value limits.
+    """Return in words why a write to the registers ``start``…``end - 1`` breaks the value limits; empty if it does not.
 
-    Empty if within.
-
-    Both positions count from the first item of the written range.
+    Both positions count from the first register of the written range. A write of unknown values breaks the limits. For
+    a mask write of an unknown old value, all values that the masks permit must be within them.
     """
     bounds = f"{limits.low}…{limits.high}"
     if question.masks is not None:

@@ -40,14 +40,14 @@ Chosen = TypeVar("Chosen", bound=Enum)
 
 
 class Action(Enum):
-    """What a rule or the policy's default does: allow, deny, or allow reads only."""
+    """What a rule or the policy's default does with a request: allow it, deny it, or allow it if it is a read."""
 
     ALLOW = "allow"
     DENY = "deny"
     READ_ONLY = "read-only"
 
     def permits(self, writes: bool) -> bool:
-        """Whether this action permits a write (or a read, if ``writes`` is False)."""
+        """Whether this action permits a write, if ``writes`` is True, or a read, if it is False."""
         return self is Action.ALLOW or (self is Action.READ_ONLY and not writes)
 
 
@@ -59,7 +59,7 @@ class AccessKind(Enum):
     ANY = "any"
 
     def fits(self, writes: bool) -> bool:
-        """Whether a rule of this kind applies to a write (or to a read, if ``writes`` is False)."""
+        """Whether a rule of this kind applies to a write, if ``writes`` is True, or to a read, if it is False."""
         return self is AccessKind.ANY or (self is AccessKind.WRITE) == writes
 
 
@@ -102,7 +102,10 @@ class Limits:
         return self.low <= least and most <= self.high
 
     def permit_masks(self, and_mask: int, or_mask: int) -> bool:
-        """Whether the result of a mask write (function 22) is within the limits, whatever the register holds."""
+        """Whether the result of a mask write (function 22) is within the limits, whatever the register holds.
+
+        Both masks are 0…65535.
+        """
         fixed = or_mask & ~and_mask & 0xFFFF
         least, most = fixed, fixed | and_mask
         if self.signed and and_mask & 0x8000:  # the sign is free: least with it, most without
@@ -115,29 +118,29 @@ class Limits:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Rule:
-    """One rule of an access policy: the clients and requests it applies to (None or empty: all), and what it does.
+    """One rule of an access policy: the clients and requests it applies to, and what it does.
 
-    `Rule.of` takes the texts that people write.
+    A field that is left out (None, or empty) excludes nothing. `Rule.of` takes the texts that people write.
 
     Attributes:
         name: its name in logs; a policy numbers rules without a name.
         action: what happens to the requests that it applies to.
-        peers: hosts of the clients.
-        roles: roles of the clients' certificates; a client without a role has none of them.
-        listeners: URLs of listeners, or schemes (``tls://``).
-        units: the units asked.
-        functions: function codes, each with a sub-function or with None for all its sub-functions.
+        peers: hosts of the clients; None for all. An empty set is refused, like that of roles, units and functions.
+        roles: roles of the clients' certificates; a client without a role has none of them. None: with or without one.
+        listeners: URLs of listeners, or schemes (``tls://``); empty for all.
+        units: the units asked, 0…255; None for all.
+        functions: function codes, each with a sub-function or with None for all its sub-functions; None for all.
         items: ranges (first, end) of items by table, ``end`` not included. If ``items`` and ``files`` are both empty,
             the rule is for requests for any items or files, or none.
         files: ranges (first, end) of file numbers, ``end`` not included.
         access: reads, writes, or both.
         limits: the values that may be written to holding registers; None for all values.
-        rate: requests per second that each host may send by this rule; more are answered with exception 06. None: no
-            limit.
-        code: exception code of a refusal, 1 or 2.
+        rate: requests per second that each host may send by this rule, 0.001…1000000; more are answered with exception
+            06. None: no limit.
+        code: exception code of a refusal: 1, or 2 for a rule with ``items`` and without ``roles``.
 
     Raises:
-        ConfigError: fields that do not go together; its key names the field.
+        ConfigError: a field is empty or out of range, or fields do not go together; its key names the field.
     """
 
     name: str = ""
@@ -205,13 +208,13 @@ class Rule:
             units: ``"1-5,7"``, 0…255.
             functions: codes, names and groups, ``["read", 16, "8/1"]`` (`busway.access.notation`).
             table: ``holding``, ``input``, ``coil``, ``discrete``, or several; without ``addresses`` the whole tables.
-            addresses: items, ``"4x101-4x200"``; with one table also offsets, ``"100-199"``.
+            addresses: items, ``"4x101-4x200"``; with one table also offsets, ``"100-199"``; not with several tables.
             files: numbers of files, ``"1-4"``.
             access: ``read``, ``write`` or ``any``.
             values: the lowest and highest value that may be written to a holding register; None for all values.
-            signed: whether ``values`` are numbers with a sign.
-            rate: requests per second and host, 0.001…1000000.
-            code: exception code of a refusal, 1 or 2.
+            signed: whether ``values`` are numbers with a sign; ignored if they are `Limits`.
+            rate: requests per second and host, 0.001…1000000; None for no limit.
+            code: exception code of a refusal: 1, or 2 for a rule that names tables or addresses and no roles.
 
         Raises:
             ConfigError: an argument is invalid; its key names it.
@@ -244,7 +247,10 @@ class Rule:
         )
 
     def is_for(self, asker: Asker) -> bool:
-        """Whether the rule applies to a client with this host, role and listener."""
+        """Whether the rule applies to a client: its host, role and listener are among those that the rule names.
+
+        True does not mean that the rule applies to a request: its units, functions and items are not looked at.
+        """
         return (
             (self.peers is None or asker.host in self.peers)
             and (self.roles is None or asker.role in self.roles)
@@ -252,7 +258,10 @@ class Rule:
         )
 
     def names(self, function: int, sub_function: int | None) -> bool:
-        """Whether the rule applies to a function code and sub-function: it lists them, or names no functions."""
+        """Whether the rule applies to a function: it lists the code, alone or with the sub-function, or no functions.
+
+        A ``sub_function`` of None (none, or truncated) matches only a code that is listed with all its sub-functions.
+        """
         if self.functions is None:
             return True
         return (function, None) in self.functions or (
@@ -263,7 +272,7 @@ class Rule:
         """Return the items of a table, or the file numbers, that the rule applies to, as ascending ranges.
 
         One range with all addresses if the rule names neither items nor files; empty if it names only items or files
-        outside ``space``.
+        outside ``space``, so always if ``space`` is None (neither a table nor files).
         """
         if not self.items and not self.files:
             return EVERYWHERE
@@ -312,22 +321,25 @@ class Policy:
             default: ``allow``, ``deny`` or ``read-only``, for requests that no rule applies to.
 
         Raises:
-            ConfigError: there is no such default, or two rules have the same name.
+            ConfigError: there is no such default, two rules have the same name, or a rule is named ``default``.
         """
         return cls(rules, _one_of(Action, default, "default"))
 
     @classmethod
     def read_only(cls) -> "Policy":
-        """A policy without rules: every client may read, none may write."""
+        """Return a policy without rules: every client may read, none may write."""
         return cls(default=Action.READ_ONLY)
 
     @classmethod
     def allow_all(cls) -> "Policy":
-        """A policy without rules that permits everything, like a server without a policy."""
+        """Return a policy without rules that permits everything, like a server without a policy."""
         return cls(default=Action.ALLOW)
 
     def prepare(self) -> None:
-        """Create the index of the rules by client now, not at the first request: it takes 0.1 s for 100 000 rules."""
+        """Create the index of the rules by client host now, instead of at the first request.
+
+        That takes 0.1 s for 100 000 rules. A second call does nothing.
+        """
         if self._by_peer is None:
             everybodys = tuple(number for number, rule in enumerate(self.rules) if rule.peers is None)
             index = NetworkIndex(
@@ -410,7 +422,7 @@ def _is_listener(wanted: str, asker: Asker) -> bool:
 
 @contextmanager
 def _about(key: str) -> Iterator[None]:
-    """Context manager that sets ``key`` in every `ConfigError` raised inside it; the key names the wrong argument."""
+    """Context manager that sets ``key`` in a `ConfigError` raised inside it; the key names the wrong argument."""
     try:
         yield
     except ConfigError as error:

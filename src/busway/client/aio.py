@@ -112,9 +112,10 @@ class AsyncUnit:
         return reply
 
     async def _ask(self, request: Any, call_options: CallOptions) -> Any:  # as `execute`, which types them
-        """Send one request and return its reply, as `execute` does; the call options are one mapping here.
+        """Send one request and return its reply, as `execute` does, with the call options as one mapping.
 
-        It repeats the code of `AsyncLink.run`, because awaiting that coroutine would cost 0.5 of 7 µs.
+        Raises the error of the request. If the caller is cancelled, the call is given up. The code of `AsyncLink.run`
+        is repeated here, because awaiting that coroutine would cost 0.5 of 7 µs.
         """
         link = self._link._bound()
         now = link.now()
@@ -160,7 +161,10 @@ class AsyncUnit:
         return outcomes
 
     def _tell_assumed(self, error: ModbusError) -> None:
-        """Add to an error a hint at what the user did not give, if that may be the cause: unit, baud rate or parity."""
+        """Add a hint to the message of an error that an assumed unit, baud rate or parity may have caused.
+
+        Assumed are those that the user did not give. Other errors stay unchanged.
+        """
         if self._is_assumed:
             with_assumed_unit(error, self._number)
         with_assumed_line(error, self._link._settings, self._link.counters)
@@ -505,7 +509,7 @@ class AsyncLink:
         Raises:
             LinkClosed: the program has closed this link.
             LinkDown: with ``select``, no other link to the endpoint is open.
-            ConfigError, Overloaded: at the first use, as in `LinkPool.acquire`.
+            ConfigError, Overloaded: at the first use, as in `LinkPool.acquire`; `ConfigError` also outside a coroutine.
         """
         link = self._link
         if link is not None and not self._closed:
@@ -625,7 +629,8 @@ def open_link(
 ) -> AsyncLink:
     """Open a link for asyncio programs: ``async with busway.open("tcp://10.0.0.5") as link: …``.
 
-    Nothing is sent, and no connection made, before the first request, which binds the link to the running event loop.
+    Nothing is sent, and no connection made, before the first request or `AsyncLink.connect`. The first use, which is
+    the begin of ``async with`` or a request, binds the link to the running event loop.
 
     Args:
         url: the endpoint; the query after ``?`` may set the options below.
@@ -639,16 +644,17 @@ def open_link(
             authorities that the system trusts. It decides what is verified, which certificate the client sends, and
             the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
             as well. None: the context is created from the TLS options.
-        options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
-            `ManagementParameters`; with RTU or ASCII framing, also of `SerialClientParameters`, `BreakerParameters` and
-            `FramingParameters`; for a serial port, also of `SerialSettings` and `OpeningParameters`. An option that has
-            no effect for the scheme raises `ConfigError`.
+        options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters` and `BreakerParameters`; over
+            a network, also of `SocketParameters` and `ManagementParameters`; for ``tls://``, of `TlsParameters`; with
+            RTU or ASCII framing, of `SerialClientParameters` and `FramingParameters`; for a serial port, of
+            `SerialSettings` and `OpeningParameters`; and ``preset``. An option that has no effect for the scheme raises
+            `ConfigError`. Where the URL gives the same option, the keyword counts.
 
     Raises:
-        ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, or
-            the serial port is in use in this process. The last two are raised at the first request.
-        Overloaded: raised at the first request: the endpoint already has ``max_connections`` links with
-            ``shared=False``. Nothing was sent.
+        ConfigError: the URL or an option is invalid. At the first use: the endpoint is open already with other
+            connection settings, the serial port is in use in this process, or a file for TLS cannot be used.
+        Overloaded: at the first use: the endpoint already has ``max_connections`` links with ``shared=False``. Nothing
+            was sent.
     """
     settings = link_settings(url, options, ssl_context)
     rule = selection(select)
@@ -660,7 +666,8 @@ def open_link(
 def send_only_while(link: AsyncLink, may_send: Callable[[], bool]) -> None:
     """Let a link that is not used yet send only while ``may_send`` returns True (`busway.client.permitted_sending`).
 
-    ``may_send`` is called before each connection and each frame. If it returns False, the connection is reset, and the
-    call fails with `LinkDown`, a write with `WriteOutcomeUnknown`.
+    ``may_send`` is called before each connection and each write of frames. If it returns False, nothing leaves: no
+    connection is opened, or the open one is reset, and the call fails with `LinkDown`, a write that was to be sent on
+    an open connection with `WriteOutcomeUnknown`. It has no effect on a link that was used before.
     """
     link._may_send = may_send

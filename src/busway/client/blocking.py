@@ -80,11 +80,13 @@ class BlockingUnit:
 
     * `InvalidRequest`: an argument is out of range; nothing was sent.
     * `ExceptionReply`: the device refused the request.
-    * `NoReply`: no answer came in time, after all attempts.
-    * `BadReply`: the answer breaks the protocol.
-    * `LinkDown`: there is no connection, or it ended before the answer.
+    * `NoReply`: no answer came in time, after all attempts. `UnitSuspended`, a kind of it: nothing was sent, because
+      the unit's breaker is open.
+    * `BadReply`: the answer breaks the protocol, or its bytes are no value of the type.
+    * `LinkDown`: there is no connection, or it ended before the answer. `LinkClosed`, a kind of it: the program has
+      closed this link.
     * `Overloaded`: too many calls wait already; nothing was sent.
-    * `WriteOutcomeUnknown`: only methods that write; the request was sent, and no valid answer came: it may have been
+    * `WriteOutcomeUnknown`: only requests that write; the request was sent, and no valid answer came: it may have been
       executed or not.
     """
 
@@ -155,7 +157,10 @@ class BlockingUnit:
         return outcomes
 
     def _tell_assumed(self, error: ModbusError) -> None:
-        """Add to an error a hint at what the user did not give, if that may be the cause: unit, baud rate or parity."""
+        """Add a hint to the message of an error that an assumed unit, baud rate or parity may have caused.
+
+        Assumed are those that the user did not give. Other errors stay unchanged.
+        """
         if self._is_assumed:
             with_assumed_unit(error, self._number)
         with_assumed_line(error, self._link._settings, self._link.counters)
@@ -270,7 +275,8 @@ class BlockingUnit:
 
         Args:
             address: such as ``4x101``, ``40101``, ``holding:0x64``, ``%MW100``, ``0x1`` for coil 1 (`parse_address`).
-                ``4x101.3`` reads one bit of a register, as a bool; ``type`` has no effect then.
+                ``4x101.3`` reads one bit of a register, as a bool, with ``count`` the same bit of so many registers;
+                ``type`` has no effect then.
             type: type of the values in registers, such as ``float32`` or ``string:8``; None for ``uint16``. It must be
                 None for coils and discrete inputs, which are bools.
             order: order of bytes and registers in a value, ``ABCD`` (big-endian) by default.
@@ -366,7 +372,8 @@ class BlockingUnit:
         A value out of range raises `InvalidRequest`, and nothing is sent.
 
         Args:
-            address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write.
+            address: as in `read`; ``4x1.3`` writes one bit of a register by a mask write (function 22), with True or
+                False; ``type``, ``order`` and ``function`` have no effect then.
             value: one value, or any iterable of values for consecutive addresses.
             type: type of the values in registers; None for ``uint16``. It must be None for coils.
             order: order of bytes and registers in a value, ``ABCD`` (big-endian) by default.
@@ -664,7 +671,7 @@ class BlockingLink:
         self._closed = False
 
     def _bound(self) -> BlockingLinkDriver:
-        """Return the driver for the next request: this link's own, or the one that ``select`` chooses.
+        """Return the driver for the next request: this link's own, or the one that the option ``select`` chooses.
 
         Raises:
             LinkClosed: the program has closed this link.
@@ -679,7 +686,8 @@ class BlockingLink:
     def _looked_at(self) -> BlockingLinkDriver | None:
         """Return the driver whose status this link shows: its own, even after `close`.
 
-        A link opened with ``select`` shows the driver that the next request would use; None if there is none.
+        A link opened with ``select`` shows the driver that the next request would use; None if there is none, or after
+        `close`.
         """
         try:
             return self._link or self._bound()
@@ -716,7 +724,10 @@ class BlockingLink:
 
     @property
     def counters(self) -> ClientCounters:
-        """Counters of requests, replies and errors so far, of all users that share the connection."""
+        """Counters of requests, replies and errors so far, of all users that share the connection.
+
+        Before the first use, and with ``select`` while no other link is open, they are new counters that are all 0.
+        """
         link = self._looked_at()
         return ClientCounters() if link is None else link.session.counters
 
@@ -733,7 +744,11 @@ class BlockingLink:
         return BlockingUnit(self, default_unit(self._settings.endpoint, number), is_assumed=number is None)
 
     def connect(self) -> None:
-        """Connect now, instead of at the first request. Does nothing if the link is connected. Raises `LinkDown`."""
+        """Connect now, instead of at the first request. Does nothing if the link is connected.
+
+        Raises:
+            LinkDown: the attempt failed, or a pause after a failed attempt is not over; `LinkClosed` after `close`.
+        """
         self._bound().connect()
 
     def disconnect(self) -> None:
@@ -766,9 +781,10 @@ class BlockingLink:
         return self._bound().on_state(callback)
 
     def close(self) -> None:
-        """Close this link, and its connection if no other link uses that.
+        """Close this link, and its connection if no other link uses that; no call can be made on this link any more.
 
-        Its unfinished calls then fail with `LinkDown`.
+        If the connection is closed, unfinished calls fail with `LinkDown`, and writes that were sent and not answered
+        with `WriteOutcomeUnknown`. Otherwise they go on.
         """
         if not self._closed:
             self._closed = True
@@ -786,8 +802,9 @@ class BlockingLink:
     def run(self, unit: int, requests: Sequence[Request], call_options: CallOptions) -> list[Any]:
         """Send requests to a unit and return a list with a reply or a `ModbusError` for each, in order.
 
-        All methods of a unit use this. It raises an error only if nothing was sent for any of the requests, such as
-        `LinkDown`, `Overloaded`, `UnitSuspended` or `InvalidRequest`.
+        All methods of a unit that send requests do so in this way. Each reply is a message, and each error is in the
+        list. An error is raised only if nothing was sent for any of the requests: `LinkDown`, `Overloaded`,
+        `UnitSuspended` or `InvalidRequest`.
         """
         link = self._link
         if link is None or self._closed:
@@ -828,14 +845,15 @@ def connect(
             authorities that the system trusts. It decides what is verified, which certificate the client sends, and
             the versions and ciphers of TLS; only the TLS options ``server_name`` and ``handshake_timeout`` may be given
             as well. None: the context is created from the TLS options.
-        options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters`, `SocketParameters` and
-            `ManagementParameters`; with RTU or ASCII framing, also of `SerialClientParameters`, `BreakerParameters` and
-            `FramingParameters`; for a serial port, also of `SerialSettings` and `OpeningParameters`. An option that has
-            no effect for the scheme raises `ConfigError`.
+        options: by name, such as ``timeout=2.0, retries=0``: fields of `ClientParameters` and `BreakerParameters`; over
+            a network, also of `SocketParameters` and `ManagementParameters`; for ``tls://``, of `TlsParameters`; with
+            RTU or ASCII framing, of `SerialClientParameters` and `FramingParameters`; for a serial port, of
+            `SerialSettings` and `OpeningParameters`; and ``preset``. An option that has no effect for the scheme raises
+            `ConfigError`. Where the URL gives the same option, the keyword counts.
 
     Raises:
-        ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, or
-            the serial port is in use in this process.
+        ConfigError: the URL or an option is invalid, the endpoint is open already with other connection settings, the
+            serial port is in use in this process, or a file for TLS cannot be used.
         Overloaded: the endpoint already has ``max_connections`` links with ``shared=False``. Nothing was sent.
     """
     settings = link_settings(url, options, ssl_context)

@@ -75,9 +75,9 @@ class BlockingLinkDriver:
         reconnect: state of the connection, and when a new one may be opened.
         shared: whether all users of the endpoint share the link.
         home: always None: the link belongs to no event loop.
-        opened: when the present connection was opened, by ``time.monotonic``.
-        last_used: when the present connection was last used, by ``time.monotonic``.
-        sent_bytes, received_bytes: bytes on all connections of the link so far.
+        opened: when the last connection was opened, in seconds by ``time.monotonic``; 0 before the first.
+        last_used: when the last connection was last used, in seconds by ``time.monotonic``; 0 before the first.
+        sent_bytes, received_bytes: number of bytes on all connections of the link so far.
         observers: callbacks of the program for new states of the connection, called under the lock of the link; None
             before the first is added.
     """
@@ -138,6 +138,8 @@ class BlockingLinkDriver:
     def run(self, call: Call) -> None:
         """Run a call; return when each of its requests has a reply or an error, stored in ``call.outcomes``.
 
+        If an exception such as ``KeyboardInterrupt`` ends the wait, the call is cancelled.
+
         Raises:
             Overloaded, LinkDown, UnitSuspended, and on a serial line InvalidRequest: nothing was sent.
         """
@@ -174,9 +176,12 @@ class BlockingLinkDriver:
                 call.owner.release()
 
     def connect(self) -> None:
-        """Open the connection now, instead of at the first request. Raises `LinkDown`.
+        """Open the connection now, instead of at the first request. Returns when it is open.
 
-        Does nothing if the link is connected, or closed for good.
+        Does nothing if the link is connected, or closed for good. If another thread is connecting, waits for that.
+
+        Raises:
+            LinkDown: the attempt failed, or a pause after a failed attempt is not over.
         """
         guard = self._guard
         lead: threading.Lock | None = None
@@ -233,7 +238,10 @@ class BlockingLinkDriver:
             self._guard.is_torn = False
 
     def close(self) -> None:
-        """Close the link for good. Calls that wait or are under way fail with `LinkDown`."""
+        """Close the link for good. Calls that wait or are under way fail with `LinkDown`.
+
+        Writes that were sent and are not answered fail with `WriteOutcomeUnknown`.
+        """
         try:
             self._keep_doubts()
             self._close()
@@ -277,7 +285,10 @@ class BlockingLinkDriver:
         return status_of(self, self.session, self._life, time.monotonic(), local)
 
     def make_room(self) -> bool:
-        """Close the connection if no call uses it, so that another link may open one. Returns whether it was closed."""
+        """Close the connection if no call uses it, so that another link may open one. Returns whether it was closed.
+
+        Returns False at once if a thread holds the lock of the link.
+        """
         if self._lock.locked():
             return False  # a thread is using it
         with self._lock:
@@ -492,7 +503,7 @@ class BlockingLinkDriver:
                 break
 
     def _waiter(self, call: Call) -> threading.Lock:
-        """Return the lock at which the thread of a call waits; it is released to wake that thread."""
+        """Return the lock at which the thread of a call waits, created if needed; releasing it wakes that thread."""
         waiter = self._waiters.get(call)
         if waiter is None:
             waiter = threading.Lock()
@@ -530,9 +541,9 @@ class BlockingLinkDriver:
         return self._lead.locked() or bool(self._waiters)
 
     def _used(self) -> None:
-        """Let other links of the client send if the common limit has room.
+        """Do what is due when a call has ended: let other links of the client send if the common limit has room.
 
-        With ``hold=request`` close an unused connection.
+        With ``hold=request`` an unused connection is closed. Call it with the lock held.
         """
         if self._scope is not None:
             self._scope.serve(time.monotonic())
@@ -540,7 +551,7 @@ class BlockingLinkDriver:
             self._let_go(time.monotonic())
 
     def _let_go(self, now: float) -> None:
-        """Close the connection if it was unused for as long as the option ``hold`` says."""
+        """Close the connection if no call uses it and it was unused for the time of the option ``hold``."""
         if self._connection is not None and not self._is_used():
             reason = self._life.spent(now, self.last_used)
             if reason:
@@ -584,7 +595,10 @@ class BlockingLinkDriver:
         return True
 
     def _flush(self, now: float) -> None:
-        """Send the frames that the system did not accept before; close the connection if it has ended."""
+        """Send the frames that the system did not accept before, as far as it accepts them now.
+
+        If the connection has ended, it is closed, and its requests are repeated or fail.
+        """
         connection = self._connection
         if connection is not None and connection.unsent:
             try:
@@ -690,7 +704,10 @@ class BlockingLinkDriver:
             finished.clear()
 
     def _look_at_line(self) -> None:
-        """Process the bytes received on a serial line since the last call, and the silence after them."""
+        """Process the bytes received on a serial line since the last call, and the silence after them.
+
+        Does nothing if there is a leader, which receives them itself.
+        """
         if not self._lead.locked() and self._connection is not None:
             self._receive(self._connection)
             self._tick(time.monotonic())
@@ -725,7 +742,7 @@ class BlockingLinkDriver:
         self._done()
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Handle an event of the connection: log ``news`` unless empty, and call the observers."""
+        """Handle an event of the connection: log the text ``news`` unless it is empty, and call the observers."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
@@ -738,7 +755,10 @@ class BlockingLinkDriver:
             connection.close()
 
     def _refuse_while_down(self, call: Call, now: float) -> None:
-        """Raise `LinkDown` if the link is closed, or during the pause after a failed attempt to connect."""
+        """Raise `LinkDown` if the link is closed, or during the pause after a failed attempt to connect.
+
+        During that pause nothing is raised if there is a leader: then ``call`` waits with the other calls.
+        """
         if self._life.closed or not self._lead.locked():
             refusal = self._life.refusal(now, call.unit)
             if refusal is not None:
@@ -804,7 +824,7 @@ class BlockingLinkDriver:
         return failure
 
     def _use(self, connection: BlockingConnection, now: float) -> None:
-        """Make a new connection the one of this link, and send on it what is due."""
+        """Use a new connection as the one of this link, and send on it what is due."""
         self._connection = connection
         self.opened = self.last_used = now
         self._trace = None

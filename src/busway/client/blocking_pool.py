@@ -22,9 +22,10 @@ class BlockingPool:
         self._links: SharedLinks[BlockingLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> BlockingLinkDriver:
-        """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
+        """Return the link that all users of an endpoint share, or, if ``shared`` is False, a new link for the caller.
 
-        The caller is a user of the link until it calls `release`.
+        The shared link is created for its first user. The caller is a user of the link until it calls `release`.
+        Nothing is sent, and no connection opened.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -43,7 +44,7 @@ class BlockingPool:
             return self._links.choose(settings, rule)
 
     def release(self, settings: LinkSettings, link: BlockingLinkDriver) -> None:
-        """Stop using a link that `acquire` returned; it is closed when its last user has released it."""
+        """Stop using a link that `acquire` returned; close it if this was its last user."""
         with self._lock:
             is_last = self._links.release(settings, link)
         if is_last:

@@ -72,7 +72,8 @@ def with_assumed_line(outcome: object, settings: LinkSettings, counters: ClientC
 def refused(refusal: ModbusError, requests: Sequence[Request]) -> list[ModbusError]:
     """Return one error for each request of a call that was refused before anything was sent, in order.
 
-    Each is a copy of ``refusal``, the error of the call, with the request's function and address.
+    Each is a copy of ``refusal``, the error of the call, with the request's function and its first address, which is
+    None for a request without one.
     """
     errors = []
     for request in requests:

@@ -51,7 +51,8 @@ def chosen(links: Sequence[AnyLink], settings: LinkSettings, rule: LinkSelection
     Args:
         links: all links to the endpoint, in the order in which they were created.
         settings: settings of the calling link; only the endpoint is used, for the error.
-        rule: chooses among the connected links. If none is connected, the first one is returned; it connects then.
+        rule: chooses among the connected links: the one created first, or the one whose connection has been open
+            longest. If none is connected, the link created first is returned; the request makes it connect.
     """
     if not links:
         raise LinkDown(

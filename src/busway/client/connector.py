@@ -56,7 +56,10 @@ class TcpConnector:
         self._local = (sockets.local_address, 0) if sockets.local_address else None
 
     async def connect(self, protocol: Callable[[], "asyncio.BaseProtocol"]) -> Any:
-        """Open a TCP connection and return its transport. Raises `LinkDown`."""
+        """Open a TCP connection for an asyncio link and return its transport. Raises `LinkDown`.
+
+        ``protocol`` is called once, and returns the object that gets the events of the transport.
+        """
         import asyncio  # here: blocking programs, and every start of the command line, do without it
 
         from ..transport.dialling import open_stream
@@ -122,7 +125,10 @@ class UdpConnector:
         self._is_whole = WHOLE[endpoint.framing]
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """Open a UDP socket to the endpoint for an asyncio link, and return its transport. Raises `LinkDown`."""
+        """Open a UDP socket to the endpoint for an asyncio link, and return its transport. Raises `LinkDown`.
+
+        ``protocol`` is called once, and returns the object that gets each received frame.
+        """
         from ..transport.udp import open_datagram
 
         return await open_datagram(

@@ -26,7 +26,10 @@ class KeptDoubts:
         self._lock = threading.Lock()
 
     def keep(self, url: str, doubts: Doubts) -> None:
-        """Store the record of a closed link to ``url``, unless no late reply may come any more."""
+        """Store the record of a closed link to ``url``, added to an earlier one.
+
+        Does nothing if no late reply can come any more.
+        """
         if not doubts.is_owed:
             return
         with self._lock:

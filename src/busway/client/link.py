@@ -49,7 +49,7 @@ CLOSING_SECONDS: Final = 2.0
 SPIN: Final = 0.0003
 """Seconds of busy loop before a frame, with ``precise_timing``: a sleeping processor wakes up about that much late."""
 COARSE_SPIN: Final = 0.0015
-"""The same as `SPIN` on systems without exact timers: those of the event loop are up to one millisecond late."""
+"""Seconds of busy loop instead of `SPIN` on systems without exact timers: a loop's timers are up to 1 ms late there."""
 
 
 class _LinkProtocol(asyncio.BufferedProtocol):
@@ -100,14 +100,14 @@ class AsyncLinkDriver:
         reconnect: state of the connection, and when a new one may be opened.
         shared: whether all users of the endpoint share the link.
         home: the event loop that the link belongs to.
-        watch: called after received bytes or a timer were handled and the callers of completed calls were woken; a
-            gateway looks at its incomplete calls then. None: no function is called.
-        told: called with each event of the connection and its reason, after the state has changed. None: no function is
-            called.
+        watch: function that is called after received bytes or a timer were handled and the callers of completed calls
+            were woken; a gateway sets it, to look at its incomplete calls. None: no function is called.
+        told: function that is called with each event of the connection and its reason in words, after the state has
+            changed. None: no function is called.
         observers: callbacks of the program for new states of the connection; None before the first is added.
-        opened: when the present connection was opened, by the clock `now`.
-        last_used: when the present connection was last used, by the clock `now`.
-        sent_bytes, received_bytes: bytes on all connections of the link so far.
+        opened: when the last connection was opened, in seconds by the clock `now`; 0 before the first.
+        last_used: when the last connection was last used, in seconds by the clock `now`; 0 before the first.
+        sent_bytes, received_bytes: number of bytes on all connections of the link so far.
         now: returns the time in seconds; all times of calls and deadlines are by this clock.
     """
 
@@ -213,7 +213,10 @@ class AsyncLinkDriver:
     # Calls of the public interface.
 
     def send_only_while(self, may_send: Callable[[], bool]) -> None:
-        """Let the link send only while ``may_send`` returns True; this takes effect with its next connection."""
+        """Let the link send only while ``may_send`` returns True; this takes effect with its next connection.
+
+        ``may_send`` is called before each connection and each write of frames (`PermittedConnector`).
+        """
         self._connector = PermittedConnector(self._connector, may_send)
 
     def start(self, call: Call, now: float) -> "asyncio.Future[None]":
@@ -272,7 +275,8 @@ class AsyncLinkDriver:
     def give_up(self, call: Call) -> None:
         """Cancel a call, because its caller no longer waits: no more of its requests are sent.
 
-        If one of its requests is only partly sent, the connection is closed.
+        If one of its requests is in flight and the transport still has bytes that the system has not accepted, the
+        connection is closed.
         """
         self._write_outgoing()
         now = self._clock()
@@ -290,7 +294,8 @@ class AsyncLinkDriver:
     async def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`.
 
-        Returns when the connection is closed; for a serial port it waits at most `CLOSING_SECONDS`.
+        Writes that were sent and are not answered fail with `WriteOutcomeUnknown`. Returns when the connection is
+        closed; for a serial port it waits at most `CLOSING_SECONDS`.
         """
         self._life.closed = True
         LOCAL.discard(self)
@@ -328,9 +333,10 @@ class AsyncLinkDriver:
         return self.observers.add(callback)
 
     async def disconnect(self) -> None:
-        """Close the connection; the next request opens another one.
+        """Close the connection, or end the attempt to open one; the next request opens another one.
 
-        Requests in flight are repeated or fail, as after a lost connection.
+        Requests in flight are repeated or fail, as after a lost connection; calls that wait for the attempt fail with
+        `LinkDown`. Returns when the connection is closed; for a serial port it waits at most `CLOSING_SECONDS`.
         """
         if self._connecting is not None:
             self._connecting.cancel()
@@ -356,7 +362,10 @@ class AsyncLinkDriver:
         return self._transport is not None
 
     def call_at(self, when: float, callback: Callable[[], None]) -> asyncio.TimerHandle:
-        """Let the event loop call ``callback`` at the time ``when``, by the clock `now`. Returns the timer."""
+        """Let the event loop call ``callback`` at the time ``when``, in seconds by the clock `now`. Returns the timer.
+
+        If that time is over, the loop calls it in its next turn.
+        """
         return self._loop.call_later(max(when - self._clock(), 0.0), callback)
 
     @property
@@ -375,9 +384,12 @@ class AsyncLinkDriver:
         return max(self.reconnect.not_before - self._clock(), 0.0)
 
     async def connect(self) -> None:
-        """Open the connection now, instead of at the first request. Raises `LinkDown`.
+        """Open the connection now, instead of at the first request.
 
         Does nothing if the link is connected, or closed for good.
+
+        Raises:
+            LinkDown: the attempt failed, or a pause after a failed attempt is not over.
         """
         if self.is_connected or self._life.closed:
             return
@@ -463,7 +475,10 @@ class AsyncLinkDriver:
             self._scope.serve(now)
 
     def pause(self, protocol: _LinkProtocol, paused: bool) -> None:
-        """Stop sending if ``paused``, because the transport's write buffer is full; otherwise send again."""
+        """Stop sending if ``paused``, because the transport's write buffer is full; otherwise send what waits.
+
+        Ignored if ``protocol`` is that of an earlier connection.
+        """
         if protocol is self._protocol:
             self._paused = paused
             if not paused:
@@ -486,9 +501,10 @@ class AsyncLinkDriver:
             outgoing.clear()
 
     def _pump(self, now: float) -> None:
-        """Send all requests that are due; without a connection, open one if requests wait.
+        """Send all requests that are due; without a connection, begin to open one if requests wait.
 
-        Closes the connection instead if the session asks for a new one. With ``precise_timing`` ``now`` can be shortly
+        Closes the connection instead if the session asks for a new one. Sends nothing while the write buffer is full.
+        With ``precise_timing`` ``now`` can be shortly
         in the future: the frame is prepared at once, and sent at that time.
         """
         session = self.session
@@ -539,7 +555,7 @@ class AsyncLinkDriver:
         self.lost(self._protocol, "a call ended before the connection had taken its request")
 
     def _close_transport(self) -> None:
-        """Close the connection of the link; bytes that are not sent yet are dropped."""
+        """Close the link's connection without telling the session; bytes that are not sent yet are dropped."""
         transport = self._transport
         if self._held is not None and self._held():
             self._abort()
@@ -554,13 +570,16 @@ class AsyncLinkDriver:
         self._transport.abort()
 
     def _forget_connection(self) -> None:
-        """Clear everything that belongs to the ended connection, above all its unsent bytes."""
+        """Clear the fields that belong to the ended connection, and its unsent bytes."""
         self._transport = self._protocol = self._frame_leaves = self._held = None
         self._outgoing.clear()
         self._paused = False
 
     def _after_use(self, now: float) -> None:
-        """Let other links of the client send if the common limit has room; close the connection after its hold time."""
+        """Let other links of the client send if the common limit has room, and see to the hold time of the connection.
+
+        An unused connection is closed if its hold time is over; otherwise the timer is set to the end of that time.
+        """
         if self._scope is not None:
             self._scope.serve(now)
         if self._hold == math.inf or self._transport is None or self._is_used() or self.session.deadline() is not None:
@@ -581,7 +600,7 @@ class AsyncLinkDriver:
         self._life.released(now, reason)
 
     def _moved(self, event: ConnectionEvent, reason: str, news: str) -> None:
-        """Handle an event of the connection: log ``news`` unless empty, and call ``told`` and the observers."""
+        """Handle an event of the connection: call `told` and the observers, and log the text ``news`` unless empty."""
         if news:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)

@@ -53,13 +53,14 @@ def read_values(
     """Read values from an address, as a generator of requests. Its result is a list; one value if ``count`` is None.
 
     Args:
-        address: where the first value is, in any notation that names its table. With a bit (``4x1.3``) the values are
-            bools, and ``kind`` is ignored.
+        address: where the first value is, in any notation that names its table. With a bit (``4x1.3``) each value is
+            this bit of one register, as a bool, and ``kind`` is ignored.
         kind: type of the values; None: unsigned integers of one register. Must be None for coils and discrete inputs.
         order: order of bytes and registers in values, such as ``ABCD``.
         count: number of values; None: one.
         split: whether several requests may be used if one cannot hold all values.
-        width: bytes of one register in replies, 2…12; more than 2 only for special devices.
+        width: bytes of one register in replies, an even number 2…12; more than 2 only for special devices. If a value
+            is smaller than a register, each register has one value, in its last bytes.
 
     Raises:
         InvalidRequest: an argument is invalid or too large. Nothing was sent.
@@ -102,18 +103,20 @@ def read_values(
 def write_values(
     address: int | str | Address, values: Any, kind: str | ValueType[Any] | None, order: str, function: WriteFunction
 ) -> Operation:
-    """Write one value or several to an address with one request, as a generator of requests. It has no result.
+    """Write one value or several to an address with one request, as a generator of requests. Its result is None.
 
     Args:
         address: where the first value goes, in any notation that names its table. With a bit (``4x1.3``), ``values`` is
-            one bool, which a mask write (function 22) sets, and ``kind`` is ignored.
+            one bool, which a mask write (function 22) writes; ``kind``, ``order`` and ``function`` are ignored then.
         values: one value, or an iterable of values for consecutive addresses.
         kind: type of the values; None: ``uint16``. Must be None for coils.
         order: order of bytes and registers in values, such as ``ABCD``.
-        function: ``single`` (05, 06), ``multiple`` (15, 16), or ``auto``: single for one coil or register.
+        function: ``single`` (05, 06), ``multiple`` (15, 16), or ``auto``: single for one coil or register, else
+            multiple.
 
     Raises:
-        InvalidRequest: an argument is invalid or too large, or the table is read-only. Nothing was sent.
+        InvalidRequest: an argument is invalid or too large, there is no value, the values need more than one register
+            with ``single``, or the table is read-only. Nothing was sent.
     """
     place = place_of(address)
     if place.table is None or not place.table.is_writable:
@@ -156,8 +159,9 @@ def read_identification(level: str, object_id: int | None) -> Operation:
         object_id: the only object to read, 0…255; None for all of the level.
 
     Raises:
-        InvalidRequest: ``level`` is none of the three. Nothing was sent.
-        BadReply: a reply says that more objects follow, but names none after the one from which it was asked.
+        InvalidRequest: ``level`` is none of the three, or ``object_id`` is out of range. Nothing was sent.
+        BadReply: a reply says that more objects follow, but the next one that it names does not come after the object
+            with which the reply was asked to begin.
     """
     if object_id is not None:
         code, start = INDIVIDUAL, object_id
@@ -190,7 +194,7 @@ def place_of(address: int | str | Address) -> Address:
 
 
 def _hint_of_number(place: Address) -> str:
-    """Return a text for an error message: how to write an address that was given as a bare number, such as 40001."""
+    """Return a text for an error message: how to write an address that was given as a number without a table."""
     offset = place.offset
     with contextlib.suppress(InvalidRequest):
         meant = parse_address(str(offset))
@@ -243,7 +247,7 @@ def _check_single(place: Address, items: int, limit: int, function: WriteFunctio
 
 
 def diagnostic_request(sub_function: int, data: bytes) -> Request:
-    """Return a request of function 08 with any sub-function, 0…65535, and its data.
+    """Return a request of function 08 with any sub-function, 0…65535, and the bytes after it as its data.
 
     Raises:
         InvalidRequest: the sub-function is out of range, or is a standard one that cannot have such data.

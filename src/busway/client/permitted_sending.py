@@ -16,11 +16,11 @@ NOT_PERMITTED: Final = "sending is not permitted now; this request was not sent"
 
 
 class PermittedConnector:
-    """Opens the connections of a link that may send only while a function returns True.
+    """Opens the connections of an asyncio link that may send only while a function returns True.
 
     Args:
         connector: opens the connections.
-        may_send: returns whether bytes may leave now; called before each connection and each frame.
+        may_send: returns whether bytes may leave now; called before each connection and each write of frames.
     """
 
     def __init__(self, connector: Connector, may_send: Callable[[], bool]) -> None:
@@ -46,11 +46,11 @@ class PermittedConnector:
         return PermittedTransport(transport, made[-1], self._may_send)
 
     def dial(self) -> Channel:
-        """Open a connection of a blocking link; ``may_send`` does not apply to it. Raises `LinkDown`."""
+        """Open a connection of a blocking link; ``may_send`` is not asked for it. Raises `LinkDown`."""
         return self._connector.dial()
 
     def release(self) -> None:
-        """Release the connector that opens the connections."""
+        """Free what the connector holds, such as a serial port; called when the link is closed for good."""
         self._connector.release()
 
 

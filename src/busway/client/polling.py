@@ -26,8 +26,8 @@ class ExactPoll:
         """Wait until bytes can be received, or with ``writes`` also until bytes can be sent. Returns whether they can.
 
         Returns True also if the port was lost: then the next call on it raises. Returns False if the time was over
-        first, or if another thread closed the port. A single wait is at most 0.25 seconds long, even if ``seconds`` is
-        more.
+        first, or if another thread closed the port. The wait ends ``spin`` seconds before ``seconds`` are over, and
+        after 0.25 seconds at the latest.
         """
         if seconds > self._spin:
             seconds -= self._spin

@@ -20,9 +20,10 @@ class LinkPool:
         self._links: SharedLinks[AsyncLinkDriver] = SharedLinks(_made)
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AsyncLinkDriver:
-        """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
+        """Return the link that all users of an endpoint share, or, if ``shared`` is False, a new link for the caller.
 
-        The caller is a user of the link until it calls `release`.
+        The shared link is created for its first user. The caller is a user of the link until it calls `release`.
+        Nothing is sent, and no connection opened.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -39,7 +40,7 @@ class LinkPool:
         return self._links.choose(settings, rule)
 
     async def release(self, settings: LinkSettings, link: AsyncLinkDriver) -> None:
-        """Stop using a link that `acquire` returned; it is closed when its last user has released it."""
+        """Stop using a link that `acquire` returned; if this was its last user, close it and wait for that."""
         if self._links.release(settings, link):
             await link.close()
 

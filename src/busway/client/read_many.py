@@ -5,7 +5,7 @@ Knows addresses, value types and requests; knows no link.
 1. Ranges that touch or overlap become one request, as far as the limit of one request allows. Nothing else is read
    with them, because a device may refuse a range in which registers are missing.
 2. A program that polls asks for the same names again and again. So the requests, and how their replies are decoded, are
-   kept as a plan for equal names, addresses and types. When there are more than `_MOST_PLANS` plans, all are dropped.
+   kept as a plan for equal names, addresses and types. If there are `_MOST_PLANS` plans, a new one replaces them all.
 3. All values of one type in a reply are decoded by one call: that is three times as fast as one by one.
 """
 
@@ -39,6 +39,8 @@ class _Item:
     """One named value, or list of values, to be read.
 
     Attributes:
+        name: its name in the result.
+        table: the table that has it.
         offset: protocol address of the first register or bit, 0…65535.
         items: number of registers or bits.
         form: type of the values; None for coils and discrete inputs.
@@ -75,11 +77,12 @@ def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW)
 
     Args:
         wanted: what to read, by name.
-        order: order of bytes and registers in values, such as ``ABCD``.
-        width: bytes of one register in replies; only 2 is possible here.
+        order: order of bytes and registers in values, such as ``CDAB``; with ``ABCD`` a `ValueType` keeps its own.
+        width: bytes of one register in replies; any other than 2 is refused.
 
     Raises:
-        InvalidRequest: an address, type, count or the width is invalid. Nothing was sent.
+        InvalidRequest: an address, type, count, order or width is invalid, or one request cannot read the values of one
+            name. Nothing was sent.
         BadReply: bytes of a reply are no value of their type.
     """
     if width != NARROW:
@@ -187,7 +190,7 @@ class _Decoder:
         ]
 
     def decode(self, reply: object, found: dict[str, Any]) -> None:
-        """Decode a reply and add its values to ``found``, by name.
+        """Decode the reply to the request, and put its values into the dict ``found``, by name.
 
         Raises `BadReply` if bytes are no value of their type.
         """

@@ -43,7 +43,7 @@ class LocalConnectionStatus:
         sent_bytes, received_bytes: bytes on all connections of the link so far.
         transactions: number of requests sent.
         failures: number of timeouts, invalid replies and lost connections together.
-        connections: how many connections the link has had.
+        connections: how many connections the link has had, the present one included.
         in_flight: number of requests whose reply is awaited.
         queued: number of calls that have requests left to send.
         reason: why the last attempt to connect failed; empty while connected, and before the first failure.
@@ -77,9 +77,9 @@ class LocalLink(Protocol):
     Attributes:
         home: the event loop that the link belongs to; None for a blocking link.
         shared: whether all users of the endpoint share the link.
-        opened: when the present connection was opened, in seconds by the clock of the link.
-        last_used: when the present connection was last used, by the same clock.
-        sent_bytes, received_bytes: bytes on all connections of the link so far.
+        opened: when the last connection was opened, in seconds by the clock of the link.
+        last_used: when the last connection was last used, in seconds by the clock of the link.
+        sent_bytes, received_bytes: number of bytes on all connections of the link so far.
     """
 
     home: "asyncio.AbstractEventLoop | None"
@@ -144,6 +144,9 @@ class LocalConnections:
     def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
         """Close an unused connection if the process is at its limit; called before a link connects.
 
+        Of the shared connections that no call uses, the one whose last use is longest ago is closed; connections of
+        another event loop are left alone.
+
         Args:
             newcomer: the link that is about to connect.
             endpoint: URL of its peer, for the error.
@@ -206,7 +209,7 @@ def status_of(
         session: the client session of the link.
         life: the state of the link's connections.
         now: the time in seconds, by the clock of the driver.
-        local: local socket address; None while not connected, and on a serial port.
+        local: local socket address, as ``getsockname`` returns it; None while not connected, and on a serial port.
     """
     stands = link.is_connected
     counters, in_flight = session.counters, session.in_flight

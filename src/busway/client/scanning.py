@@ -70,7 +70,7 @@ def scan(
         learn: shorten the wait to a multiple of the slowest answer so far.
         identify: ask each unit that answers for its identification (43/14, 17).
         listen: seconds to listen to a line first; None: do not listen, and ask even if another master is active.
-        options: as in `connect`, except ``retries``: each unit is asked once.
+        options: as in `connect`; ``retries`` is ignored, because each unit is asked without retries.
 
     Returns:
         The units that answered, in the order of their answers: ascending, then those found when asked again.
@@ -119,10 +119,10 @@ def refuse_busy_line(
     """Listen to a line before a scan, and raise `ConfigError` if there is traffic. Sends nothing.
 
     Args:
-        endpoint: the endpoint to be scanned. Modbus TCP framing and lines over UDP are not listened to.
-        listen: seconds to listen.
+        endpoint: the endpoint to be scanned. With Modbus TCP framing, and for a line over UDP, nothing is done.
+        listen: the longest time to listen, in seconds; the first byte received ends it.
         hint: the end of the error message, which says how to scan in spite of it.
-        begun: called when the line is open and listening begins.
+        begun: called without arguments when the line is open and listening begins.
 
     Raises:
         ConfigError: there is traffic, or an option of the endpoint is invalid.
@@ -160,12 +160,15 @@ class UnitScan:
         longest: the longest wait for the answer of a unit, in seconds.
         learn: whether the wait is shortened to a multiple of the slowest answer so far.
         identify: whether units that answer are asked for their identification.
-        options: as in `connect`.
+        options: as in `connect`; ``timeout`` and ``retries`` are ignored.
         asking: called with the number of each unit before it is asked.
 
     Attributes:
         line: settings of the serial port, such as its baud rate; None over a network.
-        adaptive_timeout: the present wait for a unit, learnt from the answers so far.
+        adaptive_timeout: its ``timeout`` is the present wait for a unit in seconds, learnt from the answers so far.
+
+    Raises:
+        ConfigError: an option is invalid, or this process uses the serial port already.
     """
 
     def __init__(
@@ -196,8 +199,8 @@ class UnitScan:
     def found(self) -> Iterator[FoundUnit]:
         """Ask the units one after the other, and yield each one as soon as it has answered. Raises `LinkDown`.
 
-        If an answer came late, silent units that were given less than the full time are asked a second time. Can be
-        used once: the link is closed at the end.
+        Units that do not answer are left out. If an answer came late, silent units that were given less than the full
+        time are asked a second time. It can be used once: the link is closed at the end.
         """
         with self._link:
             self._link.connect()

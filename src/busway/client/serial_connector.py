@@ -60,7 +60,10 @@ class SerialConnector:
         self._claim = Claim(endpoint.path, user)
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
-        """Open the port for an asyncio link; wait for a missing port up to ``port_wait`` seconds. Raises `LinkDown`.
+        """Open the port for an asyncio link and return its transport, a `SerialStream`.
+
+        If the port is missing or cannot be opened, it is tried again for up to ``port_wait`` seconds; wrong options of
+        the port fail at once. Raises `LinkDown`.
 
         ``protocol`` is called once, and returns the object that gets received bytes and the loss of the port.
         """
@@ -82,7 +85,11 @@ class SerialConnector:
             await asyncio.sleep(pause)
 
     def dial(self) -> Channel:
-        """Open the port for a blocking link; wait for a missing port up to ``port_wait`` seconds. Raises `LinkDown`."""
+        """Open the port for a blocking link and return it as a `SerialChannel`. Raises `LinkDown`.
+
+        If the port is missing or cannot be opened, it is tried again for up to ``port_wait`` seconds; wrong options of
+        the port fail at once.
+        """
         waited = _Waited(self._opening)
         while True:
             try:

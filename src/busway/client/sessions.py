@@ -112,7 +112,7 @@ class ClientSession(Protocol):
 def client_session_for(
     settings: LinkSettings, shared_slots: FreeSlots | None = None
 ) -> TcpClientSession | SerialClientSession:
-    """Create the client session for an endpoint, without a connection. Raises `ConfigError`.
+    """Create the client session for an endpoint. Nothing is opened.
 
     Returns:
         A session for Modbus TCP, or for a serial line (RTU and ASCII framing, also over a network).
@@ -120,7 +120,10 @@ def client_session_for(
     Args:
         settings: the settings of the link.
         shared_slots: with the option ``scope=client``, the list from which all links of a client take the slots for
-            their requests in flight; None if the session has its own limit.
+            their requests in flight; None if the session has its own limit. Ignored for a serial line.
+
+    Raises:
+        ConfigError: ``strict_timing`` is set for a line over a network, or ``gap_limit`` is shorter than t3.5.
     """
     name = settings.endpoint.url
     if settings.line is None:
@@ -169,7 +172,7 @@ def reconnect_for(settings: LinkSettings) -> Reconnect:
 
 
 def timing_of(port: SerialSettings | None) -> SerialTiming:
-    """Return the character time and the silences for a serial port; those for a network if ``port`` is None."""
+    """Return the character time and the silences (t1.5, t3.5) of a serial port, or of a network if ``port`` is None."""
     if port is None:
         return SerialTiming.of_network()
     return SerialTiming.of_line(

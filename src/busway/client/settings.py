@@ -75,7 +75,10 @@ class LinkSettings:
     ssl_context: "ssl.SSLContext | None" = None
 
     def differs(self, other: "LinkSettings") -> str:
-        """Return the name of the first connection setting with another value than in ``other``; empty if none has."""
+        """Return the name of the first connection setting with another value than in ``other``; empty if none has.
+
+        Options that each user of a shared link may choose, such as ``timeout``, are not compared, nor is the endpoint.
+        """
         for mine, theirs in zip(self._parts(), other._parts(), strict=False):
             for name, option in declared(type(mine)).items():
                 if Mark.PER_CALL not in option.marks and getattr(mine, name) != getattr(theirs, name):
@@ -143,7 +146,10 @@ def link_settings(
 
 
 def _assumed(port: SerialSettings | None, given: Mapping[str, object]) -> str:
-    """Return the baud rate and parity of a port as text, without those in ``given``; empty if ``port`` is None."""
+    """Return baud rate and parity of a port as text, without those that the user gave; empty if ``port`` is None.
+
+    ``given`` has the options of the port that the user gave, by name.
+    """
     if port is None:
         return ""
     words = {"baud": f"{port.baud} baud", "parity": f"parity {port.parity.value}"}
@@ -160,5 +166,5 @@ def _check_context(endpoint: Endpoint, options: Mapping[str, object]) -> None:
 
 
 def options_of(endpoint: Endpoint) -> frozenset[str]:
-    """Return the names of the options that have an effect on a link to this endpoint."""
+    """Return the names of the options that have an effect on a link to this endpoint, ``preset`` among them."""
     return Offer.at(endpoint, "client", LINKS).names

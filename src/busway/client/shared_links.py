@@ -51,9 +51,9 @@ class SharedLinks(Generic[AnyLink]):
         self._scope: ClientScope | None = None
 
     def acquire(self, settings: LinkSettings, *, shared: bool) -> AnyLink:
-        """Return the link that all users of an endpoint share, created for the first; or a new one if not ``shared``.
+        """Return the link that all users of an endpoint share, or, if ``shared`` is False, a new link for the caller.
 
-        The caller counts as a user of the link until it calls `release`.
+        The shared link is created for its first user. The caller counts as a user of the link until it calls `release`.
 
         Raises:
             ConfigError: other users share the link with other connection settings, or a setting cannot be used.
@@ -81,7 +81,7 @@ class SharedLinks(Generic[AnyLink]):
     def release(self, settings: LinkSettings, link: AnyLink) -> bool:
         """Remove one user from a link. Returns True if no user is left; then the caller must close the link.
 
-        A link that is not shared has one user.
+        A link that is not shared has one user, so the result is always True for it.
         """
         name = settings.endpoint.url
         entry = self._shared.get(name)

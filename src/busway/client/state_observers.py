@@ -21,7 +21,10 @@ OnState = Callable[[str, str], None]
 
 
 class StateObservers:
-    """The callbacks of one link, which `tell` calls for each new state. ``state`` is the present one."""
+    """The callbacks of one link, which `tell` calls for each new state.
+
+    ``state`` is the state of the connection when the object is created; no callback is called for it.
+    """
 
     __slots__ = ("_callbacks", "_state")
 

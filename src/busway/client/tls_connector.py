@@ -41,16 +41,17 @@ _OF_TIME: Final = (FailureKind.EXPIRED, FailureKind.NOT_YET_VALID)
 
 
 class TlsConnector:
-    """Opens the TLS connections of a link.
+    """Opens the TLS connections of a link. Creating it reads the certificates; nothing is opened.
 
     Args:
         endpoint: host and port of the server.
         sockets: options of the TCP connection under TLS.
-        security: certificates and other settings of TLS; with ``context`` only server name and handshake timeout.
+        security: certificates and other settings of TLS; with ``context``, only ``server_name`` and
+            ``handshake_timeout`` of them count.
         context: a context that the program created itself; None to create one from ``security``.
 
     Raises:
-        ConfigError: a file cannot be used, or the authority is missing.
+        ConfigError: a file cannot be used, or ``authority`` is missing although the server is to be verified.
     """
 
     def __init__(

@@ -1,6 +1,6 @@
 """Configuration: reads files that people write, checks them, and builds components from them.
 
-The section of the specification is Messaging on TCP/IP V1.0b §4.
+The specification describes the configuration of a system in Messaging on TCP/IP V1.0b §4.
 
 ===================  =================================================================================================
 `certificates`       The certificates of a listener: options of its URL override those of its section

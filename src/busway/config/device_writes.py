@@ -39,7 +39,10 @@ class PlacedItems:
         self._ends = list(accumulate((end for _, end in self._spans), max))
 
     def touched(self, first: int, end: int) -> list[int]:
-        """Return the indices in ``spans`` of the ranges that share an item with ``first``…``end - 1``, in ``order``."""
+        """Return the indices in ``spans`` of the ranges that share an item with ``first``…``end - 1``.
+
+        They are sorted by the ranges: first item, then end.
+        """
         found = []
         at = bisect_left(self._ends, first + 1)
         while at < len(self._spans) and self._spans[at][0] < end:

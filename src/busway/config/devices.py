@@ -48,9 +48,9 @@ def build_device(section: UnitSection) -> Device:
 
 
 def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: what the point's type says
-    """Write the value of a point, in its unit of measure, into a device; no hook is called.
+    """Write the value of a point, in its unit of measure, into the memory of a device; no hook is called.
 
-    The power of ten of ``scale_from`` is not applied.
+    If the point has ``scale_from``, the power of ten that the other point holds is not applied.
 
     Raises:
         InvalidRequest: the value does not fit the point.
@@ -66,10 +66,15 @@ def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: 
 
 
 def _cells(declared: TableSection | None, points: Sequence[PointSection], hole: int | None) -> Cells | None:
-    """Return the items of a table: those that the file declares, else those of its points and of the gaps between.
+    """Return the memory of a table: the items that the file declares, else those of its points and of the gaps between.
 
-    None if the file declares no such table and no points in it. ``hole`` is the value that is read in the gaps, which
-    Modbus cannot write; with None the gaps have no items.
+    None if the file declares no such table and no points in it. Items of points that are not writable are read-only.
+
+    Args:
+        declared: the declaration of the table; None without one. Its items have the declared initial values.
+        points: the points in the table. Without a declaration their items are 0 at first.
+        hole: without a declaration, the value that is read in the gaps, which Modbus cannot write; None: the gaps have
+            no items.
     """
     read_only = [
         [point.place.offset, point.size] for point in points if point.table.is_writable and not point.is_writable

@@ -28,7 +28,9 @@ class NamedLink:
     Attributes:
         name: the name that the configuration gives it.
         url: the endpoint, with the options in the URL.
-        options: the options that are not in the URL, as `busway.open` and `busway.connect` take them.
+        options: the options from the file's sections and the program's defaults, by name, as `busway.open` and
+            `busway.connect` take them. Those of the link's own section override equal options in ``url``; other
+            options that are in ``url`` are left out.
         settings: endpoint and all options, checked.
     """
 
@@ -47,7 +49,7 @@ def named_links(
     """Return the links of a file by name; a link with a problem is left out, and the problem added to the report.
 
     Args:
-        file: the file.
+        file: the checked contents of the file.
         root: takes options by name, and returns them with relative paths joined to the file's folder.
         report: collects problems.
         defaults: options for which the program that uses the links has other defaults than a client.

@@ -5,8 +5,8 @@ Knows TOML data and the names of parameters; what a file contains is known by it
 1. A text that is ``${name}`` alone becomes the parameter's value, with its type; inside a longer text it becomes its
    text. Between the braces an expression is allowed: ``${base + 10 * index}``. ``$${`` is ``${`` unchanged.
 2. ``[parameters]`` of a file gives defaults, and ``required`` lists parameters without a default, which the including
-   file has to set. Two names are always there: ``unit`` is the number of the unit that is created, and ``index`` is its
-   position, from 0 on, among the units that one include creates.
+   file has to set. Two names need no declaration inside a ``[[unit]]``: ``unit`` is the number of the unit that is
+   created, and ``index`` is its position, from 0 on, among the units that one include creates.
 3. The number of characters that are inserted into one text is limited: `LONGEST_TEXT`.
 """
 
@@ -32,7 +32,7 @@ LONGEST_TEXT: Final = 10_000
 def declared_parameters(
     source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
 ) -> dict[str, Parameter]:
-    """Return the parameters of a file with their values: its defaults, overridden by the given values.
+    """Return the parameters of a file with their values, by name: its defaults, overridden by the given values.
 
     Returns only the given values if ``parameters`` is no table or ``required`` no list; the file's schema reports that.
 
@@ -43,7 +43,8 @@ def declared_parameters(
             included.
 
     Raises:
-        FileError: a name is invalid, a given parameter is not declared, or a required one is not given.
+        FileError: a name is invalid, a given parameter is not declared, a required one is not given, or a file that is
+            not included requires parameters.
     """
     defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
     if not isinstance(defaults, dict) or not isinstance(required, list):

@@ -27,5 +27,5 @@ def rooted(options: Mapping[str, Any], name: str) -> dict[str, Any]:  # Any: opt
 
 
 def within(name: str, path: str) -> str:
-    """Return ``path``, which the file ``name`` contains, joined to the folder of that file; unchanged if absolute."""
+    """Return ``path``, given in the file ``name``, joined to the folder of that file; unchanged if absolute."""
     return str(Path(name).parent / path)

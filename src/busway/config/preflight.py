@@ -37,7 +37,7 @@ def check_roles(file: SystemFile, report: ConfigurationReport) -> None:
 def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
     """Add a warning to the report for each listener that an access rule names and the file does not have.
 
-    None if the file has no listeners at all.
+    Adds no warning if the file listens nowhere at all, or has no policy. Returns nothing.
     """
     known = [parse_endpoint(url) for _, url in file.places()]
     if file.policy is None or not known:
@@ -50,12 +50,13 @@ def check_listener_names(file: SystemFile, report: ConfigurationReport) -> None:
 
 
 def _may_be_named(listener: Endpoint, wanted: str) -> bool:
-    """Whether the text ``wanted`` of an access rule can mean a listener, as it is configured or as it will be bound.
+    """Return True if the text ``wanted`` of an access rule can mean a listener, as configured or as it will be bound.
 
-    ``tcp://`` alone means all listeners of the scheme. The port is that of the listener, or with ``tcp://`` also 502,
-    where the server can add a listener (`standard_port`). A listener given by a host name fits any host, one on all
-    addresses only the hosts that mean all: ``0.0.0.0``, ``::`` and none. True also for a text that is no URL: another
-    check reports that.
+    A scheme alone, such as ``tcp://``, means all listeners of the scheme. Otherwise scheme, port and host must fit: the
+    port is that of the listener, or with ``tcp://`` also 502, where the server can add a listener (`standard_port`). A
+    listener with a host name fits any host, because names are not resolved. A listener on all addresses fits only the
+    hosts that mean all: ``0.0.0.0``, ``::`` and none. A serial line fits its own URL only. True also for a text that is
+    no URL: another check reports that.
     """
     if wanted.endswith("://"):
         return listener.scheme == wanted.lower()[:-3]
@@ -76,8 +77,9 @@ def _may_be_named(listener: Endpoint, wanted: str) -> bool:
 def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], report: ConfigurationReport) -> None:
     """Open the files that a configuration names, and add a problem to the report for each that cannot be used.
 
-    Those are the files of certificates and keys, and the folder of the audit log, which must be writable. If all are
-    there, the certificates of each listener are loaded too.
+    Those are the files of certificates and keys that keys of the file name, and the folder of the audit log, which must
+    be writable. If none of them has a problem, the certificates of each listener are loaded too, also those that the
+    options of its URL name.
 
     Args:
         file: the configuration.
@@ -99,9 +101,10 @@ def check_files(file: SystemFile, name: str, listeners: Sequence[Listener], repo
 
 
 class _Keys:
-    """Function that returns the path in the file where a TLS option of a listener is set.
+    """Callable that takes the name of a TLS option of a listener, and returns the path in the file where it is set.
 
-    That is in the listener's own section or in ``[security]``; the path of the listener if it is set in neither.
+    That is in the listener's own section or in ``[security]``; the path of the listener if it is set in neither, and
+    for None.
 
     Args:
         file: the configuration.

@@ -23,9 +23,9 @@ _LOCAL_NAMES: Final = frozenset({"localhost"})
 
 
 class ReloadableAllowList:
-    """Function of a host that returns whether it may connect, by address lists that can be replaced.
+    """Access check of a server (its ``authorize``), by address lists that can be replaced while it runs.
 
-    Used as a server's ``authorize``.
+    Calling it with the numeric address of a host returns True if the host may connect, else False.
 
     Args:
         lists: the lists to begin with.
@@ -43,19 +43,21 @@ class ReloadableAllowList:
 
 
 def reaches_network(url: str) -> bool:
-    """Whether other hosts can reach a listener with this URL.
+    """Return True if other hosts can reach a listener with this URL, False if only this host can.
 
-    False for ``localhost``, numeric loopback addresses and serial lines; True for all others, also for other names.
+    False for ``localhost``, numeric loopback addresses and serial lines; True for all others, also for other host
+    names, which are not resolved. Raises `ConfigError` for an invalid URL.
     """
     endpoint = parse_endpoint(url)
     return endpoint.carrier != "serial" and endpoint.host not in _LOCAL_NAMES and not is_loopback(endpoint.url)
 
 
 def read_only_for(listeners: Sequence[str]) -> Policy:
-    """Return a policy that makes some listeners read-only and allows everything else; with none, it allows everything.
+    """Return a policy that makes some listeners read-only and allows everything else.
 
     Args:
-        listeners: URLs of listeners, or schemes, ``tcp://``.
+        listeners: URLs of the listeners, or schemes such as ``tcp://`` for all listeners of a scheme. If it is empty,
+            the policy allows everything.
     """
     rules = (Rule(name=UNASKED, action=Action.READ_ONLY, listeners=tuple(listeners)),) if listeners else ()
     return Policy(rules, Action.ALLOW)

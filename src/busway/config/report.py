@@ -18,11 +18,11 @@ class ConfigurationReport:
     """Collects problems and warnings of a file, so that one error names all problems.
 
     Args:
-        source: the file.
+        source: the parsed file, whose name, lines and keys the errors have.
 
     Attributes:
-        problems: the errors found so far, each with file, line and key.
-        warnings: the warnings found so far, as errors that are not raised, each with file, line and key.
+        problems: the errors found so far, each with file, line and key. `end` raises them.
+        warnings: the warnings found so far, each an error object with file, line and key that is never raised.
     """
 
     def __init__(self, source: Source) -> None:
@@ -51,7 +51,7 @@ class ConfigurationReport:
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:
-        """Add a warning to the report, at a path of the configuration file."""
+        """Add a warning to the report, at a path of the configuration file; its message is ``warning: `` + sentence."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
     def end(self) -> tuple[ConfigError, ...]:

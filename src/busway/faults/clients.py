@@ -54,7 +54,8 @@ def misbehaving_client(
 ) -> Iterator[socket.socket]:  # Any: what the fault profile takes
     """Context manager that connects to a server and sends the bytes of a client fault profile; yields the open socket.
 
-    The connection is plain TCP, without TLS, and is closed at the end of the ``with`` block.
+    The connection is plain TCP, without TLS, and is closed at the end of the ``with`` block. Each operation of the
+    socket has a timeout of 5 s.
 
     Args:
         endpoint: URL of the server, with host and port.
@@ -64,6 +65,7 @@ def misbehaving_client(
     Raises:
         ConfigError: the URL is invalid.
         OSError: the connection cannot be made within 5 s, or breaks.
+        TypeError: the fault profile has no such parameter.
     """
     where = parse_endpoint(endpoint)
     with socket.create_connection((where.host, where.port or 0), 5.0) as connection:

@@ -18,7 +18,7 @@ class Timer(Protocol):
     """Interface of a scheduled function call, which can be cancelled."""
 
     def cancel(self) -> None:
-        """Cancel the scheduled function call."""
+        """Cancel the scheduled function call; no effect if the call was made already."""
 
 
 class Clock(Protocol):
@@ -67,7 +67,7 @@ class FakeTimer:
         self.cancelled: bool = False
 
     def cancel(self) -> None:
-        """Cancel the scheduled function call."""
+        """Cancel the scheduled function call; no effect if the call was made already."""
         self.cancelled = True
 
 

@@ -27,7 +27,7 @@ class FaultyTap:
     Args:
         faults: the faults to apply.
         clock: clock that times delays; None for the clock of the event loop.
-        changed: called without arguments after a connection was opened or closed.
+        changed: called without arguments after a connection was opened, and in the turn after one was closed.
 
     Attributes:
         accepted: number of connections opened so far, those included that a fault refused.
@@ -54,9 +54,11 @@ class FaultyTap:
         return iter(list(self._faulty.values()))
 
     def find(self, listener: str, peer: str) -> "FaultyConnection | None":
-        """Return the open connection with this listener URL and client address; None if there is none.
+        """Return the open connection of a client at a listener; None if there is none.
 
-        Both are texts as in `RequestContext`.
+        Args:
+            listener: URL of the listener as it is bound, as `RequestContext.listener` has it.
+            peer: address of the client, ``host:port`` or the name of a serial line, as `RequestContext.peer` has it.
         """
         return self._faulty.get((listener, peer))
 
@@ -119,7 +121,8 @@ class FaultyConnection:
         moved: called with this object when replies may have been planned, sent or dropped.
 
     Attributes:
-        connection, clock: as given.
+        connection: the connection of the server.
+        clock: clock that times delays.
         conversation: plans which bytes are sent, and when.
     """
 
@@ -148,7 +151,7 @@ class FaultyConnection:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether planned replies are not sent yet; a later reply must wait for them. False once it has ended."""
+        """True if planned replies are not sent yet, so that a later reply must wait for them; False after `end`."""
         return not self._has_ended and (self._sending > 0 or self.conversation.has_unsent)
 
     def pump_soon(self) -> None:

@@ -56,7 +56,8 @@ class Contact:
         opened: when the connection was opened.
         others: number of other connections of the server that were open then.
         last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
-            Requests that were received while all faults were off can be missing.
+            What was received and sent while all faults were off can be missing. For a reply that the device itself has
+            sent, without a fault, ``last_sent`` is the time of the request.
         carriers: the kinds of transport that the connection belongs to.
     """
 
@@ -117,10 +118,10 @@ class Emission:
         transaction, unit, pdu: content of the frame. With an empty PDU no frame is sent, only ``before``.
         before, after: further bytes that are sent before and after the frame and belong to no frame.
         length: value of the length field in the MBAP header; None for the right one. Ignored for RTU and ASCII.
-        delay: seconds from the reply of the device until the frame is sent.
+        delay: seconds from the reply of the device until the frame is sent; more if an earlier frame is unsent then.
         piece: number of bytes in one write; 0 to send all bytes with one write.
         pause: seconds between two pieces.
-        glued: whether the frame leaves in one write with other glued frames that are due at the same moment.
+        glued: whether the frame leaves in one write with the frame before it, if that is glued too and both are due.
         closes: whether the connection is closed after the frame.
     """
 
@@ -155,7 +156,8 @@ class Fault:
         answered: is called with the frames that are to be sent as the reply, and returns those to send instead.
         closes_at: returns the time, in seconds, at which an idle connection is closed; None for never.
         carriers: the kinds of transport on which the fault can occur.
-        options: the parameters of its fault profile, with the values that it was created with.
+        options: parameters of its fault profile by name, with the values that were given when it was created;
+            parameters that were left out, and so have their defaults, are missing.
     """
 
     name: str = ""
@@ -178,9 +180,11 @@ class Schedule:
     Args:
         after: seconds until it becomes active.
         lasts: seconds for which it is active; None for ever.
-        every: seconds from one activation to the next, at least ``lasts``; None for one activation.
-        skip: number of selected requests that are answered normally first.
-        times: number of requests after these that it applies to; None for any number.
+        every: seconds from one activation to the next, at least ``lasts``; None or 0 for one activation.
+        skip: number of selected requests that are answered normally first. Requests outside the active time are not
+            counted.
+        times: number of selected requests after these to which it can apply, those included that the probability of
+            the selection spares; None for any number.
 
     Raises:
         ConfigError: a negative value, or ``every`` without ``lasts`` or below it.
@@ -217,7 +221,7 @@ class Schedule:
     def next_change(self, elapsed: float) -> float | None:
         """Return when the fault becomes active or inactive next; None if it never changes again by time.
 
-        ``elapsed`` and the result are seconds since the fault was switched on.
+        ``elapsed``, the time now, and the result are seconds since the fault was switched on.
         """
         if elapsed < self.after:
             return self.after
@@ -230,7 +234,7 @@ class Schedule:
         return begun + self.lasts if elapsed < begun + self.lasts else begun + self.every
 
     def is_turn(self, chosen: int) -> bool:
-        """Whether ``skip`` and ``times`` let a fault apply to a selected request.
+        """Return True if ``skip`` and ``times`` let a fault apply to a selected request, else False.
 
         ``chosen`` is the number of earlier requests that were selected since the fault was switched on.
         """
@@ -447,7 +451,7 @@ class Faults:
         return applied
 
     def remove(self, applied: AppliedFault) -> None:
-        """Remove a fault from the server; no effect if it was removed before."""
+        """Remove a fault from the server; nothing happens to the others, also if it was removed before."""
         with self._lock:
             self._applied = tuple(one for one in self._applied if one is not applied)
         self._changed()
@@ -497,7 +501,8 @@ class Faults:
     def admit(self, contact: Contact) -> bool:
         """Return whether a new connection may stay open; False if a fault refuses it.
 
-        ``struck`` of that fault then grows by 1.
+        ``struck`` of the first such fault then grows by 1. Of a fault's selection only the active time of its schedule
+        counts here.
         """
         for one in self._applied:
             if one.fault.admits is None or not one.fault.is_met(contact) or not one.is_on(contact.opened):
@@ -522,12 +527,12 @@ class Faults:
     def closes_at(self, contact: Contact, now: float) -> float | None:
         """Return the earliest time, in seconds, at which a fault will close an idle connection; None for never.
 
-        Only faults that are on at ``now`` count.
+        Only faults that are on at ``now`` count. The time can be before ``now``.
         """
         return min((when for when, _ in self._closing(contact, now)), default=None)
 
     def closes(self, contact: Contact, now: float) -> bool:
-        """Return whether a fault closes an idle connection at ``now``; ``struck`` of that fault then grows by 1."""
+        """Return whether a fault closes an idle connection at ``now``; ``struck`` of the first one then grows by 1."""
         due = [one for when, one in self._closing(contact, now) if when <= now + SAME_MOMENT]
         for one in due[:1]:
             one.struck += 1

@@ -63,7 +63,7 @@ class FaultyConversation:
         gap: seconds of silence that a serial line needs before a frame: each reply is sent so much later.
 
     Attributes:
-        contact: as given; its times are updated.
+        contact: the facts about the connection; `strike` and `tick` update its times.
         closed: whether the connection is to be closed, after the bytes that `tick` returned have been written.
     """
 
@@ -88,9 +88,10 @@ class FaultyConversation:
         return self._encode(transaction, unit, pdu, None)
 
     def strike(self, exchange: Exchange) -> Struck:
-        """Return the faults that apply to a received request, in the order in which they act.
+        """Return the faults that apply to a received request, in the order in which they act; empty if none applies.
 
-        Call it once for each request, because it counts requests for the schedules of faults.
+        Call it once for each request, because it counts requests for the schedules of faults, and stores the time of
+        the request in ``contact.last_received``.
         """
         struck = self._faults.strike(exchange)
         self.contact.last_received = exchange.now
@@ -100,7 +101,8 @@ class FaultyConversation:
     def asked(struck: Struck) -> bytes | None:
         """Return the PDU with which a fault answers in place of the device; None if the device is to answer.
 
-        `SILENCE` if the fault suppresses the reply. ``struck`` is the result of `strike` for the request.
+        `SILENCE`, an empty PDU, if the fault suppresses the reply. The first fault that answers decides; its counter
+        ``AppliedFault.struck`` grows by 1. The argument ``struck`` is the result of `strike` for the request.
         """
         for applied, seen in struck:
             asked = applied.fault.asked

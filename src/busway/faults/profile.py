@@ -59,7 +59,7 @@ class FaultProfile:
         }
 
     def __call__(self, **options: Any) -> Fault:  # Any: as `options` says
-        """Create the fault; parameters that are left out have their defaults.
+        """Create a fault of this profile; parameters that are left out have their defaults.
 
         Raises:
             ConfigError: a parameter is unknown, or its value has a wrong type or is out of range; has its name as key.

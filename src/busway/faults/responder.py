@@ -34,13 +34,14 @@ from .faulty_conversation import Struck
 
 
 class FaultyResponder:
-    """Responder that asks another one and applies faults to its replies.
+    """Responder that lets another responder answer the requests, and applies faults to its replies.
 
     Args:
         inner: the wrapped responder, which answers correctly.
         faults: the faults to apply.
         tap: sends the changed replies; the same object has to be the ``tap`` of the server.
-        heard: called with the `Exchange` of every request. If it is given, no request takes the fast path.
+        heard: called with the `Exchange` of every request, before it is answered. If it is given, no request takes the
+            fast path. None: not called.
     """
 
     def __init__(

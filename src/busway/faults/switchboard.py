@@ -64,7 +64,7 @@ class FaultSwitchboard:
     Attributes:
         faults: the faults as objects.
         tap: the connection tap that carries the faults out; it has to be the ``tap`` of the server.
-        fault_profiles: as given.
+        fault_profiles: the fault profiles from which `add` chooses.
     """
 
     def __init__(

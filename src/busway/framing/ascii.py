@@ -109,7 +109,7 @@ class AsciiReceiver:
 
         Args:
             role: master, server or observer.
-            timing: the times of the line.
+            timing: the times of the line; only the character time counts.
             functions: the functions whose lengths are known.
             units: the own units of a server; a container whose content changes is allowed.
             delimiter: code of the character that ends a frame after CR, 0…127.

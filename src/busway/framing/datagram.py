@@ -18,7 +18,10 @@ _SHORTEST_ASCII: Final = 9
 
 
 def is_whole_mbap(data: bytes) -> bool:
-    """Whether a datagram is exactly one MBAP frame, by its length field (Messaging on TCP/IP V1.0b §3.1.3)."""
+    """Return True if a datagram is exactly one MBAP frame, by its length field (Messaging on TCP/IP V1.0b §3.1.3).
+
+    The protocol identifier is not checked. False for less than 8 bytes: unit and function code must be there.
+    """
     if len(data) <= HEADER_SIZE:
         return False
     length = data[4] << 8 | data[5]
@@ -26,9 +29,10 @@ def is_whole_mbap(data: bytes) -> bool:
 
 
 def is_whole_rtu(data: bytes) -> bool:
-    """Whether a datagram is exactly one RTU frame: the CRC over all of it is right (Serial Line V1.02 §2.5.1).
+    """Return True if a datagram is exactly one RTU frame: the CRC over all of it is right (Serial Line V1.02 §2.5.1).
 
-    False if a shorter frame, judged by function code and CRC, is followed by zero bytes: these leave the CRC right.
+    False outside 4…256 bytes, and if a shorter frame, found by function code and CRC, is followed by zero bytes: these
+    leave the CRC right.
     """
     if not SHORTEST <= len(data) <= RTU_ADU_LIMIT or crc16(data):
         return False
@@ -41,9 +45,9 @@ def is_whole_rtu(data: bytes) -> bool:
 
 
 def is_whole_ascii(data: bytes) -> bool:
-    """Whether a datagram is exactly one ASCII frame: one colon, at its start; CR and the delimiter at its end.
+    """Return True if a datagram is exactly one ASCII frame: one colon, at its start; CR and the delimiter at its end.
 
-    Digits and LRC are not checked (Serial Line V1.02 §2.5.2).
+    The delimiter can be any character but a colon. Digits and LRC are not checked (Serial Line V1.02 §2.5.2).
     """
     return (
         _SHORTEST_ASCII <= len(data) <= ASCII_ADU_LIMIT

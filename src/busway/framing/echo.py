@@ -66,6 +66,8 @@ class EchoFilter:
     def sent(self, raw: bytes, ends: float, *, may_be_reply: bool) -> None:
         """Announce a frame that this station sends, so that `receive` removes its echo; no effect with the mode OFF.
 
+        The echo of an earlier frame is no longer expected; bytes that are held as its beginning are dropped.
+
         Args:
             raw: the bytes of the frame.
             ends: time at which its last byte has been sent, in seconds.
@@ -105,7 +107,7 @@ class EchoFilter:
         return b""
 
     def tick(self, now: float) -> bytes:
-        """Return the held bytes, as received, if the rest of the echo has not come in time; otherwise no bytes.
+        """Return the held bytes, as received, if the rest of the echo has not come by `deadline`; otherwise no bytes.
 
         ``now`` is the time in seconds.
         """

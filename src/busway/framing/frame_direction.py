@@ -108,7 +108,7 @@ class Conversation:
         return Direction.UNKNOWN
 
     def is_own(self, unit: int) -> bool:
-        """Whether this station is a server and ``unit`` is one of its own; False for a master and an observer."""
+        """Return True if this station is a server and ``unit`` one of its own; False for a master and an observer."""
         return self.role is LineRole.SERVER and unit in self.units
 
     def follow(self, unit: int, code: int, direction: Direction, now: float) -> None:

@@ -73,8 +73,8 @@ class FrameLengths:
     def length(self, direction: Direction, data: bytearray, at: int, end: int) -> int:
         """Return the length in bytes of the frame that starts at ``at``, from the bytes ``data[at:end]`` received.
 
-        `NEED_MORE` if too few bytes are there to tell; `UNKNOWN_LENGTH` if the bytes of such a frame never tell it.
-        Above 256 if the byte count is impossible.
+        The result can be more bytes than were received, and above 256 if the byte count is impossible. `NEED_MORE` if
+        too few bytes are there to tell; `UNKNOWN_LENGTH` if the bytes of such a frame never tell it.
         """
         if end - at < 2:
             return NEED_MORE

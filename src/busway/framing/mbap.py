@@ -91,7 +91,7 @@ class StreamBuffer:
         self.kept: bytes = b""
 
     def join(self, buffer: bytes | bytearray, size: int) -> tuple[bytes | bytearray, int]:
-        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and how many bytes that is.
+        """Return the kept bytes followed by the first ``size`` bytes of ``buffer``, and the number of these bytes.
 
         If no bytes are kept, ``buffer`` itself is returned, with ``size``. Afterwards nothing is kept.
         """

@@ -6,7 +6,8 @@ Knows values; knows no framing.
    fatal: a serial line has no end, and the next frame may be good.
 2. A damaged chunk is one disturbance, however long, and counts as one communication error (Serial Line V1.02,
    appendix A).
-3. A frame that may be a request or a reply has the direction `Direction.UNKNOWN`.
+3. The direction of a frame is the likelier one of those that its length fits. It is `Direction.UNKNOWN` if the length
+   fits neither, and the frames before it do not tell it.
 """
 
 from dataclasses import dataclass
@@ -93,10 +94,13 @@ class Receiver(Protocol[Found]):
     """
 
     def receive(self, data: bytes | bytearray, now: float) -> list[Found]:
-        """Return the frames that ``data``, read at ``now``, completes, in order; empty if more bytes are needed."""
+        """Return the frames that ``data``, read at ``now``, completes, in order; empty if more bytes are needed.
+
+        Receivers of serial lines return damaged bytes too, as `Damaged`.
+        """
 
     def tick(self, now: float) -> list[Found]:
-        """Return the frames that the silence until ``now`` completes, in order; empty if none."""
+        """Return the frames, and on serial lines damaged bytes, that the silence until ``now`` completes, in order."""
 
     def deadline(self) -> float | None:
         """Return the time at which to call `tick`; None if only further bytes can complete a frame."""
@@ -123,8 +127,8 @@ class SerialReceiver(Receiver[Received], Protocol):
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
         """Tell the receiver that the port reported an error after the bytes received so far.
 
-        Returns the frames that are complete now. The bytes of the disturbance are returned as `Damaged` when it ends:
-        now or by a later call.
+        Returns the frames and damaged bytes that are complete now. The bytes of the disturbance are returned as
+        `Damaged` when it ends: now or by a later call.
 
         Args:
             now: time of the report, in seconds.

@@ -170,7 +170,11 @@ class RtuReceiver:
         return found
 
     def deadline(self) -> float | None:
-        """Return the time, in seconds, at which to call `tick`; None if only further bytes can complete a frame."""
+        """Return the time, in seconds, at which to call `tick`; None if silence completes nothing.
+
+        That is so if no bytes are undecided or held as a possible echo, and while a master waits for the rest of the
+        reply that it expects.
+        """
         echo = self.echo.deadline()
         if not self._undecided:
             return echo
@@ -275,7 +279,10 @@ class RtuReceiver:
             self._in_step = True
 
     def _due_has_begun(self) -> bool:
-        """Whether the undecided bytes are the beginning, but not all, of the reply that a master expects (rule 3)."""
+        """Return True if the undecided bytes are the beginning, but not all, of the reply that a master expects.
+
+        Always False if the receiver was created with a ``gap_limit``, which limits this wait too (rule 3).
+        """
         due = self.conversation.due
         at, size = self._at, len(self._buffer)
         if not self._patient or due is None or at == size or self._buffer[at] != due.unit:
@@ -355,10 +362,10 @@ class RtuReceiver:
         return DEAD, Direction.UNKNOWN
 
     def _length(self, direction: Direction, at: int, end: int) -> int:
-        """Return the length of the frame at ``at``, taken for a request or a reply, as `FrameLengths.length` does.
+        """Return the length in bytes of the frame at ``at``, taken for a request or a reply, from bytes up to ``end``.
 
-        For a reply whose bytes do not tell its length, the length of the expected reply is returned if unit and
-        function are those of the expected reply.
+        `NEED_MORE` if they are too few to tell. `UNKNOWN_LENGTH` if the bytes of such a frame never tell it; but if it
+        can be the expected reply, by unit and function, the length of that is returned.
         """
         length = self._lengths.length(direction, self._buffer, at, end)
         if length == UNKNOWN_LENGTH and direction is Direction.REPLY:
@@ -371,7 +378,11 @@ class RtuReceiver:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
     def _give_up_beginning(self, found: list[Received]) -> None:
-        """Drop the first undecided bytes: no frame begins there, because more than a frame can have were received."""
+        """Move the first undecided bytes to the lost bytes: they begin no frame, as there are more than it can have.
+
+        The bytes from the next possible begin of a frame on remain: for a server after a silence, for others where
+        `_search` finds one; a frame that is complete there is added to ``found``.
+        """
         if self.conversation.role is LineRole.SERVER:
             later = next((place for place in self._silences if place > self._at), None)
             self._lose(len(self._buffer) if later is None else later)

@@ -79,10 +79,17 @@ def find_reply(
 
 
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
-    """Find the first position from ``start`` where a request or reply begins or can begin.
+    """Find the first position from ``start`` where a request or reply of any unit begins or can begin.
 
-    Only functions whose length is fixed or told by a byte count are looked for. Arguments and result are those of
-    `find_reply`.
+    Only functions whose length is fixed or told by a byte count are looked for. Returns the position, and the end of
+    the frame there; instead of the end `WAITS` or `DEAD`, as `Place` says.
+
+    Args:
+        buffer: bytes received from the line.
+        states: the running CRC (`running_states`) before each byte, and after the last one.
+        start: the first position to try; earlier ones were rejected.
+        lengths: the length rules.
+        at_limit: whether a position where a frame would be unfinished is rejected too.
     """
     size = len(buffer)
     shapes, checks = lengths.shapes, _checks()

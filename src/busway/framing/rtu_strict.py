@@ -107,7 +107,8 @@ class StrictRtuReceiver:
         """Take bytes read at ``now`` (seconds); return the frame, or damaged bytes, that the silence before them ends.
 
         The result is empty if no t3.5 has passed before ``data``. The bytes count as characters without gaps; their own
-        frame is returned by a later call, after the silence that follows them.
+        frame is returned by a later call, after the silence that follows them. Bytes that are received in the state
+        initial, or before the end of a frame that this station sends, are dropped.
         """
         if not data:
             return []

@@ -103,9 +103,13 @@ class SerialTiming:
 
     @classmethod
     def of_network(cls, silence: float = NETWORK_SILENCE) -> "SerialTiming":
-        """Return the times for RTU or ASCII over a network: t1.5 and t3.5 are ``silence`` seconds, characters 0."""
+        """Return the times for RTU or ASCII over a network: t1.5 and t3.5 are ``silence`` seconds, characters 0.
+
+        Raises:
+            ValueError: ``silence`` is negative.
+        """
         return cls(0.0, silence, silence)
 
     def duration(self, characters: int) -> float:
-        """Return the seconds that ``characters`` characters take on the line without a gap."""
+        """Return the seconds that ``characters`` characters take on the line without a gap; 0 over a network."""
         return characters * self.character

@@ -4,7 +4,7 @@ Knows the classes, parameters and errors of modbus-connection 4; knows no frames
 
 1. A `ModbusConnection` has a link of its own. modbus-connection decides when to connect and disconnect, the spacing of
    requests and the timeout. With the preset ``passive`` the link repeats no request and recycles no connection.
-2. Every error of busway becomes one of modbus-connection; its text names the operation.
+2. Every error of busway becomes one of modbus-connection, or a ``ValueError``; its text names the operation.
 3. A late reply is never given to another request. So `ModbusDesyncError` is never raised; a timeout is
    `ModbusTimeoutError`.
 """
@@ -73,7 +73,7 @@ SUPPORTED_FRAMINGS: Final[Mapping[str, tuple[str, ...]]] = {
 }
 """The framings that this backend can speak on each transport, by modbus-connection's names."""
 LEAST_TIMEOUT, LONGEST_TIMEOUT = 0.001, 3600.0
-"""Range of a link's timeout in seconds; a timeout beyond an end is replaced by that end."""
+"""Shortest and longest timeout of a link, in seconds; a timeout outside is replaced by the nearer of the two."""
 _PARITY: Final = {"N": "none", "E": "even", "O": "odd"}
 _FRAMING_SCHEME: Final = {"socket": "", "rtu": "rtu+", "ascii": "ascii+"}
 Params: TypeAlias = "ModbusTcpParams | ModbusUdpParams | ModbusTlsParams | ModbusSerialParams"
@@ -82,11 +82,12 @@ R = TypeVar("R")
 
 
 class ModbusConnection(BaseModbusConnection):
-    """The class ``ModbusConnection`` of modbus-connection, implemented with a link of busway.
+    """The class ``ModbusConnection`` of modbus-connection, implemented with a link of busway. Opens nothing at first.
 
     Args:
         params: where to connect: one of the parameter classes of modbus-connection.
-        timeout, message_spacing, connect_delay: seconds, as modbus-connection defines them; None for its defaults.
+        timeout, message_spacing, connect_delay: seconds to wait for a reply, between two requests, and after
+            connecting, as modbus-connection defines them; None for its defaults.
 
     Raises:
         ConfigError: busway cannot make such a connection, for example because RTU needs 8 data bits; it is a
@@ -107,7 +108,7 @@ class ModbusConnection(BaseModbusConnection):
         self._client: AsyncLink | None = None
 
     def for_unit(self, unit_id: int) -> "BuswayUnit":
-        """Return the object that reads and writes a unit. Nothing is sent.
+        """Return the object that reads and writes the unit ``unit_id``, 0…255. Nothing is sent.
 
         Raises:
             InvalidRequest: there cannot be such a unit on this connection; it is a ``ValueError``.
@@ -155,7 +156,7 @@ class ModbusConnection(BaseModbusConnection):
             raise ModbusConnectionError(str(error)) from error
 
     async def close(self) -> None:
-        """Close the connection permanently."""
+        """Close the connection permanently: it cannot be opened again."""
         await super().close()
         await self._link.close()
 
@@ -175,7 +176,7 @@ BuswayConnection = ModbusConnection
 
 
 def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
-    """Return the URL and the options of a link for parameters of modbus-connection."""
+    """Return the URL and the options, by name, of a link for parameters of modbus-connection."""
     if isinstance(params, ModbusSerialParams):
         if params.device.startswith("socket://"):
             return f"{params.framer}+tcp://{params.device.removeprefix('socket://')}", {}
@@ -193,7 +194,10 @@ def _endpoint_of(params: Params) -> tuple[str, dict[str, object]]:
 
 
 def _translated(error: BaseException, prefix: str) -> ModbusError:
-    """Return the error of modbus-connection for an error of busway; its text begins with ``prefix``, the operation."""
+    """Return the error of modbus-connection for an error of busway; its text begins with ``prefix``, the operation.
+
+    A write of unknown outcome becomes what its cause becomes; a timeout if it has no cause.
+    """
     message = f"{prefix}: {error}"
     match error:
         case WriteOutcomeUnknown() if error.__cause__ is not None:
@@ -216,7 +220,7 @@ def _translated(error: BaseException, prefix: str) -> ModbusError:
 def _operation(
     function: "Callable[Concatenate[BuswayUnit, P], Awaitable[R]]",
 ) -> "Callable[Concatenate[BuswayUnit, P], Coroutine[Any, Any, R]]":
-    """Decorate an operation of a unit: it connects first, keeps the spacing of requests, and translates errors."""
+    """Decorator of a method of a unit: it connects first, keeps the spacing of requests, and translates errors."""
 
     @functools.wraps(function)
     async def operation(self: "BuswayUnit", /, *args: P.args, **kwargs: P.kwargs) -> R:
@@ -241,8 +245,9 @@ def _operation(
 class BuswayUnit:
     """One unit of a connection, with the operations of modbus-connection.
 
-    Each operation connects first if necessary. Addresses are 0-based; registers are 0…65535. An operation raises an
-    error of modbus-connection, or ``ValueError`` if a value is out of its range; then nothing was sent.
+    Each operation that reads or writes connects first if necessary. Addresses are 0-based; values of registers are
+    0…65535. An operation raises an error of modbus-connection, or ``ValueError`` if an argument is out of its range;
+    then nothing was sent.
 
     Args:
         connection: the connection.
@@ -272,21 +277,21 @@ class BuswayUnit:
         self._connection._pacer.set_unit_spacing(self._unit_id, seconds)
 
     def require_timeout(self, seconds: float | None) -> None:
-        """Ask the connection for a timeout of at least ``seconds``; None cancels an earlier call for this unit."""
+        """Ask for a timeout of at least ``seconds`` on the connection; None cancels what this unit asked for before."""
         self._connection._require_timeout(self._unit_id, seconds)
 
     def require_connect_delay(self, seconds: float | None) -> None:
-        """Ask the connection for a pause of at least ``seconds`` after connecting; None cancels this unit's request."""
+        """Ask for a pause of at least ``seconds`` after connecting; None cancels what this unit asked for before."""
         self._connection._require_connect_delay(self._unit_id, seconds)
 
     @_operation
     async def read_holding_registers(self, address: int, count: int) -> list[int]:
-        """Return the values of ``count`` holding registers, function 03."""
+        """Return the values of ``count`` holding registers from ``address`` on, function 03."""
         return await self._unit.read_holding_registers(address, count=count, timeout=self._timeout)
 
     @_operation
     async def read_input_registers(self, address: int, count: int) -> list[int]:
-        """Return the values of ``count`` input registers, function 04."""
+        """Return the values of ``count`` input registers from ``address`` on, function 04."""
         return await self._unit.read_input_registers(address, count=count, timeout=self._timeout)
 
     @_operation
@@ -301,12 +306,12 @@ class BuswayUnit:
 
     @_operation
     async def read_coils(self, address: int, count: int) -> list[bool]:
-        """Return the states of ``count`` coils, function 01."""
+        """Return the states of ``count`` coils from ``address`` on, function 01."""
         return await self._unit.read_coils(address, count=count, timeout=self._timeout)
 
     @_operation
     async def read_discrete_inputs(self, address: int, count: int) -> list[bool]:
-        """Return the states of ``count`` discrete inputs, function 02."""
+        """Return the states of ``count`` discrete inputs from ``address`` on, function 02."""
         return await self._unit.read_discrete_inputs(address, count=count, timeout=self._timeout)
 
     @_operation
@@ -326,7 +331,10 @@ class BuswayUnit:
 
     @_operation
     async def report_server_id(self) -> bytes:
-        """Return the identification of function 17: the bytes before the run indicator (00, FF), or all without one."""
+        """Return the bytes by which a device identifies itself, function 17: those before the run indicator (00 or FF).
+
+        All bytes of the reply are returned if there is no run indicator.
+        """
         return ServerId.of(await self._unit.report_server_id(timeout=self._timeout)).identification
 
     @_operation
@@ -341,29 +349,35 @@ class BuswayUnit:
     async def read_write_registers(
         self, read_address: int, read_count: int, write_address: int, write_values: list[int]
     ) -> list[int]:
-        """Write holding registers, then read some and return their values, function 23."""
+        """Write holding registers, then read others or the same, and return the values read, function 23.
+
+        ``write_values`` are written from ``write_address`` on; ``read_count`` registers are read from ``read_address``.
+        """
         return await self._unit.read_write_multiple_registers(
             read_address, count=read_count, write_address=write_address, values=write_values, timeout=self._timeout
         )
 
     @_operation
     async def read_fifo_queue(self, address: int) -> list[int]:
-        """Return the registers of a FIFO queue, the oldest first, function 24."""
+        """Return the registers of a FIFO queue, at most 31 and the oldest first, function 24; they stay in the queue.
+
+        ``address`` is that of the queue's pointer register.
+        """
         return await self._unit.read_fifo_queue(address, timeout=self._timeout)
 
     @_operation
     async def read_device_identification(self) -> dict[int, bytes]:
-        """Return the basic identification objects by number, function 43/14."""
+        """Return the basic identification objects (numbers 0, 1, 2) as bytes by object number, function 43/14."""
         return await self._unit.read_device_identification(timeout=self._timeout)
 
     @_operation
     async def read_file_record(self, file: int, record: int, length: int) -> list[int]:
-        """Return ``length`` registers of a file from ``record`` on, function 20."""
+        """Return the values of ``length`` registers of a file from the record ``record`` on, function 20."""
         return await self._unit.read_file_record(file, record, count=length, timeout=self._timeout)
 
     @_operation
     async def write_file_record(self, file: int, record: int, values: list[int]) -> None:
-        """Write registers of a file from ``record`` on, function 21."""
+        """Write ``values`` to registers of a file from the record ``record`` on, function 21."""
         await self._unit.write_file_record(file, record, values, timeout=self._timeout)
 
     @_operation
@@ -376,7 +390,7 @@ class BuswayUnit:
 
     @_operation
     async def get_comm_event_counter(self) -> tuple[bool, int]:
-        """Return whether the device is ready, and its count of communication events, function 11."""
+        """Return whether the device is ready (status word 0), and its count of successful messages, function 11."""
         reply = await self._unit.get_comm_event_counter(timeout=self._timeout)
         return reply.status == 0, reply.event_count
 
@@ -387,12 +401,15 @@ class BuswayUnit:
         return bytes(reply.events)
 
     def on_connection_lost(self, callback: Callable[[], None]) -> Callable[[], None]:
-        """Register a function that is called when the connection is lost. Returns a function that unregisters it."""
+        """Register a function that is called when the connection is lost. Returns a function that unregisters it.
+
+        It is not called if the program itself closes the connection.
+        """
         remove: Callable[[], None] = self._connection.on_connection_lost(callback)
         return remove
 
     async def disconnect(self) -> None:
-        """Close the connection; the next request opens a new one."""
+        """Close the connection, for all units of it; the next request opens a new one."""
         await self._connection.disconnect()
 
 
@@ -409,10 +426,11 @@ async def connect_tcp(host: str, *, port: int = 502, framer: Any = None, **pacin
         host: name or address of the device.
         port: TCP port.
         framer: ``socket`` (MBAP), ``rtu`` or ``ascii``; None for ``socket``.
-        pacing: ``timeout``, ``message_spacing`` and ``connect_delay`` of `ModbusConnection`.
+        pacing: ``timeout``, ``message_spacing`` and ``connect_delay`` of `ModbusConnection`, in seconds.
 
     Raises:
         ModbusConnectionError, ModbusTimeoutError: the connection cannot be made.
+        ValueError: an argument is invalid. Nothing was opened.
     """
     return await _connected(ModbusTcpParams(host=host, port=port, framer=framer), pacing)
 

@@ -23,10 +23,11 @@ class MismatchPolicy(Enum):
     timeout ends the connection, so that no late reply is taken for the next one.
 
     Attributes:
-        STRICT: a reply with another identifier is dropped and counted; one of another unit is a `BadReply`.
+        STRICT: a reply with another transaction identifier is dropped and counted; a reply of another unit is a
+            `BadReply`.
         AUTOMATIC: the reply is accepted if exactly one request is in flight and all else of the reply fits.
-        IGNORE: a reply with another identifier is taken for that of the only request in flight, and then checked like
-            any other; one of another unit is accepted.
+        IGNORE: a reply with another transaction identifier is taken for the reply to the only request in flight, and
+            then checked like any other; a reply of another unit is accepted.
     """
 
     STRICT = "strict"

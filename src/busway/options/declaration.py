@@ -51,7 +51,7 @@ class Range:
     """Whether ``low`` itself is out of the range: if True, values must be greater than ``low``."""
 
     def has(self, value: object) -> bool:
-        """Whether a value is a number in the range."""
+        """Whether a value is a number in the range; a bool counts as 0 or 1, and NaN is in no range."""
         if not isinstance(value, int | float):
             return False
         return (self.low < value if self.above else self.low <= value) and value <= self.high
@@ -192,7 +192,7 @@ class Option:
         name: its name, in URLs, keywords and files.
         kinds: the types of its values; `NoneType` is not among them.
         is_optional: whether it may be None.
-        default: its default; framings in ``by_framing`` have the default given there.
+        default: its default, `REQUIRED` if it has none; framings in ``by_framing`` have the default given there.
         help: what it means, in a sentence.
         limits: which values of the type are allowed; None for all.
         strict: the value that the preset ``strict`` sets, with its clause; None if the preset does not set it.
@@ -255,7 +255,8 @@ class Option:
     def check(self, value: object) -> None:
         """Raise `ConfigError` if a value is out of range or not one of the allowed values; its type is not checked.
 
-        None is valid if the option may be None. The error has the option's name as key.
+        None is valid if the option may be None or has None as its default. A member of an enum is always accepted if
+        the option has fixed values. The error has the option's name as key.
         """
         if (value is None and (self.is_optional or self.default is None)) or (self.limits is None and not self.choices):
             return
@@ -267,7 +268,10 @@ class Option:
 
 
 def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base
-    """Return the options that a parameter class declares, by name, in the order of the declaration."""
+    """Return the options that a parameter class declares, by name, in the order of the declaration.
+
+    The mapping is the same object for each call, and cannot be changed.
+    """
     found = _DECLARED.get(kind)
     if found is None:
         found = _DECLARED[kind] = _declared(kind)
@@ -289,10 +293,10 @@ def _declared(kind: type[Any]) -> Mapping[str, Option]:
 
 
 def check(parameters: Any) -> None:
-    """Check every option of a parameter object; called by the ``__post_init__`` of its class.
+    """Check every option of a parameter object by `Option.check`; called by the ``__post_init__`` of its class.
 
     Raises:
-        ConfigError: an option has an invalid value; the error has its name as key.
+        ConfigError: an option has an invalid value; the error is about the first one and has its name as key.
     """
     for name, option in declared(type(parameters)).items():
         option.check(getattr(parameters, name))

@@ -78,8 +78,8 @@ class Endpoint:
     Attributes:
         scheme: one of the keys of `SCHEMES`.
         host: name or address, in lower case, IPv6 without brackets; empty if the URL has none.
-        port: 0…65535; 0 lets a listener choose a free one. None for serial lines.
-        path: device path of a serial line; empty otherwise.
+        port: 0…65535; 0 lets a listener choose a free one. None for serial ports.
+        path: device path of a serial port; empty otherwise.
         options: the options after ``?``, by name (with ``_`` for ``-``), as texts.
     """
 
@@ -118,7 +118,7 @@ class Endpoint:
 
 
 _LONGEST = 4096
-"""Longest URL, in characters, that errors about its host or port show in full; of longer ones they show 60."""
+"""Longest URL, in characters, that errors about its host or port show in full; of a longer one they show 60 of them."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
@@ -182,7 +182,7 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
 
 
 def require_host(endpoint: Endpoint) -> None:
-    """Raise `ConfigError` if the endpoint of a client has no host, so that there is no peer to connect to."""
+    """Raise `ConfigError` if a network endpoint has no host, so that a client has no peer to connect to."""
     if endpoint.carrier != "serial" and not endpoint.host:
         raise ConfigError(f"{endpoint.url}: the host is missing, as in {endpoint.scheme}://127.0.0.1:{endpoint.port}")
 

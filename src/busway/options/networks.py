@@ -52,7 +52,7 @@ class Networks:
 
     @classmethod
     def parse(cls, entries: Iterable[str], *, key: str | None = None) -> "Networks":
-        """Create a set of networks from its entries, like ``Networks(entries)``; the method that option types need."""
+        """Return ``Networks(entries, key=key)``; `busway.options.text` calls this to build the value of an option."""
         return cls(entries, key=key)
 
     def __contains__(self, host: object) -> bool:
@@ -119,7 +119,7 @@ class NetworkIndex:
                     found.setdefault(network, []).append(number)
 
     def find(self, host: str) -> set[int]:
-        """Return the numbers of the sets that contain a numeric address; an empty set for texts that are no address."""
+        """Return the numbers of the sets that contain a numeric address; an empty set if ``host`` is no address."""
         try:
             version, address, zone = _number_of(host)
         except ValueError:
@@ -138,7 +138,8 @@ class NetworkIndex:
 def host_of_peer(peer: str) -> str:
     """Return the host of a peer such as ``10.0.0.7:50012`` or ``[fe80::1%eth0]:50012``; the port may be missing.
 
-    An IPv4-mapped address (``::ffff:10.0.0.7``) becomes the IPv4 address, so that one host has one name.
+    An IPv4-mapped address (``::ffff:10.0.0.7``) becomes the IPv4 address, so that one host has one name. An IPv6
+    address has no brackets in the result. The name of a serial line is returned unchanged.
     """
     host, colon, port = peer.rpartition(":")
     if not colon or not port.isdecimal() or (":" in host and not host.startswith("[")):

@@ -49,8 +49,8 @@ class Offer:
     """The options that a part of busway, such as a link or a listener, accepts, by the parameter class that has them.
 
     Attributes:
-        kinds: the options of each class, by name.
-        framing: the framing of the endpoint; empty without one.
+        kinds: by parameter class, the options that are accepted, by name.
+        framing: the framing of the endpoint, which some defaults depend on; empty without an endpoint.
     """
 
     kinds: Mapping[type[Any], Mapping[str, Option]]
@@ -58,7 +58,7 @@ class Offer:
 
     @classmethod
     def at(cls, endpoint: Endpoint, role: str, kinds: Kinds) -> "Offer":
-        """Return the options that have an effect at an endpoint.
+        """Return the offer of all options that have an effect at an endpoint.
 
         Args:
             endpoint: the endpoint.
@@ -75,7 +75,10 @@ class Offer:
 
     @classmethod
     def of(cls, *kinds: type[Any], role: str = "") -> "Offer":
-        """Return the options of these parameter classes; with a role, only those that have an effect in this role."""
+        """Return the offer of the options of these parameter classes.
+
+        With a ``role`` (``client``, ``server`` or ``monitor``), only those that have an effect for it at some endpoint.
+        """
         return cls({kind: options_for(role, kind) for kind in kinds})
 
     @property
@@ -142,7 +145,7 @@ class ChosenOptions:
 
 
 def canonical(options: Mapping[str, object]) -> dict[str, object]:
-    """Return options with alternative names, such as ``baudrate``, replaced by the options' own names (``baud``).
+    """Return a copy of options with alternative names, such as ``baudrate``, replaced by the options' own (``baud``).
 
     Raises:
         ConfigError: an option is given under its own and an alternative name.
@@ -160,7 +163,8 @@ def options_for(role: str, kind: type[Any]) -> dict[str, Option]:
     """Return the options of a parameter class by name.
 
     Args:
-        role: ``client``, ``server`` or ``monitor``: only options that have an effect for it; empty for all.
+        role: ``client``, ``server`` or ``monitor``: only options that have an effect for it at some endpoint; empty for
+            all options.
         kind: the parameter class.
     """
     options = declared(kind).items()

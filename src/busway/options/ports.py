@@ -106,7 +106,7 @@ class SerialSettings:
 
     @property
     def stop_bits_on_line(self) -> int:
-        """Stop bits of each character: the given number, or the one that follows from the parity."""
+        """Stop bits of each character: ``stop_bits``, or if that is None one with parity and two without."""
         return stop_bits_for(self.parity) if self.stop_bits is None else self.stop_bits
 
     @property
@@ -121,7 +121,7 @@ class SerialSettings:
 
     @property
     def timing(self) -> SerialTiming:
-        """Character time, t1.5 and t3.5 of a line with these settings."""
+        """Character time, t1.5 and t3.5 of a line with these settings, in seconds."""
         return SerialTiming.of_line(
             self.baud, data_bits=self.data_bits, parity=self.parity, stop_bits=self.stop_bits_on_line
         )

@@ -1,6 +1,7 @@
 """Presets: named sets of options. ``strict`` meets every "must" of the specifications, which the defaults do not.
 
-``passive`` is for a client whose caller decides everything: nothing is repeated, suspended, delayed or recycled.
+``passive`` is for a client whose caller decides everything: no request is repeated, no unit suspended, no connection
+recycled before 1000 timeouts, and over a network the pause between attempts to connect is only 1 ms.
 
 Knows how a preset and options go together; what ``strict`` sets an option to is declared with the option (`Strict`).
 
@@ -33,8 +34,8 @@ class Preset(Word):
     Attributes:
         STANDARD: sets nothing; the defaults stay.
         STRICT: meets every "must" of the specifications.
-        PASSIVE: clients only: no retries, no breaker, no pause before the next attempt to connect, no recycled
-            connections.
+        PASSIVE: clients only: no retries, no breaker, hardly a pause (1 ms) between attempts to connect over a network,
+            no wait for a missing serial port, and connections recycled only after 1000 timeouts.
     """
 
     STANDARD = "standard"
@@ -43,7 +44,7 @@ class Preset(Word):
 
 
 SHORTEST_PAUSE: Final = 0.001
-"""Seconds between two attempts to connect of a link with the preset ``passive``."""
+"""Seconds between two attempts of a link to connect over a network, with the preset ``passive``."""
 PASSIVE_SETTINGS: Final[Mapping[str, object]] = {
     "retries": 0,
     "write_retries": 0,
@@ -82,10 +83,11 @@ def with_preset(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
     Args:
         given: values by name, with or without ``preset``.
-        options: the options that the component has.
+        options: the options that the component has, by name; others that the preset could set are left out.
 
     Raises:
-        ConfigError: there is no such preset, or an option contradicts it.
+        ConfigError: there is no such preset, an option contradicts it, or it is ``passive`` and the component is no
+            link.
     """
     values = dict(given)
     preset = preset_of(values.pop(OPTION, None))
@@ -129,7 +131,7 @@ def _agrees(name: str, given: object, wanted: object) -> bool:
     """Whether the value that a user gave, or its text, equals the value that the preset sets.
 
     Raises:
-        ConfigError: the value has another type.
+        ConfigError: the value cannot be converted to the type of the preset's value; the error has ``name`` as key.
     """
     if isinstance(given, Enum):
         given = given.value

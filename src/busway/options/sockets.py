@@ -75,7 +75,7 @@ class SocketParameters:
 
     @property
     def effective_user_timeout(self) -> float | None:
-        """The TCP user timeout to set, in seconds; None for the system's default.
+        """The TCP user timeout to set, in seconds: ``user_timeout`` or less; None for the system's default.
 
         When a keepalive probe is due, Linux ends an idle connection by the user timeout and not by the number of lost
         probes: with 30 s, two probes of one second would end a half-open connection only after 30 s. So with keepalive

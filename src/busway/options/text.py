@@ -24,11 +24,13 @@ _FALSE = frozenset({"0", "false", "no", "off"})
 
 
 def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
-    """Return the error for an unknown option: it suggests the known option with the nearest name, or else lists all.
+    """Return the error for an unknown option: it suggests a known option with a similar name, or else lists all.
+
+    For a name such as ``unit`` or ``slave`` it says how a unit is chosen.
 
     Args:
-        name: the unknown option.
-        known: the options that the component has.
+        name: the unknown option; it becomes the key of the error.
+        known: the names of the options that the component has.
         of: name of the component, if the message needs one.
     """
     from difflib import get_close_matches  # here: it is needed for this sentence alone
@@ -69,10 +71,11 @@ def build_parameters(kind: type[Parameters], options: Mapping[str, object], *, f
 def option_value(option: Option, value: object) -> object:
     """Convert an option's value, or its text, to the option's type; the range is not checked.
 
-    The text ``none`` means None if the option may be None.
+    The text ``none`` means None if the option may be None. A text with a unit of time, such as ``10s``, is refused; the
+    error gives the number of seconds to write instead.
 
     Raises:
-        ConfigError: the value has another type; the error has the option's name as key.
+        ConfigError: the value cannot be converted to the type; the error has the option's name as key.
     """
     if option.is_optional and (value is None or value == NONE):
         return None
@@ -89,7 +92,7 @@ def converted(name: str, value: object, kind: Any) -> object:  # a type
     """Convert the value of an option, or its text, to the type ``kind``.
 
     Raises:
-        ConfigError: the value has another type; the error has ``name`` as key.
+        ConfigError: the value cannot be converted; the error has ``name`` as key.
     """
     return _of_kinds(name, value, (kind,))
 
@@ -131,7 +134,10 @@ def _of_kind(name: str, value: object, kind: Any) -> object:  # a type
 
 
 def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``parse``, which shares no base
-    """Build the value of an option by the ``parse`` method of its class."""
+    """Build the value of an option by the ``parse`` method of the class ``kind``, which takes a tuple of texts.
+
+    Raises `ConfigError` with ``name`` as key.
+    """
     try:
         return kind.parse(_texts(name, value))
     except ConfigError as error:
@@ -139,7 +145,10 @@ def _parsed(name: str, value: object, kind: Any) -> object:  # a class with ``pa
 
 
 def _texts(name: str, value: object) -> tuple[str, ...]:
-    """Return the value of an option as a tuple of texts; a single text is split at commas. Raises `ConfigError`."""
+    """Return the value of an option as a tuple of texts; a single text is split at commas, and empty parts dropped.
+
+    Raises `ConfigError` if the value is neither a text nor a list or tuple of texts.
+    """
     texts = [one.strip() for one in value.split(",") if one.strip()] if isinstance(value, str) else value
     if not isinstance(texts, list | tuple) or not all(isinstance(one, str) for one in texts):
         raise ConfigError(f"must be a list of texts, not {value!r}", key=name)
@@ -175,7 +184,8 @@ def host_and_port(text: str, key: str, example: str = "127.0.0.1:9502") -> tuple
         example: an address that errors show.
 
     Raises:
-        ConfigError: the text is no such address; its host or port is missing, or the port is above 65535.
+        ConfigError: the text is no such address: its host or port is missing, an IPv6 address is not in brackets, or
+            the port is above 65535.
     """
     host, colon, port = text.rpartition(":")
     is_bare = host.count(":") == 0 or (host.startswith("[") and host.endswith("]"))

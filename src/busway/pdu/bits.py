@@ -50,8 +50,8 @@ def as_states(values: Iterable[object]) -> list[bool]:
         values: a state for each coil, as `as_state` takes it.
 
     Raises:
-        InvalidRequest: ``values`` is not accepted by `listed`, or one of them is no state; the message names the first
-            such value. Nothing was sent.
+        InvalidRequest: ``values`` is a text, bytes, a set, a mapping or no iterable, or has more than 65536 values; or
+            a value is no state, and the message names the first one. Nothing was sent.
     """
     states = listed(values, "states", "True and False")
     for position, value in enumerate(states):

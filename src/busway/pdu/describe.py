@@ -56,7 +56,7 @@ class Description:
         title: function and direction, ``3 (read holding registers), request``; ``…, exception`` for an exception.
         parts: the fields in their order; together they hold all bytes.
         problems: what is wrong with the PDU and its parts, in order; empty if the PDU is valid.
-        message: the decoded message; None if the PDU is not valid.
+        message: the decoded request, reply or exception; None if the PDU is not valid.
         is_known: whether the table of functions has the function and sub-function; always True for an exception reply,
             always False for an empty PDU.
     """
@@ -276,7 +276,7 @@ class _Meaning:
     def data(self, data: bytes) -> str:
         """Return the text for the data at the end of a PDU: registers as numbers, bits as ``on`` and ``off``.
 
-        Empty for data of other kinds.
+        Of more than 24 values the first 24 and their number are shown. Empty for data of other kinds.
         """
         touch = self._kind.writes if self._is_request else self._kind.reads
         if touch is None:

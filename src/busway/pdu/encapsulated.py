@@ -72,8 +72,8 @@ class ReadDeviceIdentification(Request):
     Attributes:
         level: 1 basic, 2 regular, 3 extended: all objects up to this level, from ``object_id`` on; 4: the one object
             ``object_id``.
-        object_id: number of an object, 0x00…0xFF. With level 1…3, a number that the device does not have means the
-            first object.
+        object_id: number of an object, 0x00…0xFF. With level 1…3, a number that the device does not have at this level
+            means the first object.
     """
 
     code: ClassVar[FunctionCode] = FunctionCode.ENCAPSULATED_INTERFACE

@@ -75,7 +75,10 @@ class ExchangingBlock(Block, Protocol):
     """Interface of a block of registers or bits whose writes can also return the values that they replace."""
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace ``count`` items as ``put`` does, and return the old ones in wire order, in one atomic step."""
+        """Replace ``count`` items from ``position`` on by ``data``, and return the old ones, in one atomic step.
+
+        Both are in wire order. ``position`` is 0 for the item at the address ``first``.
+        """
 
 
 class RegisterBlock(Block, Protocol):
@@ -203,7 +206,12 @@ def read_bits(code: int, limit: int, block: Block) -> Answer:
 
 
 def write_register(code: int, block: Block) -> Answer:
-    """Return a function that executes and answers requests 06 (write single register) on a block of memory."""
+    """Return a function that executes and answers requests 06 (write single register) on a block of memory.
+
+    Args:
+        code: the function code; not used, because the reply repeats the request.
+        block: the holding registers of the device.
+    """
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -222,7 +230,7 @@ def write_registers(code: int, limit: int, block: Block) -> Answer:
     """Return a function that executes and answers requests 16 (write multiple registers) on a block of memory.
 
     Args:
-        code: the function code.
+        code: the function code; not used, because the reply repeats the beginning of the request.
         limit: most registers in one write.
         block: the holding registers of the device.
     """
@@ -250,7 +258,12 @@ _COIL_VALUES: Final = {b"\xff\x00": b"\x01", b"\x00\x00": b"\x00"}
 
 
 def write_coil(code: int, block: Block) -> Answer:
-    """Return a function that executes and answers requests 05 (write single coil) on a block of memory."""
+    """Return a function that executes and answers requests 05 (write single coil) on a block of memory.
+
+    Args:
+        code: the function code; not used, because the reply repeats the request.
+        block: the coils of the device.
+    """
     first, size, put = block.first, block.count, block.put
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -270,7 +283,7 @@ def write_coils(code: int, limit: int, block: Block) -> Answer:
     """Return a function that executes and answers requests 15 (write multiple coils) on a block of memory.
 
     Args:
-        code: the function code.
+        code: the function code; not used, because the reply repeats the beginning of the request.
         limit: most coils in one write.
         block: the coils of the device.
     """
@@ -300,7 +313,12 @@ _unpack_four = struct.Struct(">HHHHB").unpack_from
 
 
 def mask_write_register(code: int, block: RegisterBlock) -> Answer:
-    """Return a function that executes and answers requests 22 (mask write register) on a block of memory."""
+    """Return a function that executes and answers requests 22 (mask write register) on a block of memory.
+
+    Args:
+        code: the function code; not used, because the reply repeats the request.
+        block: the holding registers of the device.
+    """
     first, size, mask = block.first, block.count, block.mask
 
     def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:

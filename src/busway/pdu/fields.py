@@ -142,15 +142,17 @@ def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None
 def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1) -> RestLength:
     """Declare a message field of ``width`` bytes (1 or 2) that holds the number of all bytes after it.
 
-    In received messages it must be ``low``…``high`` and a multiple of ``step``.
+    In received messages it must be ``low``…``high`` and a multiple of ``step``; of messages that are built it is not
+    checked.
     """
     return RestLength(width, low, high, step)
 
 
 def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of all bytes to the end of the message: ``low``…``high``, a multiple of ``step``.
+    """Declare a message field of all bytes to the end of the message; their number is limited.
 
-    Without ``default`` the constructor of the message needs a value, here and in the other functions of this file.
+    It is ``low``…``high``, and a multiple of ``step``. Without ``default``, the constructor of the message needs a
+    value.
     """
     return RestField(low, high, step, default)
 

@@ -213,7 +213,7 @@ class ReadFileRecord(Request):
         return None
 
     def reply_length(self) -> int:
-        """Return the number of bytes of the reply PDU to this request; `validate` allows at most 253."""
+        """Return the number of bytes of the normal reply PDU to this request; the constructor allows at most 253."""
         return 2 + sum(2 + 2 * group.count for group in self.groups)
 
     def reply_shape(self) -> tuple[int, bytes]:

@@ -76,7 +76,7 @@ class FunctionTable:
         return tuple(sorted({*self._by_code, *self._sub_width}))
 
     def find(self, data: bytes | bytearray, at: int, end: int) -> type[Request] | None:
-        """Return the request class of the function whose request or reply PDU starts at ``at`` of ``data[:end]``.
+        """Return the request class of the function whose request or reply PDU starts at ``at`` in ``data[:end]``.
 
         None if the function or its sub-code is not in the table, the PDU is an exception reply, or the sub-code is cut
         off. At least one byte must be there.
@@ -115,9 +115,10 @@ class FunctionTable:
             return MalformedRequest(pdu[0], kind, bytes(pdu), error.reason, error.code)
 
     def decode_reply(self, pdu: bytes) -> Message:
-        """Decode a reply PDU to a message of its function, `ExceptionResponse` or, for unknown codes, `OpaqueReply`.
+        """Decode a reply PDU to an object of its function's ``Reply`` class, or to an `ExceptionResponse`.
 
-        Whether it is the reply to a particular request is not checked (`Request.accept` does).
+        It becomes an `OpaqueReply` if the function or sub-function is not in the table. Whether it is the reply to a
+        particular request is not checked (`Request.accept` does).
 
         Raises:
             MalformedPdu: there are no bytes, or they are no valid reply of the function.

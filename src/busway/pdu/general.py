@@ -44,7 +44,7 @@ def decode_exception(pdu: bytes) -> ExceptionResponse:
 
 
 class OpaqueReply(SelfCoded):
-    """A reply whose function code is not in the table of functions; its content is kept as bytes.
+    """A reply whose function or sub-function is not in the table of functions; its content is kept as bytes.
 
     Attributes:
         function: function code, 0…127.
@@ -56,7 +56,7 @@ class OpaqueReply(SelfCoded):
 
 
 class OpaqueRequest(Request):
-    """A request whose function code is not in the table of functions; it is kept as bytes, so that it can be forwarded.
+    """A request whose function or sub-function is not in the table of functions; kept as bytes, to be forwarded.
 
     It counts as a write, because its effect is not known. Its reply is an `OpaqueReply`.
 

@@ -49,7 +49,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Touch:
-    """Declaration which items the requests of a class read or write: the table, and the names of two fields.
+    """Declares which items the requests of a class read or write: the table, and the names of two of their fields.
 
     Attributes:
         table: the table.
@@ -115,7 +115,7 @@ class Message(metaclass=_MessageType):
     """
 
     code: ClassVar[int]
-    """Function code, 1…127."""
+    """Function code, 1…127; not set for classes with ``self_coded``."""
     sub_code: ClassVar[int | None] = None
     """Code after the function code: sub-function of 08 or MEI type of 43; None for functions without one."""
     sub_width: ClassVar[int] = 0
@@ -171,7 +171,7 @@ class Message(metaclass=_MessageType):
         return layout.head.size
 
     def values(self) -> dict[str, Any]:
-        """Return the fields of the message by name, in wire order."""
+        """Return the values of the message's fields by name, in wire order, without byte counts."""
         return {name: getattr(self, name) for name in attribute_names(type(self))}
 
     def __eq__(self, other: object) -> bool:
@@ -291,6 +291,7 @@ class Request(Message):
 
         Raises:
             Refusal: the device refuses the request; has the exception code to reply.
+            TypeError: the class does not override the method.
         """
         raise TypeError(f"{type(self).__name__} does not say what it does to a device")
 
@@ -332,7 +333,7 @@ class Request(Message):
         _set_memo(self, memo)
 
     def accept(self, pdu: bytes) -> Message:
-        """Decode a normal reply PDU, and check that it answers this request; call `prepare` before.
+        """Decode a normal reply PDU, check that it answers this request, and return it; call `prepare` before.
 
         Raises:
             MalformedPdu: the bytes are no valid reply of the function, or answer another request. An exception reply is

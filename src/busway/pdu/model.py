@@ -117,7 +117,7 @@ class Records(Protocol):
     """Interface of file records and queues of a device (Application Protocol V1.1b3 §6.14, §6.15, §6.18)."""
 
     def read_file(self, file: int, record: int, count: int, context: Context) -> bytes:
-        """Return ``count`` registers of a file from ``record`` on, in wire order.
+        """Return ``count`` registers of a file (1…65535) from ``record`` (0…9999) on, in wire order.
 
         Raises:
             Refusal: the file does not exist, or does not have all of these registers.
@@ -138,7 +138,7 @@ class Records(Protocol):
         """
 
     def read_fifo(self, address: int, context: Context) -> bytes:
-        """Return the registers of the queue at ``address``, oldest first, in wire order, without removing them.
+        """Return all registers of the queue at ``address``, oldest first, in wire order, without removing them.
 
         Raises:
             Refusal: there is no queue at this address.

@@ -169,7 +169,11 @@ _REGISTERS = tuple(struct.Struct(f">{count}H").unpack for count in range(MAX_REA
 
 
 def unpack_registers(data: bytes) -> list[int]:
-    """Return the numbers 0…65535 that big-endian registers hold, one for every two bytes; the bytes must be even."""
+    """Return the numbers 0…65535 that big-endian registers hold, one for every two bytes.
+
+    Raises:
+        struct.error: the number of bytes is odd.
+    """
     count = len(data) >> 1
     if count < len(_REGISTERS):
         return list(_REGISTERS[count](data))

@@ -78,8 +78,8 @@ class Address:
         table: which of the four tables; None if the address names none and the function that takes it decides.
         offset: the item as on the wire, 0…65535.
         bit: a bit of the register, 0 (least significant)…15; None for the whole item.
-        text: the text or the digits of the ``int`` that `parse_address` got, for messages; empty if not parsed. Two
-            addresses are equal also if their texts differ.
+        text: the text or the digits of the ``int`` that `parse_address` got, for messages; empty if not parsed. It does
+            not matter for equality.
 
     Raises:
         InvalidRequest: offset or bit out of range, or a bit of a coil or discrete input. Nothing was sent.
@@ -121,11 +121,11 @@ def parse_address(
             table of its own; ``base`` does not change it.
         table: the table that the caller means. None: the notation names it; an ``int`` becomes an address without a
             table then.
-        base: number of the first item, 0 or 1; None for each notation's own base.
+        base: number of the first item, 0 or 1, except for ``%MW`` and ``%M``; None for each notation's own base.
 
     Raises:
-        InvalidRequest: not a notation, out of range, ambiguous, or another table than ``table``; the message shows how
-            to write what may be meant. Nothing was sent.
+        InvalidRequest: not a notation, out of range, ambiguous, of another table than ``table``, or ``base`` is neither
+            0 nor 1. Nothing was sent.
     """
     if base not in (None, 0, 1):
         raise InvalidRequest(f"base is {shown(base)}, but items are counted from 0 or from 1")

@@ -109,13 +109,16 @@ class BitCodec:
         )
 
     def parse(self, text: str) -> bool:
-        """Return the bool for a text such as ``on`` or ``0``. Raises ``ValueError`` for other texts."""
+        """Return the bool for ``on``, ``true``, ``1`` or ``off``, ``false``, ``0``; capitals do not matter.
+
+        Raises ``ValueError`` for other texts.
+        """
         if text.lower() not in _STATES:
             raise ValueError(text)
         return _STATES[text.lower()]
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """Return the register with the codec's bit set or cleared, and its other bits unchanged.
+        """Return the register, in wire order, with the codec's bit set or cleared, and its other bits unchanged.
 
         Args:
             value: True, False, 1 or 0.
@@ -132,7 +135,14 @@ class BitCodec:
 
 
 class FieldCodec:
-    """Converts adjacent bits of each register to a number: half a register, or a field of a status word."""
+    """Converts adjacent bits of each register to a number: half a register, or a field of a status word.
+
+    Args:
+        name: name of the value type, for errors.
+        low, high: the lowest and highest of the bits, 0 (least significant)…15.
+        order: order of the two bytes of a register.
+        signed: whether the bits are a number in two's complement.
+    """
 
     def __init__(self, name: str, low: int, high: int, order: ByteOrder, *, signed: bool) -> None:
         self._name = name
@@ -145,7 +155,7 @@ class FieldCodec:
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the number that the codec's bits hold in each register."""
+        """Return the number that the codec's bits hold in each register; with a sign if the codec is signed."""
         whole = swapped(data, self._swaps)
         low, mask, sign = self._low, self._mask, self._sign
         return [
@@ -161,14 +171,14 @@ class FieldCodec:
         raise InvalidRequest(f"{self._name} cannot be written alone: the register's other bits would be overwritten")
 
     def merge(self, value: object, held: Wire) -> bytes:
-        """Return the register with a number in the codec's bits, and its other bits unchanged.
+        """Return the register, in wire order, with a number in the codec's bits, and its other bits unchanged.
 
         Args:
-            value: the number.
+            value: the number, an ``int``.
             held: the two present bytes of the register, in wire order.
 
         Raises:
-            InvalidRequest: the number does not fit into the bits. Nothing was sent.
+            InvalidRequest: the value is no integer, or does not fit into the bits. Nothing was sent.
         """
         if isinstance(value, bool) or not isinstance(value, int) or not self._minimum <= value <= self._maximum:
             raise unfit([value], 0, self._name, self.expects)

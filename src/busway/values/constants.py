@@ -34,10 +34,10 @@ def string(
     Args:
         length: bytes, 1…250.
         encoding: the encoding of its characters.
-        padding: the character that fills the rest of the registers.
+        padding: the character that fills the rest of the registers when a text is written: NUL or space.
 
     Raises:
-        InvalidRequest: there is no such length, encoding or padding.
+        InvalidRequest: there is no such length, encoding or padding. Nothing was sent.
     """
     found: ValueType[Any] = value_type(f"string:{length}:{encoding}:{padding}")
     return found

@@ -13,8 +13,8 @@ def counted(count: int, noun: str, verb: Literal["", "is", "was", "follows"] = "
 
     Args:
         count: how many there are, 0 or more.
-        noun: a regular English noun in the singular.
-        verb: a verb to append, in the singular; none by default.
+        noun: an English noun in the singular, whose plural has an added s, or ``ries`` for ``ry``.
+        verb: a verb to append, in the singular; it becomes plural with the noun. Empty for none.
     """
     if count == 1:
         return f"1 {noun} {verb}".rstrip()

@@ -20,7 +20,7 @@ def custom_layout(name: str, written: str) -> struct.Struct:
 
     Args:
         name: the type as it was written, for errors.
-        written: its FORMAT: a byte order and letters, such as ``>hHl``.
+        written: its FORMAT: the byte order ``<`` or ``>``, and letters such as ``hHl``, each with an optional count.
 
     Raises:
         InvalidRequest: the format is not supported or holds no number, or its size is odd, zero or above 250 bytes.
@@ -63,7 +63,7 @@ class CustomCodec:
         """Return the registers, in wire order, that hold tuples or lists with all numbers of the format.
 
         Raises:
-            InvalidRequest: a value does not fit the format. Nothing was sent.
+            InvalidRequest: a value is no tuple or list, or does not fit the format. Nothing was sent.
         """
         parts = []
         for index, value in enumerate(values):
@@ -76,10 +76,10 @@ class CustomCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> tuple[Any, ...]:
-        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``.
+        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``. Integers may be written ``0x1F``.
 
         Raises:
-            InvalidRequest: the numbers do not fit the format.
+            InvalidRequest: the numbers, or how many they are, do not fit the format. Nothing was sent.
             ValueError: a part of the text is no number.
         """
         numbers: list[int | float] = []

@@ -40,7 +40,7 @@ class NetworkCodec:
         self.expects: str = _EXPECTS[name]
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the network addresses that registers in wire order hold, as texts."""
+        """Return the network addresses that registers in wire order hold, as texts such as ``00:1B:44:11:3A:B7``."""
         whole = swapped(data, self._swaps)
         return [self._written(whole[at : at + self._size]) for at in range(0, len(whole), self._size)]
 
@@ -48,7 +48,7 @@ class NetworkCodec:
         """Return the registers, in wire order, that hold network addresses given as texts.
 
         Raises:
-            InvalidRequest: a value is no such address. Nothing was sent.
+            InvalidRequest: a value is no address of the codec's kind. Nothing was sent.
         """
         parts = []
         for index, value in enumerate(values):
@@ -59,7 +59,10 @@ class NetworkCodec:
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> str:
-        """Return a network address, given as text, in its standard form. Raises ``ValueError`` if it is none."""
+        """Return a network address, given as text, in the form in which `decode` returns it.
+
+        Raises ``ValueError`` if the text is no address of the codec's kind. An EUI may have ``-`` for ``:``.
+        """
         return self._written(self._packed(text))
 
     def _written(self, part: bytes) -> str:

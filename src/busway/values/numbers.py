@@ -33,7 +33,7 @@ def whole_number(text: str) -> int:
     """Return the integer for a text in decimal, ``0x…`` or ``0b…``, with an optional sign.
 
     Raises:
-        ValueError: the text is no integer, or has more digits than any type here holds.
+        ValueError: the text is no integer, or has more than 40 decimal, 16 hexadecimal or 64 binary digits.
     """
     match = _WHOLE.fullmatch(text)
     if match is None:
@@ -61,7 +61,10 @@ class _StructLayout:
         return list(struct.unpack(f"{self.prefix}{count}{self.letter}", data))
 
     def pack(self, values: list[object]) -> bytes:
-        """Return the registers, in wire order, that hold these numbers. Raises ``struct.error`` if one does not fit."""
+        """Return the registers, in wire order, that hold these numbers.
+
+        Raises ``struct.error`` or ``OverflowError`` if one does not fit.
+        """
         packed = struct.pack(f"{self.prefix}{len(values)}{self.letter}", *values)
         return swapped(packed, self.swaps) if self.swaps else packed
 
@@ -95,7 +98,10 @@ class IntegerCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> int:
-        """Return the integer for a text in decimal, ``0x…`` or ``0b…``. Raises ``ValueError`` if it does not fit."""
+        """Return the integer for a text in decimal, ``0x…`` or ``0b…``. Raises ``ValueError`` for others.
+
+        Others are texts that are no integer, and integers out of range.
+        """
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:
             raise ValueError(text)
@@ -224,7 +230,7 @@ class BcdCodec:
         self.expects: str = f"a whole number 0…{self._maximum}, in decimal"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the numbers that registers of binary-coded decimals hold.
+        """Return the numbers that registers of binary-coded decimals in wire order hold.
 
         Raises:
             BadReply: a digit is above 9; ``raw`` holds the bytes of all values.
@@ -258,11 +264,11 @@ class BcdCodec:
         return swapped(bytes.fromhex("".join(parts)), self._swaps)
 
     def parse(self, text: str) -> int:
-        """Return the number for a decimal text.
+        """Return the number for a text of decimal digits, with an optional ``+``.
 
         Raises:
-            ValueError: the text is no decimal number, or has too many digits. Hexadecimal such as ``0x12`` is refused:
-                it could mean 12 or 18.
+            ValueError: the text is no such number, or the number has more digits than the type. Hexadecimal such as
+                ``0x12`` is refused: it could mean 12 or 18.
         """
         number = whole_number(text)
         if not text.lstrip("+").isdecimal() or number > self._maximum:

@@ -56,7 +56,7 @@ _ORDERS: Final[dict[str, tuple[int, int]]] = {
 }
 
 _EXCHANGES: Final = {0: "", 2: "02", 4: "01", 6: "12"}
-"""Which two of three registers are exchanged, by the upper bits of the mask of a value of 48 bits."""
+"""Positions of the two of three registers that are exchanged, by ``mask & 6`` of a 48-bit order; empty for none."""
 
 
 def _spelt_three(mask: int) -> str:
@@ -73,7 +73,7 @@ _ORDERS.update({_spelt_three(mask): (6, mask) for mask in range(8)})
 ORDERS: Final[dict[int, tuple[str, ...]]] = {
     bits: tuple(text for text, (size, _) in _ORDERS.items() if size * 8 == bits) for bits in (16, 32, 48, 64)
 }
-"""The orders that exist for values of 16, 32, 48 and 64 bits, big-endian first."""
+"""The names of the orders for values of 16, 32, 48 and 64 bits, by this number of bits, big-endian first."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,14 +119,17 @@ class ByteOrder:
 
     @property
     def registers(self) -> tuple[int, ...]:
-        """The position on the wire of each register of a value, most significant first: ``(1, 0)`` for ``CDAB``."""
+        """The position on the wire, from 0, of each register of a value: ``(1, 0)`` for ``CDAB``.
+
+        The most significant register is the first in the tuple.
+        """
         if self.size == 6:
             return tuple("ABCDEF".index(self.text[2 * place]) // 2 for place in range(3))
         return tuple(place ^ (self.mask >> 1) for place in range(self.size // 2))
 
 
 def byte_order(text: str, size: int) -> ByteOrder:
-    """Return the byte order with a name such as ``big`` or ``CDAB``, for values of a given size.
+    """Return the byte order that a name such as ``big`` or ``CDAB`` means for values of a given size.
 
     Args:
         text: letters (``AB``, ``CDAB``, ``GHEFCDAB``, …) or ``big``, ``little``, ``word-swapped`` (registers reversed,
@@ -135,7 +138,7 @@ def byte_order(text: str, size: int) -> ByteOrder:
         size: bytes of a value: 2, 4, 6 or 8.
 
     Raises:
-        InvalidRequest: no such order. Nothing was sent.
+        InvalidRequest: there is no such order, or it says nothing about values of this size. Nothing was sent.
     """
     if not isinstance(text, str):
         raise InvalidRequest(f"an order is text such as 'CDAB', not {type(text).__name__}")

@@ -11,7 +11,10 @@ _SHOWN_CHARACTERS: Final = 60
 
 
 def shown(value: object) -> str:
-    """Return the ``repr`` of a value, cut after 60 characters to fit an error message; never raises ``ValueError``."""
+    """Return the ``repr`` of a value, cut after 60 characters to fit an error message.
+
+    For an integer with too many digits for ``repr`` it is ``a number of thousands of digits``.
+    """
     try:
         text = repr(value)
     except ValueError:  # Python refuses to print integers of some thousand digits
@@ -20,11 +23,11 @@ def shown(value: object) -> str:
 
 
 def unfit(values: list[object], index: int, name: str, expects: str, hint: str = "") -> InvalidRequest:
-    """Create the error for ``values[index]``, which does not fit a value type.
+    """Return the error for ``values[index]``, which does not fit a value type.
 
     Args:
-        values: the values that were to be encoded.
-        index: position of the one that does not fit.
+        values: the values that were to be encoded; the message has the position if there are several.
+        index: position of the one that does not fit, from 0.
         name: name of the value type.
         expects: what the type takes, in words.
         hint: more text for the end of the message.

@@ -28,7 +28,10 @@ class StringCodec:
         padding: ``nul`` or ``space``, which fills the rest of the registers.
         order: order of the bytes of a register.
         half: ``low`` or ``high`` if each register has one character, in this byte; empty if it has two.
-        upper: whether small letters become capitals.
+        upper: whether small letters become capitals, both in texts that are read and in texts that are written.
+
+    Attributes:
+        expects: which texts the registers can hold, in words.
     """
 
     def __init__(
@@ -75,7 +78,7 @@ class StringCodec:
         return swapped(block, self._swaps)
 
     def parse(self, text: str) -> str:
-        """Return a text unchanged if it fits into its registers. Raises `InvalidRequest` if it does not."""
+        """Return the text unchanged if a value of this type can hold it. Raises `InvalidRequest` if not."""
         self.encode([text])
         return text
 

@@ -86,7 +86,7 @@ Value = TypeVar("Value")
 class ValueType(Generic[Value]):
     """A value type with its byte order; converts registers to values and back. Created by `value_type`.
 
-    Two value types are equal if their names and orders are.
+    Two value types are equal if their names and orders are equal.
 
     Attributes:
         name: the name in full, ``float32``, also if the type was asked for by its short form ``f32``.
@@ -125,7 +125,7 @@ class ValueType(Generic[Value]):
             data: bytes in wire order, two for each register, a whole number of values.
 
         Returns:
-            One value for each ``registers`` registers, in their order; an empty list for no bytes.
+            The values, in the order of their registers; an empty list for no bytes.
 
         Raises:
             InvalidRequest: the length is no whole number of values.
@@ -168,7 +168,7 @@ class ValueType(Generic[Value]):
     def bit_place(self) -> tuple[int, int] | None:
         """Position of the bit of a ``bit:N`` type in the register on the wire; None for other types.
 
-        The byte, 0 (the first) or 1, and the mask in that byte.
+        It is a pair: the number of the byte, 0 (the first) or 1, and the mask of the bit in that byte.
         """
         return self._codec.place if isinstance(self._codec, BitCodec) else None
 
@@ -176,8 +176,8 @@ class ValueType(Generic[Value]):
         """Return the registers of one value, in wire order; bits that do not belong to the value stay as in ``held``.
 
         Args:
-            value: one value, as in the values for `encode`.
-            held: the present ``2 * registers`` bytes of the registers; not looked at unless `is_part`.
+            value: one value, as `decode` returns it.
+            held: the present ``2 * registers`` bytes of the registers, in wire order; ignored unless `is_part` is True.
 
         Raises:
             InvalidRequest: the value does not fit. Nothing was sent.
@@ -242,7 +242,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
 
 
 def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
-    """Convert registers into values of a type, like `ValueType.decode`.
+    """Convert registers into a list of values of a type, like `ValueType.decode`.
 
     Args:
         data: bytes in wire order, two for each register.
@@ -266,7 +266,7 @@ def encode(values: Iterable[object], type: str | ValueType[Any], order: str = "A
     """Convert values of a type into registers, in wire order, like `ValueType.encode`.
 
     Args:
-        values: values of the type, in a sequence.
+        values: values of the type, such as a list; a single value is given as ``[value]``.
         type: a name such as ``float32``, or a `ValueType`, which keeps its own order if ``order`` is ``ABCD``.
         order: byte and register order.
 
@@ -374,7 +374,17 @@ def _custom(name: str, order: ByteOrder) -> ValueType[Any]:
 
 
 def _field(name: str, kind: str, words: list[str], order: ByteOrder) -> ValueType[Any]:
-    """Return the value type for a part of a register: ``int8:low``, ``field:4-7``, ``field:4-7:signed``."""
+    """Return the value type for a part of a register: ``int8:low``, ``field:4-7``, ``field:4-7:signed``.
+
+    Args:
+        name: the type as it was written, for errors.
+        kind: ``int8``, ``uint8`` or ``field``.
+        words: the words after the kind, which colons separate.
+        order: order of the two bytes of the register.
+
+    Raises:
+        InvalidRequest: there is no such part.
+    """
     if kind != "field":
         if len(words) != 1 or words[0] not in _HALVES:
             raise InvalidRequest(

@@ -211,7 +211,7 @@ class FifoSection(Section):
 
     @property
     def place(self) -> Address:
-        """The address under which function 24 reads the queue."""
+        """The address in the holding registers under which function 24 reads the queue."""
         return parse_address(self.address, table=Table.HOLDING_REGISTERS)
 
     @model_validator(mode="after")
@@ -290,7 +290,7 @@ class GroupSection(WholeSection):
 
 @dataclass(frozen=True, slots=True)
 class _Around:
-    """Attributes that a point of a device file gets from the groups around it; they are those of `Point`."""
+    """Attributes that a point of a device file gets from the groups around it; `PlacedPoint` explains them."""
 
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -304,7 +304,9 @@ class PlacedPoint:
         path: its path in the unit's section of the file.
         section: its keys in the file; for a point of a group, with full name and the address at this place of the
             group.
-        exists, group: as in `busway.points.Point`.
+        exists: for each group around the point with ``count_from``: the name of the point that holds the number of
+            repetitions, and the number of this point's repetition, from 1 on.
+        group: name of the atomic group, read in one request, that the point is in; None for none.
     """
 
     path: Path
@@ -485,7 +487,7 @@ class UnitSection(WholeSection):
         ]
 
     def objects(self) -> dict[int, bytes]:
-        """Return the identification objects of the unit (function 43/14), by number."""
+        """Return the identification objects that the file declares (function 43/14), by number; empty for none."""
         return {_object_number(key): value for key, value in self.identification.items()}
 
     def faults(self) -> Iterator[tuple[Path, str]]:

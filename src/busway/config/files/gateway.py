@@ -37,7 +37,10 @@ NOT_OF_GATEWAYS: Final = {
 
 
 def is_gateway(sections: Container[str]) -> bool:
-    """Whether a file with these top-level keys is a gateway file: ``route`` or ``gateway``, or listeners, no units."""
+    """Return True if a file with these top-level keys is a gateway file.
+
+    It is one with ``route`` or ``gateway``, or with ``listen`` or ``listener`` and without ``unit``.
+    """
     listens = "listen" in sections or "listener" in sections
     return "route" in sections or "gateway" in sections or (listens and "unit" not in sections)
 
@@ -121,6 +124,8 @@ class RouteSection(OptionSection):
 
     def asked_addresses(self) -> tuple[Table, int, int] | None:
         """Return the addresses that the route applies to: table, first offset, offset after the last; None for all.
+
+        Offsets are 0-based.
 
         Raises:
             ConfigError: the notation is wrong, names more than one range, or is missing beside a ``table``.

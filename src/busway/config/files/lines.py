@@ -16,16 +16,20 @@ _DELIMITERS: Final = ("'''", '"""', "'", '"')
 
 
 def key_lines(text: str) -> dict[Path, int]:
-    """Return the 1-based line of every key, table and array element in a valid TOML text."""
+    """Return the 1-based line of every key, table and array element in a valid TOML text, by its path."""
     reader = _Reader(text)
     reader.read_document()
     return reader.lines
 
 
 def line_of(lines: Mapping[Path, int], path: Path) -> int:
-    """Return the 1-based line of a path; if the file does not have it, the line of the nearest table or list around it.
+    """Return the 1-based line of a path; if the file does not have it, the line of the nearest key around it.
 
-    1 if the file has none of these.
+    1 if the file has no key around it either.
+
+    Args:
+        lines: the line of each key, table and array element, as `key_lines` returns them.
+        path: keys and indexes from the top of the file: ``("unit", 0, "point", 3, "type")``.
     """
     while path and path not in lines:
         path = path[:-1]

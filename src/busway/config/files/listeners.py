@@ -62,7 +62,9 @@ class ListenerSection(OptionSection):
 def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
     """Yield an error for each listener that uses the address and port, or the serial port, of an earlier one.
 
-    Each error is the path of the later URL and a sentence. Listeners on port 0 never clash.
+    Each error is the path of the later URL and a sentence. A host that means all addresses, such as ``0.0.0.0``,
+    clashes with every address that it includes. Listeners of UDP never clash with those of TCP and TLS, nor those on
+    port 0 with any. Host names are compared as texts, except ``localhost``, which is 127.0.0.1.
 
     Args:
         places: the path of each URL in the file, and the URL.
@@ -89,5 +91,5 @@ _ALL: Final = {"": "", "0.0.0.0": ".", "::": ":"}
 
 
 def _covers(one: str, other: str) -> bool:
-    """Whether one of two hosts stands for all addresses of this machine (``0.0.0.0``), and so includes the other."""
+    """Return True if one of two hosts means all addresses (``0.0.0.0``, ``::`` or empty) and includes the other."""
     return (one in _ALL and _ALL[one] in other) or (other in _ALL and _ALL[other] in one)

@@ -87,6 +87,8 @@ def with_options_of(
 ) -> Callable[[type[Kind]], type[Kind]]:
     """Class decorator that adds a key to a file section for each option of the parameter classes.
 
+    A key that the section has already stays as it is. The decorated class is a new subclass of the same name.
+
     Args:
         kinds: the parameter classes.
         role: ``client`` or ``server``: only options that have an effect for it are keys; empty for all.

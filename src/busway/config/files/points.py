@@ -436,7 +436,10 @@ class PointSection(WholeSection):
 
     @cached_property
     def size(self) -> int:
-        """Number of registers that the point occupies, also partly; 1 for a coil or discrete input."""
+        """Number of registers that the point occupies, also partly; 1 for a coil or discrete input.
+
+        Only for a point with an address: a computed one raises `InvalidRequest`.
+        """
         return 1 if self.form is None else self.form.registers
 
     @cached_property
@@ -562,9 +565,10 @@ class PointSection(WholeSection):
         return raw
 
     def physical(self, raw: Any) -> Any:
-        """Return the value in the unit of measure for a raw number; bits, texts and the like unchanged.
+        """Return the value in the unit of measure for a raw number; what is no number stays unchanged.
 
-        The power of ten of ``scale_from`` is not applied, and numbers are not replaced by their names.
+        The power of ten of ``scale_from`` is not applied, and numbers are not replaced by their names. A computed point
+        raises `InvalidRequest`.
         """
         if self._converter is None or isinstance(raw, bool):
             return raw
@@ -749,6 +753,9 @@ class PointSection(WholeSection):
             prefix: text before its name: ``string.1.``.
             by: number of items to add to its address.
             known: full names of points around it, those of the nearest group first, which such names can mean.
+
+        Raises:
+            InvalidRequest, ValidationError: the point would not lie in its table.
         """
         keys = {name: getattr(self, name) for name in self.model_fields_set}
         keys["name"] = prefix + self.name
@@ -766,6 +773,8 @@ class PointSection(WholeSection):
 
 def resolved(name: str, known: Sequence[str]) -> str:
     """Return the full name of the point that a name in a group means; the name itself if no known point has it.
+
+    It is the first of ``known`` that equals the name, or ends with a dot and the name.
 
     Args:
         name: the name as the group has it, such as ``voltage``.

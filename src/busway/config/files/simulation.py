@@ -83,14 +83,23 @@ class SimulatedPointSection(PointSection):
     ] = None
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors of keys of this point or its behaviour that do not go together, as path and sentence."""
+        """Yield the errors of keys of this point that do not go together, each as path and sentence.
+
+        If the keys of the point itself have no errors, those of its behaviour are yielded.
+        """
         faults = list(super().faults())
         yield from faults or self._behaviour_faults()
 
     def moved(self, prefix: str, by: int, known: Sequence[str]) -> "SimulatedPointSection":
         """Return a copy of the point for one repetition of its group, with full names of points also in its behaviour.
 
-        The arguments are those of `PointSection.moved`.
+        Args:
+            prefix: text before its name: ``string.1.``.
+            by: number of items to add to its address.
+            known: full names of points around it, those of the nearest group first, which names in it can mean.
+
+        Raises:
+            InvalidRequest, ValidationError: the point would not lie in its table.
         """
         moved = super().moved(prefix, by, known)
         assert isinstance(moved, SimulatedPointSection)
@@ -210,7 +219,8 @@ class SimulationFile(SystemFile, ParameterKeys):
     def places(self) -> list[tuple[Path, str]]:
         """Return the URLs to listen on, each with its path in the file.
 
-        If the file names none, it is the default URL, or nothing in a file without units and includes.
+        If the file names none, the only one is the default URL `DEFAULT_LISTEN`; a file that has neither units nor
+        includes then has none.
         """
         return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
 
@@ -221,7 +231,10 @@ class SimulationFile(SystemFile, ParameterKeys):
 
 
 def simulation_schema(title: str) -> dict[str, Any]:  # Any: what JSON has
-    """Return the JSON Schema of simulation files and the profiles they include."""
+    """Return the JSON Schema of simulation files and the profiles they include.
+
+    In place of a number, true or false it also allows a text with a parameter, ``${name}``.
+    """
     document = json_schema(SimulationFile, title)
     document["$defs"]["SimulatedUnitSection"]["required"].remove("unit")
     found: dict[str, Any] = _or_parameter(document)

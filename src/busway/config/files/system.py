@@ -131,7 +131,8 @@ class SystemFile(DeviceFile):
     def places(self) -> list[tuple[Path, str]]:
         """Return the URLs to listen on, each with its path in the file: first those of ``listen``, then ``listener``.
 
-        If there are none, it is the default URL for a file with units, and nothing for a file without.
+        If there are none, the only one is the default URL `DEFAULT_LISTEN` for a file with units; a file without units
+        then has none.
         """
         given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
         given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
@@ -152,7 +153,7 @@ class SystemFile(DeviceFile):
 
 
 def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
-    """Yield an error, path and sentence, for each section whose name an earlier section of its kind has.
+    """Yield an error, as path and sentence, for each section that has the same name as an earlier one.
 
     Args:
         key: key of these sections in the file.
