@@ -257,8 +257,9 @@ def _audited(
 ) -> Answer | None:
     """Return a function of the fast path that checks addresses and values, writes, and appends an audit line.
 
-    It returns None for a write that is not permitted, or that the audit log does not take now: nothing is written, and
-    the request takes the generic path. The result is None if the device's memory cannot be used directly.
+    That function returns None for a write that is not permitted, or that the audit log does not take now: nothing is
+    written, and the request takes the generic path. The result of `_audited` itself is None if the device's memory
+    cannot be used directly.
     """
     done = _NOTHING_DONE
 

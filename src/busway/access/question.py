@@ -106,7 +106,7 @@ class Question:
         listener: str = "",
         asker: Asker | None = None,
     ) -> "Question":
-        """Collect the facts of a decoded request for the decision of a policy.
+        """Return the facts of a decoded request by which a policy decides.
 
         Args:
             request: the decoded request.

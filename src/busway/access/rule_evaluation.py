@@ -20,7 +20,7 @@ from .question import END, Question, Space, TouchedRange
 from .rules import DEFAULT_RULE, Action, Limits, Policy, Rule
 
 _MOST_ACCESSES: Final = 4096
-"""Most kinds of access whose zones are kept; beyond that, all are dropped and compiled anew."""
+"""Most kinds of access whose zones are kept, and most units whose rules are kept; beyond that, all are dropped."""
 
 
 @dataclass(slots=True)

@@ -133,7 +133,7 @@ class BlockingUnit:
         """Send many requests, as many at once as the link allows, and return their replies in the same order.
 
         Args:
-            requests: any number of requests.
+            requests: any number of request messages; for none, nothing is sent and the result is empty.
             return_errors: what happens if requests fail. True: the list has an error in place of each missing reply; if
                 nothing could be sent (`LinkDown`, `Overloaded`, `UnitSuspended`), each request has that error. False:
                 after all requests have ended, the first error is raised. `InvalidRequest` for invalid arguments is
@@ -433,7 +433,7 @@ class BlockingUnit:
 
         Args:
             address: first register, 0…65535.
-            count: number of registers, 1…125.
+            count: number of registers, 1…125; with a larger ``register_width`` at most 250 bytes in all.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(read_request(self._holding, address, count), **call_options)
@@ -447,7 +447,7 @@ class BlockingUnit:
 
         Args:
             address: first register, 0…65535.
-            count: number of registers, 1…125.
+            count: number of registers, 1…125; with a larger ``register_width`` at most 250 bytes in all.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(read_request(self._input, address, count), **call_options)
@@ -609,7 +609,8 @@ class BlockingUnit:
 
         Args:
             sub_function: 0…65535; the standard ones are in `DiagnosticCode`.
-            data: two bytes; for sub-function 00 any even number of bytes up to 250.
+            data: two bytes, of which the standard sub-functions accept only some values; for sub-function 00 any even
+                number of bytes, 2…250; for one that is not standard any bytes, 0…250. Else `InvalidRequest`.
             call_options: ``timeout``, ``retries``, ``deadline``, ``idempotent`` of this call (`CallOptions`).
         """
         reply = self.execute(diagnostic_request(sub_function, data), **call_options)
@@ -756,9 +757,10 @@ class BlockingLink:
 
         Use it if a connection is open but useless, such as one to a gateway that answers nothing. Requests in flight
         are treated as after a lost connection: reads are repeated as ``retries`` says, writes fail with
-        `WriteOutcomeUnknown`.
+        `WriteOutcomeUnknown` unless ``write_retries`` lets them be repeated. Without a connection nothing happens.
 
         Raises:
+            LinkClosed: the program has closed this link.
             InvalidRequest: the link was opened with ``select``, and has no connection of its own.
         """
         if self._rule is not None:
@@ -774,6 +776,7 @@ class BlockingLink:
                 the link. An error that it raises is logged.
 
         Raises:
+            LinkClosed: the program has closed this link.
             InvalidRequest: the link was opened with ``select``, and has no connection of its own.
         """
         if self._rule is not None:
@@ -831,7 +834,7 @@ def connect(
 ) -> BlockingLink:
     """Open a link for blocking programs: ``with busway.connect("tcp://10.0.0.5") as link: …``.
 
-    Nothing is sent, and no connection made, before the first request.
+    Nothing is sent, and no connection made, before the first request or `BlockingLink.connect`.
 
     Args:
         url: the endpoint; the query after ``?`` may set the options below.

@@ -38,6 +38,8 @@ class BlockingConnection:
     def send(self, frame: bytes) -> None:
         """Send a frame; bytes that the system does not accept now are sent later by `flush`.
 
+        If there are unsent frames already, the whole frame waits behind them.
+
         Raises `OSError` if the connection has ended; a part of the frame may have gone out.
         """
         if not self.unsent:

@@ -519,7 +519,8 @@ class BlockingLinkDriver:
     def _pause(self, now: float) -> float:
         """Return the seconds until a request, a timeout or an attempt to connect is due; 0 if one is due now.
 
-        Call it with the lock held.
+        At most 60 seconds while connected, and at most `_STARVED` while requests wait for the common limit of the
+        client's links. Call it with the lock held.
         """
         deadline = self.session.deadline()
         if self._connection is None:
@@ -537,7 +538,7 @@ class BlockingLinkDriver:
     # Under the lock.
 
     def _is_used(self) -> bool:
-        """Whether a thread waits for a reply of this link."""
+        """Whether a thread waits for a reply of this link, or for its connection."""
         return self._lead.locked() or bool(self._waiters)
 
     def _used(self) -> None:
@@ -736,7 +737,10 @@ class BlockingLinkDriver:
         self._done()
 
     def _release(self, now: float, reason: str) -> None:
-        """Close the connection because no call uses it; the next request opens another one."""
+        """Close the connection on purpose, for ``reason``; it does not count as lost. The next request opens another.
+
+        Usually no call uses it. Requests in flight, if there are any, are repeated or fail.
+        """
         self._close_connection()
         self._life.released(now, reason)
         self._done()

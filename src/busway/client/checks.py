@@ -43,8 +43,9 @@ def default_unit(endpoint: Endpoint, unit: int | None) -> int:
 def with_assumed_unit(outcome: object, unit: int) -> None:
     """Add to the message of an error the hint that ``unit`` was assumed, because the user gave none.
 
-    Only to errors that another unit could avoid: those of a gateway (0A, 0B), no reply, and exception 01, because the
-    default unit may be the gateway itself, which has no registers. Other errors, and replies, stay unchanged.
+    Only to errors that another unit could avoid: those of a gateway (0A, 0B), no reply (`NoReply`,
+    `WriteOutcomeUnknown`), and exception 01, because the default unit may be the gateway itself, which has no
+    registers. Other errors, and replies, stay unchanged.
     """
     if isinstance(outcome, ExceptionReply):
         may_help = outcome.from_gateway or outcome.code == ExceptionCode.ILLEGAL_FUNCTION

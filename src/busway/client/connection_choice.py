@@ -16,7 +16,7 @@ class Choosable(Protocol):
 
     Attributes:
         shared: whether all users of the endpoint share the link.
-        opened: when the present connection was opened, in seconds by the clock of the link.
+        opened: when the last connection was opened, in seconds by the clock of the link.
     """
 
     shared: bool

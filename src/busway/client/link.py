@@ -55,8 +55,7 @@ COARSE_SPIN: Final = 0.0015
 class _LinkProtocol(asyncio.BufferedProtocol):
     """The asyncio protocol of one connection of a link.
 
-    Each connection has its own object: if the link gets an event from the object of an earlier connection, it ignores
-    it.
+    Each connection has its own object. The link ignores events from the object of an earlier connection.
     """
 
     __slots__ = ("_buffer", "_link")
@@ -455,7 +454,8 @@ class AsyncLinkDriver:
     def peer_ended(self, protocol: _LinkProtocol) -> None:
         """Handle the end of the peer's stream: if bytes are unsent, drop them and close the connection at once.
 
-        They can no longer be answered. Ignored if ``protocol`` is that of an earlier connection.
+        The peer would not answer them. Without unsent bytes nothing is done here: asyncio closes the connection.
+        Ignored if ``protocol`` is that of an earlier connection.
         """
         if protocol is self._protocol and self._held is not None and self._held():
             self._abort()
@@ -504,8 +504,8 @@ class AsyncLinkDriver:
         """Send all requests that are due; without a connection, begin to open one if requests wait.
 
         Closes the connection instead if the session asks for a new one. Sends nothing while the write buffer is full.
-        With ``precise_timing`` ``now`` can be shortly
-        in the future: the frame is prepared at once, and sent at that time.
+        With ``precise_timing`` ``now`` can be shortly in the future: the frame is prepared at once, and sent at that
+        time.
         """
         session = self.session
         if self._transport is None:
@@ -595,7 +595,10 @@ class AsyncLinkDriver:
         return self.session.has_calls or self.session.in_flight > 0
 
     def _release(self, now: float, reason: str) -> None:
-        """Close the connection because no call uses it; the next request opens another one."""
+        """Close the connection on purpose, for ``reason``; it does not count as lost. The next request opens another.
+
+        Usually no call uses it. Requests in flight, if there are any, are repeated or fail.
+        """
         self._close_transport()
         self._life.released(now, reason)
 

@@ -57,6 +57,8 @@ class PermittedConnector:
 class PermittedTransport:
     """The transport of an open connection; resets the connection instead of sending while sending is not permitted.
 
+    All attributes except `write` are those of the transport that sends.
+
     Args:
         transport: the transport that sends.
         protocol: gets the events of the transport.

@@ -144,8 +144,8 @@ class LocalConnections:
     def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
         """Close an unused connection if the process is at its limit; called before a link connects.
 
-        Of the shared connections that no call uses, the one whose last use is longest ago is closed; connections of
-        another event loop are left alone.
+        Of the shared connections that no call uses, the one whose last use is longest ago is closed. Only connections
+        of the same event loop and of blocking links are closed; for a blocking link, only those of blocking links.
 
         Args:
             newcomer: the link that is about to connect.

@@ -81,7 +81,7 @@ class ClientSession(Protocol):
     def disconnected(self, now: float, reason: str, *, lost: bool = True) -> None:
         """Tell the session that the connection ended; its unanswered requests are repeated or fail.
 
-        ``lost`` is False if the client itself closed a connection that no call used.
+        ``lost`` is False if the client itself closed the connection on purpose; ``reason`` is in words.
         """
 
     def begin_again(self) -> None:

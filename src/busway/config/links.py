@@ -29,8 +29,8 @@ class NamedLink:
         name: the name that the configuration gives it.
         url: the endpoint, with the options in the URL.
         options: the options from the file's sections and the program's defaults, by name, as `busway.open` and
-            `busway.connect` take them. Those of the link's own section override equal options in ``url``; other
-            options that are in ``url`` are left out.
+            `busway.connect` take them; paths of certificates and keys are joined to the file's folder. Those of the
+            link's own section override equal options in ``url``; other options that are in ``url`` are left out.
         settings: endpoint and all options, checked.
     """
 

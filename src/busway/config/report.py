@@ -47,7 +47,7 @@ class ConfigurationReport:
         return None
 
     def refuse(self, path: Path, sentence: str) -> None:
-        """Add a problem to the report, at a path of the configuration file."""
+        """Add a problem to the report: what ``sentence`` says is wrong at ``path`` in the configuration file."""
         self.problems.append(self._source.problem(path, sentence))
 
     def warn(self, path: Path, sentence: str) -> None:

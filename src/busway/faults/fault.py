@@ -205,7 +205,10 @@ class Schedule:
             raise ConfigError("must be at least as long as lasts, which it needs", key="every")
 
     def is_time(self, elapsed: float) -> bool:
-        """Whether a fault with this schedule is active ``elapsed`` seconds after it was switched on."""
+        """Whether a fault with this schedule is active ``elapsed`` seconds after it was switched on.
+
+        The numbers of requests, ``skip`` and ``times``, are not looked at: `is_turn` does that.
+        """
         elapsed -= self.after
         if elapsed < 0:
             return False
@@ -353,6 +356,7 @@ class AppliedFault:
     def is_on(self, now: float) -> bool:
         """Whether the fault is switched on and its schedule is active at ``now`` (seconds).
 
+        The schedule's numbers of requests, ``skip`` and ``times``, are not looked at.
         The schedule of a fault that was just switched on starts at the first call.
         """
         if not self.enabled:

@@ -78,7 +78,7 @@ class FaultyConversation:
 
     @property
     def has_unsent(self) -> bool:
-        """Whether planned bytes are not sent yet; a later reply must wait for them."""
+        """True if planned bytes are not sent yet, so that a later reply must wait for them."""
         return bool(self._outbox)
 
     # Requests.

@@ -30,7 +30,7 @@ from .responder import FaultyResponder
 
 @dataclass(frozen=True, slots=True)
 class FaultStatus:
-    """The status of one fault: its profile, parameters, whether it is on, and how often it applied.
+    """The status of one fault when it was asked for: its profile, parameters, whether it is on, how often it applied.
 
     Attributes:
         name: the name of the fault.
@@ -80,7 +80,10 @@ class FaultSwitchboard:
         server.use_tap(self.tap)
 
     def around(self, responder: Responder) -> FaultyResponder:
-        """Return a responder that applies these faults to the replies of another; its server must use ``tap`` too."""
+        """Return a responder that applies these faults to the replies of ``responder``.
+
+        The server that uses it must also use ``tap`` of this switchboard; `attach` arranges both.
+        """
         return FaultyResponder(responder, self.faults, self.tap)
 
     def add(
@@ -105,8 +108,9 @@ class FaultSwitchboard:
             units: unit identifiers of the requests that it applies to, 0…255; None for all.
             functions: function codes of those requests, 1…127; None for all.
             addresses: range of items, 0-based, in every table: requests that read or write one of them. None for all.
-            items: items by table, as ranges: the first item, and the one after the last. None for all.
-            probability: share of those requests that it changes, 0…1.
+            items: items by table, as ranges: the first item, 0-based, and the one after the last; requests that read or
+                write one of them. None for all.
+            probability: share of the requests fitting all these arguments that it changes, 0…1; chosen at random.
             schedule: when it is active; None for always.
             on: whether it is switched on.
             parameters: values for the parameters of the fault profile; the others have their defaults.

@@ -195,7 +195,7 @@ class AsciiReceiver:
         self.conversation.due = None
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Tell the receiver that this station sends the frame ``raw`` until the time ``ends``; its echo is removed."""
+        """Tell the receiver that this station sends the frame ``raw`` until ``ends`` (seconds); its echo is removed."""
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 

@@ -53,13 +53,19 @@ class Bursts:
         del self._bursts[: bisect_right(self._bursts, self._forgotten, key=_place) - 1]
 
     def began(self, place: int) -> float:
-        """Return the time in seconds at which the byte at position ``place`` began on the line."""
+        """Return the time in seconds at which the byte at position ``place`` began on the line.
+
+        It is -inf before any read.
+        """
         place += self._forgotten
         burst = self._bursts[max(bisect_right(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each
 
     def ended(self, place: int) -> float:
-        """Return the time in seconds at which the byte before position ``place`` ended on the line."""
+        """Return the time in seconds at which the byte before position ``place`` ended on the line.
+
+        It is -inf before any read.
+        """
         place += self._forgotten
         burst = self._bursts[max(bisect_left(self._bursts, place, key=_place) - 1, 0)]
         return burst.began + (place - burst.place) * burst.each

@@ -102,7 +102,7 @@ class StreamBuffer:
         return whole, len(whole)
 
     def keep(self, buffer: bytes | bytearray, at: int, size: int) -> None:
-        """Keep ``buffer[at:size]``, the beginning of a frame, for the next call of `join`."""
+        """Keep ``buffer[at:size]``, the beginning of a frame or no bytes, for the next call of `join`."""
         self.kept = bytes(buffer[at:size])
 
 

@@ -103,7 +103,7 @@ class Receiver(Protocol[Found]):
         """Return the frames, and on serial lines damaged bytes, that the silence until ``now`` completes, in order."""
 
     def deadline(self) -> float | None:
-        """Return the time at which to call `tick`; None if only further bytes can complete a frame."""
+        """Return the time, in seconds, at which to call `tick`; None if only further bytes can complete a frame."""
 
 
 class SerialReceiver(Receiver[Received], Protocol):
@@ -122,7 +122,7 @@ class SerialReceiver(Receiver[Received], Protocol):
         """Stop expecting a reply, because the master no longer waits for one."""
 
     def sent(self, raw: bytes, ends: float) -> None:
-        """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``; an echo is removed."""
+        """Tell the receiver that this station sends the bytes ``raw`` until ``ends`` (seconds); an echo is removed."""
 
     def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
         """Tell the receiver that the port reported an error after the bytes received so far.

@@ -202,7 +202,7 @@ class RtuReceiver:
     def sent(self, raw: bytes, ends: float) -> None:
         """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``; their echo is removed.
 
-        The t3.5 before the next frame may be sent counts from ``ends``.
+        ``ends`` is in seconds. The t3.5 that must pass before the next frame is sent counts from it.
         """
         self._sent_until = ends
         code = raw[1] if len(raw) > 1 else 0

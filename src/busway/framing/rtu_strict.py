@@ -163,7 +163,7 @@ class StrictRtuReceiver:
     def sent(self, raw: bytes, ends: float) -> None:
         """Tell the receiver that this station sends the bytes ``raw`` until the time ``ends``.
 
-        The line is idle t3.5 later; an echo of the bytes is removed.
+        ``ends`` is in seconds. The state is idle t3.5 later; an echo of the bytes is removed.
 
         Raises:
             ValueError: the station may not send now: the state of the line is neither idle nor emission.

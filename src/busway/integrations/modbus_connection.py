@@ -82,7 +82,9 @@ R = TypeVar("R")
 
 
 class ModbusConnection(BaseModbusConnection):
-    """The class ``ModbusConnection`` of modbus-connection, implemented with a link of busway. Opens nothing at first.
+    """The class ``ModbusConnection`` of modbus-connection, implemented with a link of busway.
+
+    Creating it opens nothing.
 
     Args:
         params: where to connect: one of the parameter classes of modbus-connection.

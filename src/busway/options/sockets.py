@@ -79,8 +79,8 @@ class SocketParameters:
 
         When a keepalive probe is due, Linux ends an idle connection by the user timeout and not by the number of lost
         probes: with 30 s, two probes of one second would end a half-open connection only after 30 s. So with keepalive
-        this value is always shorter than idle + interval × count, and an idle half-open connection ends within that
-        time, whatever ``user_timeout`` is.
+        a value that is not None is always shorter than idle + interval × count, and an idle half-open connection ends
+        within that time, however long ``user_timeout`` is.
         """
         if self.user_timeout is None or not self.keepalive:
             return self.user_timeout

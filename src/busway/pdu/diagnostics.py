@@ -139,7 +139,7 @@ class ReturnQueryData(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """The reply of function 08/00: the same fields as the request."""
+            """The reply of function 08/00: ``data`` is that of the request."""
 
             data: bytes = rest(2, 250, 2)
 

@@ -21,7 +21,13 @@ from ..codes import Table
 class Requester(Protocol):
     """Interface of the client that sent a request, as functions of the fast path get it for the audit log.
 
-    `ClientIdentity` of `busway.session.responder` implements it and explains the attributes.
+    `ClientIdentity` of `busway.session.responder` implements it.
+
+    Attributes:
+        peer: ``host:port`` of the client, or the name of a serial line.
+        listener: URL of the listener that the client uses.
+        role: role in the client's certificate; None without one.
+        audit_text: text for the client in lines of the audit log; set by the audit log, empty before.
     """
 
     peer: str
@@ -85,12 +91,16 @@ class RegisterBlock(Block, Protocol):
     """Interface of a block of registers with the two atomic operations of functions 22 and 23."""
 
     def mask(self, position: int, and_mask: int, or_mask: int) -> None:
-        """Set the register at ``position`` to (current AND and_mask) OR (or_mask AND NOT and_mask), in one step."""
+        """Set the register at ``position`` to (current AND and_mask) OR (or_mask AND NOT and_mask), in one step.
+
+        ``position`` is 0 for the register at the address ``first``. Returns nothing.
+        """
 
     def put_then_get(self, position: int, count: int, data: bytes, start: int, size: int) -> bytes:
         """Replace ``count`` registers from ``position`` on, then read ``size`` registers from ``start`` on, atomically.
 
-        Returns the registers read, two bytes each. ``position`` and ``start`` are 0 for the register at ``first``.
+        Returns the registers read, two bytes each, big-endian. ``data`` are the registers to write. ``position`` and
+        ``start`` are 0 for the register at the address ``first``.
         """
 
 
@@ -120,7 +130,8 @@ class ReadPlan:
         start, stop: the first byte of ``block.data`` in the reply, and the byte after the last.
 
     Attributes:
-        head, block: as given.
+        head: as the argument ``head``.
+        block: the registers of the device.
         part: slice of ``block.data`` that the reply contains.
     """
 

@@ -130,12 +130,18 @@ Field = FixedField | RestLength | RestField | RepeatedField
 
 
 def u8(low: int = 0, high: int = 0xFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of one byte with a value of ``low``…``high``, or one of ``values`` if they are given."""
+    """Declare a message field of one byte with a value of ``low``…``high``, or one of ``values`` if they are given.
+
+    Without ``default``, the constructor of the message needs a value.
+    """
     return FixedField(1, low, high, tuple(values) if values is not None else None, default)
 
 
 def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of two bytes with a value of ``low``…``high``, or one of ``values`` if they are given."""
+    """Declare a message field of two bytes with a value of ``low``…``high``, or one of ``values`` if they are given.
+
+    Without ``default``, the constructor of the message needs a value.
+    """
     return FixedField(2, low, high, tuple(values) if values is not None else None, default)
 
 
@@ -158,5 +164,8 @@ def rest(low: int = 0, high: int = 252, step: int = 1, *, default: object = NO_D
 
 
 def repeated(item: type[Any], low: int = 1, high: int = 252, *, default: object = NO_DEFAULT) -> Any:
-    """Declare a message field of ``low``…``high`` items of the class ``item``, to the end of the message."""
+    """Declare a message field of ``low``…``high`` items of the class ``item``, to the end of the message.
+
+    The class has the methods of `Item`. Without ``default``, the constructor of the message needs a value.
+    """
     return RepeatedField(item, low, high, default)

@@ -64,7 +64,7 @@ class FileReference:
         _check_word("count", self.count)
 
     def encode(self) -> bytes:
-        """Return the group's bytes in a request of function 20: reference type 6, file, record and length, 7 bytes."""
+        """Return the group's 7 bytes in a request of function 20: type 6, file, record, number of registers."""
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count)
 
     @classmethod
@@ -116,7 +116,10 @@ class FileData:
         return unpack_registers(self.data)
 
     def encode(self) -> bytes:
-        """Return the group's bytes in a request of function 21: reference type 6, file, record, length and the data."""
+        """Return the group's bytes in a request of function 21: reference type 6, file, record, length, data.
+
+        The length is the number of registers.
+        """
         return _REFERENCE.pack(REFERENCE_TYPE, self.file, self.record, self.count) + self.data
 
     @classmethod
@@ -247,7 +250,7 @@ class WriteFileRecord(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """The reply of function 21: the same fields as the request."""
+            """The reply of function 21: the groups of the request, repeated."""
 
             groups: tuple[FileData, ...] = repeated(FileData, 1, 27)
 

@@ -121,7 +121,7 @@ class Message(metaclass=_MessageType):
     sub_width: ClassVar[int] = 0
     """Bytes of the sub-code on the wire, 1 or 2; 0 without one."""
     self_coded: ClassVar[bool] = False
-    """Whether the function code is a field of the message, ``function``, and not the same for the whole class."""
+    """True if the function code is a field of the message, ``function``; False if the class sets it as ``code``."""
     exception_bit: ClassVar[bool] = False
     """Whether 0x80 is added to the function code on the wire: True for exception replies only."""
     has_rule: ClassVar[bool] = False
@@ -204,7 +204,7 @@ class Message(metaclass=_MessageType):
 
 
 class SelfCoded(Message):
-    """Base class of messages that hold their function code in a field, ``function``, as unknown functions do."""
+    """Base class of messages whose function code is a field, ``function``: exceptions, replies of unknown functions."""
 
     self_coded = True
 

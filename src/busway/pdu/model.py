@@ -25,7 +25,8 @@ class Refusal(Exception):
         ValueError: ``code`` is not 1…255.
 
     Attributes:
-        code, reason: as given.
+        code: the exception code.
+        reason: why the request is refused; empty if that was not given.
     """
 
     def __init__(self, code: int = ExceptionCode.SERVER_DEVICE_FAILURE, reason: str = "") -> None:

@@ -44,7 +44,7 @@ def _widened(kind: Any, width: int) -> Any:  # a class and one derived from it
 
         @property
         def registers(self) -> list[int]:
-            """The registers of the reply as numbers, each of all its 4…12 bytes."""
+            """The registers of the reply as unsigned numbers, each made of all ``width`` bytes of the register."""
             return [int.from_bytes(self.data[at : at + width], "big") for at in range(0, len(self.data), width)]
 
     class Wide(kind):  # type: ignore[misc]  # the class is a value here

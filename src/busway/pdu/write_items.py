@@ -50,7 +50,7 @@ class WriteSingleCoil(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """The reply of function 05: the same fields as the request."""
+            """The reply of function 05: address and value of the coil, as in the request."""
 
             address: int = u16()
             value: int = u16()
@@ -89,7 +89,7 @@ class WriteSingleRegister(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """The reply of function 06: the same fields as the request."""
+            """The reply of function 06: address and value of the register, as in the request."""
 
             address: int = u16()
             value: int = u16()
@@ -243,7 +243,7 @@ class MaskWriteRegister(Request):
     if TYPE_CHECKING:  # made of the fields above when the class is
 
         class Reply(ReplyMessage):
-            """The reply of function 22: the same fields as the request."""
+            """The reply of function 22: address and both masks, as in the request."""
 
             address: int = u16()
             and_mask: int = u16()

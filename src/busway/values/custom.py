@@ -56,7 +56,10 @@ class CustomCodec:
         self.expects: str = f"{self._length} numbers that fit {layout.format}"
 
     def decode(self, data: Wire) -> list[Any]:
-        """Return the tuples that registers in wire order hold; each has one number (``bool`` for ``?``) per letter."""
+        """Return the tuples that registers in wire order hold.
+
+        Each tuple has all numbers of the format, with a ``bool`` for ``?`` and nothing for ``x``.
+        """
         return list(self._layout.iter_unpack(swapped(data, self._swaps)))
 
     def encode(self, values: list[object]) -> bytes:

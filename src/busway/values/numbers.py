@@ -98,9 +98,10 @@ class IntegerCodec:
             raise self._misfit(values) from error
 
     def parse(self, text: str) -> int:
-        """Return the integer for a text in decimal, ``0x…`` or ``0b…``. Raises ``ValueError`` for others.
+        """Return the integer for a text in decimal, ``0x…`` or ``0b…``.
 
-        Others are texts that are no integer, and integers out of range.
+        Raises:
+            ValueError: the text is no integer, or the integer is out of range.
         """
         number = whole_number(text)
         if not self._minimum <= number <= self._maximum:

@@ -70,7 +70,8 @@ class StringCodec:
         """Return the registers, in wire order, that hold these texts, each padded to the full number of registers.
 
         Raises:
-            InvalidRequest: a text is too long, does not fit the encoding, or contains a NUL. Nothing was sent.
+            InvalidRequest: a value is no text, is too long, does not fit the encoding, or contains a NUL. Nothing was
+                sent.
         """
         block = b"".join(self._field(values, index) for index in range(len(values)))
         if self._half:

@@ -137,7 +137,7 @@ class ServerSection(OptionSection):
     ] = "standard"
 
     def options(self) -> dict[str, Any]:  # of several types
-        """Return the options of `busway.serve` that this section sets, by name, ``preset`` included."""
+        """Return the options of `busway.serve` that this section sets, by name, also ``preset`` if it is set."""
         return {name: getattr(self, name) for name in type(self).model_fields if name in self.model_fields_set}
 
 
@@ -491,7 +491,7 @@ class UnitSection(WholeSection):
         return {_object_number(key): value for key, value in self.identification.items()}
 
     def faults(self) -> Iterator[tuple[Path, str]]:
-        """Yield the errors of keys of this unit that do not go together, each as path and sentence."""
+        """Yield the errors of keys and points of this unit that do not go together, each as path and sentence."""
         yield from self._table_faults()
         yield from self._placed_faults()
         yield from self._object_faults()

@@ -1,8 +1,8 @@
 """The schema of gateway files: listeners, links to upstreams, and routes between them.
 
 Knows the keys; `busway.apps.gateway.configuration` checks what goes together.
-The sections of configuration files that concern servers ([server], [security], [policy], [audit], [metrics], [control])
-are the same here.
+The sections that concern servers ([server], [security], [policy], [audit], [metrics], [control]) have the same keys as
+in other configuration files.
 
 An example is in `docs/gateway.md`.
 

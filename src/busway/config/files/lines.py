@@ -48,7 +48,7 @@ class _Reader:
         self._at = 0
         self._line = 1
         self._tables: dict[Path, int] = {}
-        """By path of each array of tables, the number of its elements so far."""
+        """Number of elements that each array of tables has so far, by the path of the array."""
         self.lines: dict[Path, int] = {}
 
     def read_document(self) -> None:

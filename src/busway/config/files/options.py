@@ -126,7 +126,7 @@ def _plain(kind: Any) -> Any:  # both are types as annotations have them
 
 
 def _one_of(option: Option) -> Callable[[object], object]:
-    """Return a validator for an option whose value is a number or one of some words; its error lists them all."""
+    """Return a validator for an option whose value is a number or one of some words; its error says what is allowed."""
 
     def report(value: object) -> object:
         if value in option.choices or (isinstance(value, int | float) and not isinstance(value, bool)):

@@ -474,12 +474,15 @@ class PointSection(WholeSection):
 
     @property
     def is_writable(self) -> bool:
-        """Whether Modbus can write the point: it is in a writable table and its ``access`` is not ``read``."""
+        """Whether Modbus can write the point: it is in a writable table and its ``access`` is not ``read``.
+
+        False for a computed point.
+        """
         return not self.is_computed and self.table.is_writable and self.access != "read"
 
     @cached_property
     def conversion(self) -> Conversion:
-        """The conversion between raw numbers and values; points with equal keys share one object."""
+        """The conversion between raw numbers and values in the unit of measure; equal points share one object."""
         return _conversion(
             self.scale,
             self.offset,
@@ -591,7 +594,7 @@ class PointSection(WholeSection):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
 
     def names(self) -> str:
-        """Return the names of the point's values as text, ``off (0), auto (1)``; empty if it has no names."""
+        """Return the names of the key ``enumeration`` as text, ``off (0), auto (1)``; empty if the point has none."""
         return self.described.choices()
 
     def faults(self) -> Iterator[tuple[Path, str]]:

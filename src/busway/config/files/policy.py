@@ -191,7 +191,7 @@ class PolicySection(Section):
         return Policy(tuple(each.rule() for each in self.rule), Action(self.default))
 
     def addresses(self) -> AddressList:
-        """Return the section's lists of hosts that may connect. Raises `ConfigError` with the ``key`` that is wrong."""
+        """Return the lists of allowed and refused hosts. Raises `ConfigError` with the ``key`` that is wrong."""
         return AddressList(self.allow, self.deny, self.secure)
 
     def access_rules(self) -> AccessRules:

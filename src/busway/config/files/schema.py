@@ -96,7 +96,7 @@ _KEYS: Final[dict[type[Section], Mapping[str, Option]]] = {}
 
 
 def keys_of(section: type[Section]) -> Mapping[str, Option]:
-    """Return the keys that a section declares, by their name in the file, in the order of the declaration."""
+    """Return the keys that a section class declares, by their name in the file, in the order of the declaration."""
     found = _KEYS.get(section)
     if found is None:
         options = (_option(field.alias or name, field) for name, field in section.model_fields.items())
@@ -246,7 +246,7 @@ def parse_file(text: str, schema: type[File], name: str) -> File:
 
 
 def in_order(problems: Iterable[ConfigError]) -> list[ConfigError]:
-    """Return problems of a file sorted by line; those with equal line, key and message come once."""
+    """Return problems of a file sorted by line, those without a line first; equal ones (line, key, message) once."""
     once = {(each.line, each.key, each.message): each for each in problems}
     return sorted(once.values(), key=lambda each: each.line or 0)
 

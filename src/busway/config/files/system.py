@@ -50,7 +50,10 @@ class LinkKeys(OptionSection):
     ] = None
 
     def options(self) -> dict[str, Any]:  # of several types
-        """Return the options of a link that the section sets, by name."""
+        """Return the options of a link that the section sets, by name.
+
+        The value is None if the file says ``none``. ``preset`` is among them if the section sets it.
+        """
         return self.options_of(*LINKS) | ({"preset": self.preset} if "preset" in self.model_fields_set else {})
 
 
@@ -125,7 +128,7 @@ class SystemFile(DeviceFile):
 
     @property
     def control_parameters(self) -> ControlParameters:
-        """The options of the control socket."""
+        """The options of the control socket; those that the file leaves out have their defaults."""
         return self.control.built(ControlParameters)
 
     def places(self) -> list[tuple[Path, str]]:
