@@ -59,6 +59,7 @@ PROGRAM: Final = WriterRights()
 MOST_OPEN: Final = 16
 """Most commands of one device that may wait or run; further ones are refused."""
 MOST_OPEN_IN_ALL: Final = 1000
+"""Most commands of all devices together that may wait or run; further ones are refused."""
 MOST_ARMED: Final = 256
 ARMED_SECONDS: Final = 60.0
 """Seconds within which an armed command must be confirmed."""
@@ -435,10 +436,12 @@ class CommandRunner:
         if joined is not None:
             return joined
         lock, waiting = self._devices.get(command.device, (asyncio.Lock(), 0))
-        if self._closed or waiting >= MOST_OPEN or len(self._running) >= MOST_OPEN_IN_ALL:
-            if self._closed:
-                return self.refused(self._result(command), "the collector ends; this command was not taken")
+        if self._closed:
+            return self.refused(self._result(command), "the collector ends; this command was not taken")
+        if waiting >= MOST_OPEN:
             return await self._refused_now(command, f"{waiting} commands of {command.device} are open")
+        if len(self._running) >= MOST_OPEN_IN_ALL:
+            return await self._refused_now(command, f"{len(self._running)} commands of all devices are open")
         self._devices[command.device] = lock, waiting + 1
         task = asyncio.create_task(self._take(command, lock, permission), name=f"busway command {command.key}")
         self._running[command.key] = _Running(command, task)
