@@ -277,7 +277,6 @@ class CommandRunner:
         Raises:
             InvalidRequest: an argument is out of its limits, or there is no such point and the key is new. Nothing was
                 sent or recorded.
-            OSError: there is no such point, and the journal cannot be read to look up the key. Nothing was sent.
         """
         now = self._now()
         if key is not None and isinstance(key, str) and key.startswith(MADE):
@@ -295,8 +294,11 @@ class CommandRunner:
             self._targets.target(device, point)
         except NotPolledNow as error:
             return await self._refused_now(command, error.message)
-        except NoSuchPoint:  # now; a command with this key may have been sent before
-            known = await self._known(command)
+        except NoSuchPoint as error:  # now; a command with this key may have been sent before
+            try:
+                known = await self._known(command)
+            except OSError as problem:
+                return self._refused_unread(command, error.message, problem)
             if known is None:
                 raise
             return known
@@ -537,9 +539,13 @@ class CommandRunner:
         try:
             known = await self._known(command)
         except OSError as error:
-            why = f"{why}, and whether its key was used before cannot be read: {error}"
-            return self.refused(self._result(command), why)
+            return self._refused_unread(command, why, error)
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
+
+    def _refused_unread(self, command: PointCommand, why: str, error: OSError) -> CommandResult:
+        """Refuse a command whose key cannot be looked up; what is said leaves open whether it was sent before."""
+        why = f"{why}, and whether its key was used before cannot be read: {error}"
+        return self.refused(self._result(command), why)
 
     async def _known(self, command: PointCommand) -> CommandResult | None:
         """Return the result for a command whose key was used before; None for a new key, or one made by the collector.
