@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from busway.apps.simulator.registers import form_of, largest_of
+from busway.apps.simulator.registers import begin_of, form_of, largest_of
 from busway.config.files.simulation import SimulatedPointSection
 from busway.values import value_type
 from busway.values.orders import ORDERS
@@ -67,3 +67,21 @@ def test_a_counter_rolls_over_where_its_type_ends() -> None:
     assert largest_of(form_of(section(type="bcd16", scale=0.5))) == 5000
     assert largest_of(form_of(section(type="float32"))) is None
     assert largest_of(form_of(section(address="0x1"))) is None
+
+
+@pytest.mark.parametrize(
+    ("keys", "begin", "end"),
+    [
+        ({"type": "uint16", "offset": -1000}, -1000, 64_536),
+        ({"type": "uint16", "scale": 0.5, "offset": 100}, 100, 32_868),
+        ({"type": "int16", "offset": -1000}, -1000, 31_768),
+        ({"type": "int16", "scale": -1}, 0, 32_768),
+        ({"type": "uint16", "scale": -1, "offset": 65_535}, 0, 65_536),
+        ({"type": "uint16", "offset": -1000, "rollover": 500}, 0, 500),
+    ],
+)
+def test_a_counter_of_a_point_with_an_offset_begins_again_where_its_registers_do(
+    keys: dict[str, Any], begin: float, end: float
+) -> None:
+    form = form_of(section(**keys))
+    assert (begin_of(form), largest_of(form)) == (begin, end)

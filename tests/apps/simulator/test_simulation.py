@@ -188,6 +188,18 @@ def test_a_counter_goes_on_from_what_it_was_set_to() -> None:
     assert simulation.points["1/energy"].value == 1010
 
 
+def test_a_counter_whose_point_has_an_offset_counts_on_where_its_register_rolls_over() -> None:
+    simulation = simulated(
+        "[[unit]]\nunit = 1\n[[unit.point]]\nname = 'energy'\naddress = '4x1'\noffset = -1000\nvalue = 64000\n"
+        "behaviour = { kind = 'counter', rate = 100 }\n"
+    )
+    simulation.tick(0.0)
+    simulation.tick(5.0)
+    assert simulation.points["1/energy"].raw == "FFDC"  # 64 500
+    simulation.tick(6.0)
+    assert (simulation.points["1/energy"].value, simulation.points["1/energy"].raw) == (-936, "0040")
+
+
 def test_what_is_no_number_does_not_stay_in_a_counter() -> None:
     simulation = simulated(PLANT.replace('type = "uint32"\norder = "CDAB"', 'type = "float32"'))
     simulation.tick(0.0)
@@ -422,6 +434,9 @@ async def test_values_are_kept_over_a_restart_and_go_on_where_they_were(tmp_path
         '{"kind": "busway simulation state", "version": 2, "time": 1, "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": -1, "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": "x", "points": {}}',
+        '{"kind": "busway simulation state", "version": 1, "time": 1' + "0" * 400 + ', "points": {}}',
+        '{"kind": "busway simulation state", "version": 1, "time": 1, "points": {"1/energy": {"value": null, '
+        '"held": false, "behaviour": 1' + "0" * 400 + "}}}",
         '{"kind": "busway simulation state", "version": 1, "time": 1, "points": {"1/mode": 5}}',
         '{"kind": "busway simulation state", "version": 1, "time": 1, "points": []}',
         '{"kind": "busway simulation state", "points": ' + "[" * 100_000,

@@ -29,7 +29,7 @@ from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader
-from .registers import form_of, largest_of
+from .registers import begin_of, form_of, largest_of
 from .simulated import SimulatedPoint, SimulatedUnit
 
 
@@ -271,6 +271,7 @@ def _driven(
         _start(section, point.number),
         section.minimum,
         section.maximum,
+        begin_of(point.form),
         largest_of(point.form),
         plan.expressions,
         plan.recording,

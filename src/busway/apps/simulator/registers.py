@@ -226,13 +226,26 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
 
 
 def largest_of(form: PointForm) -> float | None:
-    """Return the value at which a counter in this point starts from 0 again, in its unit of measure.
+    """Return the value at which a counter in this point starts again from `begin_of`, in its unit of measure.
 
-    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers (if
-    the point has no offset). None for bits and floats: never.
+    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers. None
+    for bits and floats: never.
     """
     if form.form is None or form.form.name.startswith("float"):
         return None
     if not isinstance(form.section.rollover, bool):
         return form.section.rollover
-    return (int(_range_of_type(form.form)[1]) + 1) * abs(form.factors[0])
+    return begin_of(form) + (int(_range_of_type(form.form)[1]) + 1) * abs(form.factors[0])
+
+
+def begin_of(form: PointForm) -> float:
+    """Return the value with which a counter in this point starts again, in its unit of measure.
+
+    This is 0 if the point's ``rollover`` is a number, else the value that 0 in the registers means. If the scale is
+    negative and the type has no negative numbers, it is the value of the largest number in the registers.
+    """
+    if form.form is None or not isinstance(form.section.rollover, bool):
+        return 0.0
+    scale, offset = form.factors
+    low, high = _range_of_type(form.form)
+    return offset if scale > 0 or low < 0 else offset + high * scale
