@@ -50,6 +50,8 @@ def test_a_bit_is_put_without_touching_its_neighbours() -> None:
         ({"type": "uint16", "scale": 0.1, "minimum": 0.25, "maximum": 0.7}, {0.0: 3, 9.0: 7}),
         ({"type": "float32", "scale": 2.0, "minimum": -4.0, "maximum": 6.0}, {5.0: 2.5, -5.0: -2.0, math.inf: 3.0}),
         ({"type": "float16"}, {1e9: 65_504.0, -math.inf: -65_504.0}),
+        ({"type": "int16", "scale_from": "exponent", "minimum": 1, "maximum": 10}, {-50.0: -50, 50.0: 50}),
+        ({"type": "float32", "scale_from": "exponent", "minimum": 1, "maximum": 10}, {-50.0: -50.0, 50.0: 50.0}),
     ],
 )
 def test_a_value_becomes_the_nearest_that_the_point_can_hold(keys: dict[str, Any], values: dict[float, Any]) -> None:

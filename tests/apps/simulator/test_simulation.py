@@ -188,6 +188,20 @@ def test_a_counter_goes_on_from_what_it_was_set_to() -> None:
     assert simulation.points["1/energy"].value == 1010
 
 
+def test_the_range_of_a_point_that_is_set_counts_its_power_of_ten() -> None:
+    simulation = simulated(
+        "[[unit]]\nunit = 1\npoint = [\n"
+        "{ name = 'watts', address = '4x1', scale_from = 'exponent', maximum = 10, value = 50 },\n"
+        "{ name = 'exponent', address = '4x2', type = 'int16', value = -1 },\n]\n"
+    )
+    simulation.set("1/watts", 100)
+    with pytest.raises(InvalidRequest, match=r"1/watts: must be at most 10, not 10\.1"):
+        simulation.set("1/watts", 101)
+    simulation.set("1/exponent", 0)
+    with pytest.raises(InvalidRequest, match="1/watts: must be at most 10, not 50"):
+        simulation.set("1/watts", 50)
+
+
 def test_a_counter_whose_point_has_an_offset_counts_on_where_its_register_rolls_over() -> None:
     simulation = simulated(
         "[[unit]]\nunit = 1\n[[unit.point]]\nname = 'energy'\naddress = '4x1'\noffset = -1000\nvalue = 64000\n"
