@@ -121,8 +121,11 @@ class Capture:
         source, destination = (here, there) if is_outgoing else (there, here)
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
 
-    def line(self, name: str) -> "LineCapture":
-        """Return a recorder for a serial line; lines of the same name are one interface of the file."""
+    def line(self, name: str, *, is_server: bool = True) -> "LineCapture":
+        """Return a recorder for a serial line; lines of the same name are one interface of the file.
+
+        ``is_server`` is ignored: the file says of each frame which way it went.
+        """
         with self._lock:
             number = self._lines.get(name)
         if number is None:
