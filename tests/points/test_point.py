@@ -77,6 +77,12 @@ def test_a_write_keeps_to_its_range_and_its_steps() -> None:
         rule.check(math.nan)
 
 
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_finite_number_is_no_number_of_steps(value: float) -> None:
+    with pytest.raises(InvalidRequest, match=f"must be a whole number of steps of 0.5 from 0 on, not {value}"):
+        WriteRule(step=0.5).check(value)
+
+
 @pytest.mark.parametrize(
     ("value", "step", "low"),
     [
