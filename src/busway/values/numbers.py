@@ -44,6 +44,21 @@ def whole_number(text: str) -> int:
     return -int(digits, base) if sign == "-" else int(digits, base)
 
 
+def real_number(text: str) -> float:
+    """Return the float for a text as Python writes it, ``inf`` and ``nan`` included.
+
+    Raises:
+        ValueError: the text is no number, or too large for a float.
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(text)
+    number = float(text)
+    # float() makes an infinity of 1e999 without a word.
+    if math.isinf(number) and "inf" not in text.lower():
+        raise ValueError(text)
+    return number
+
+
 def _integer(value: object) -> int | None:
     """Return the integer that a value is; None if it is none, as a ``bool`` is none here.
 
@@ -162,12 +177,7 @@ class FloatCodec:
         Raises:
             ValueError: the text is no number, or too large for the type.
         """
-        if not text.isascii() or "_" in text:
-            raise ValueError(text)
-        number = float(text)
-        # float() makes an infinity of 1e999 without a word.
-        if math.isinf(number) and "inf" not in text.lower():
-            raise ValueError(text)
+        number = real_number(text)
         try:
             self._layout.pack([number])
         except OverflowError as error:
