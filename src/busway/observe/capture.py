@@ -126,13 +126,13 @@ class Capture:
 
         ``is_server`` is ignored: the file says of each frame which way it went.
         """
-        with self._lock:
-            number = self._lines.get(name)
-        if number is None:
-            number = self._guarded(lambda: self._writer.add_interface(LinkType.UPPER_PDU, name, "serial line"))
-            with self._lock:
-                self._lines[name] = number
-        return LineCapture(self, number)
+
+        def interface() -> int:
+            if name not in self._lines:
+                self._lines[name] = self._writer.add_interface(LinkType.UPPER_PDU, name, "serial line")
+            return self._lines[name]
+
+        return LineCapture(self, self._guarded(interface))
 
     def close(self) -> None:
         """Write the incomplete frames that serial lines have received, and close the file; later packets are dropped.
