@@ -38,6 +38,7 @@ from .lease_driver import end_if_cancelled, end_tasks, keep_following
 from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
 from .ownership_gaps import OwnershipGap
+from .records import decode_list, integer_of
 
 CURSORS: Final = "cursor."
 MOST_HEADERS: Final = 1024
@@ -326,10 +327,10 @@ class CursorBook:
         self._cursors.pop(sink, None)
         if entry.value:
             try:
-                sequence, commits, proved = json.loads(entry.value)
-                numbers = {str(name): int(number) for name, number in commits.items()}
-                taken = {str(name): (int(start), int(number)) for name, (start, number) in proved.items()}
-                found = SinkCursors(int(sequence), numbers, taken)
+                sequence, commits, proved = decode_list(entry.value)
+                numbers = {str(name): integer_of(number) for name, number in commits.items()}
+                taken = {str(name): (integer_of(start), integer_of(number)) for name, (start, number) in proved.items()}
+                found = SinkCursors(integer_of(sequence), numbers, taken)
             except (ValueError, TypeError, AttributeError):
                 found = SinkCursors(0, {})  # it keeps nothing, as far as can be said
             self._cursors[sink] = found
@@ -414,6 +415,7 @@ async def sink_lags(
 
     Raises:
         StreamDown: the server does not answer.
+        ConfigError: the table can never be read.
     """
     nats, errors = import_module("nats"), import_module("nats.js.errors")
     stream = f"busway-samples-{zone}"
