@@ -10,7 +10,8 @@ Tests and the simulator use these objects.
    probability and schedule, and can be switched at any time from any thread.
 3. Which faults apply to a request is decided once, before any of them acts. A fault counts a request as struck only if
    it has changed the answer: the fault "at most 50 registers" does not count a request for 2.
-4. Random choices depend on the seed alone: equal requests meet equal faults.
+4. Random choices depend only on the seed, on the order in which faults were added, and on the requests before: the same
+   sequence of requests meets the same faults.
 """
 
 import threading
@@ -338,7 +339,7 @@ class AppliedFault:
 
     @property
     def name(self) -> str:
-        """Name of the fault profile that the fault was created from."""
+        """Name of the fault profile that the fault was created from; empty for a fault without a profile."""
         return self.fault.name
 
     def on(self) -> None:
@@ -403,7 +404,8 @@ class Faults:
     """All faults of one server, in the order in which they act. All methods may be called from any thread.
 
     Args:
-        seed: seed of random choices; with equal seeds, equal requests meet equal faults.
+        seed: seed of random choices; with an equal seed, and equal faults added in the same order, an equal sequence of
+            requests meets the same faults.
 
     Attributes:
         generation: a number that grows whenever a fault is added, removed or switched.
