@@ -1,7 +1,11 @@
-"""Kinds of `LinkDown` and `BadReply`: given at every place that raises them, and right for what really happens."""
+"""Kinds of `LinkDown` and `BadReply`: given at every place that raises them, and right for what really happens.
+
+Also what is said of an error without a text, such as `TimeoutError`: its kind.
+"""
 
 import ast
 import errno
+import re
 import socket
 import ssl
 from pathlib import Path
@@ -29,6 +33,21 @@ def test_each_place_that_makes_such_an_error_says_its_kind() -> None:
             ) and "kind" not in {keyword.arg for keyword in node.keywords}:
                 missing.append(f"{file.relative_to(SOURCE)}:{node.lineno}")
     assert missing == []
+
+
+def test_no_place_takes_an_error_without_a_text_for_no_error() -> None:
+    """An error object is always true: ``error or "no answer"`` says nothing of one whose text is empty."""
+    wrong = []
+    for file in SOURCE.rglob("*.py"):
+        text = file.read_text(encoding="utf-8")
+        names = set(re.findall(r"except .+ as (\w+):", text))
+        if not any(re.search(rf"\b{name} or\b", text) for name in names):
+            continue
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.BoolOp) and isinstance(node.op, ast.Or):
+                used = {each.id for each in node.values[:-1] if isinstance(each, ast.Name)}
+                wrong += [f"{file.relative_to(SOURCE)}:{node.lineno}: {name}" for name in used & names]
+    assert wrong == []
 
 
 @pytest.mark.parametrize(

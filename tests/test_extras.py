@@ -179,6 +179,13 @@ def test_the_error_is_one_of_a_setting_and_one_of_an_import() -> None:
     assert isinstance(error, ImportError)
     assert (error.package, error.extra) == ("rich", "cli")
     assert missing_extra(ModuleNotFoundError(name="busway.lost")) is None
+    assert missing_extra(ImportError()) is None
+    for name in ("google", "google.protobuf", "google.protobuf.message"):
+        error = missing_extra(ModuleNotFoundError(name=name))
+        assert isinstance(error, MissingExtra)
+        assert (error.package, error.extra) == ("google.protobuf", "sparkplug")
+    for name in ("google.cloud", "richer", "googles"):
+        assert missing_extra(ModuleNotFoundError(name=name)) is None
     assert str(MissingExtra("rich", "cli", purpose="a table")) == (
         "a table needs the package rich: pip install 'busway[cli]'"
     )

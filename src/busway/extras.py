@@ -61,7 +61,9 @@ def missing_extra(error: ImportError) -> MissingExtra | None:
     A package is found by its top-level name, which must be a key of `EXTRA_OF`: ``nats`` for ``nats.js``. The message
     of the new error says that "this command" needs the package. The new error is returned, not raised.
     """
-    package = (error.name or "").partition(".")[0]
-    if package not in EXTRA_OF:
-        return None
-    return MissingExtra(package, EXTRA_OF[package], purpose="this command")
+    name = f"{error.name or ''}."
+    for package, extra in EXTRA_OF.items():
+        # A module of the package, or, of google.protobuf, the package around it.
+        if name.startswith(f"{package}.") or package.startswith(name):
+            return MissingExtra(package, extra, purpose="this command")
+    return None

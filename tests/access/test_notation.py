@@ -2,7 +2,15 @@
 
 import pytest
 
-from busway.access.notation import merged, parse_files, parse_functions, parse_items, parse_table, parse_units
+from busway.access.notation import (
+    merged,
+    parse_files,
+    parse_functions,
+    parse_items,
+    parse_table,
+    parse_units,
+    parse_whole_functions,
+)
 from busway.codes import Table
 from busway.errors import ConfigError
 
@@ -45,6 +53,7 @@ def test_files():
         ("write", {(code, None) for code in (5, 6, 15, 16, 21, 22, 23)}),
         ("diagnostics", {(code, None) for code in (7, 8, 11, 12, 17)}),
         ("8/1, 43/14", {(8, 1), (43, 14)}),
+        ("03, 08/01, 8/0x0A", {(3, None), (8, 1), (8, 10)}),
         ("force_listen_only", {(8, 4)}),
         ("read_device_identification", {(43, 14)}),
         (100, {(100, None)}),
@@ -58,6 +67,12 @@ def test_functions(written, functions):
 def test_functions_that_cannot_be(written):
     with pytest.raises((ConfigError, TypeError)):
         parse_functions(written)
+
+
+def test_whole_functions_may_be_written_with_zeros_and_have_no_sub_function() -> None:
+    assert parse_whole_functions("03, 0x10", "a route") == {3, 16}
+    with pytest.raises(ConfigError, match=r"^a route is for whole functions, not for sub-function 8/1$"):
+        parse_whole_functions("08/01", "a route")
 
 
 @pytest.mark.parametrize(

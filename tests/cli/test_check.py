@@ -141,12 +141,28 @@ def test_a_report_replaces_a_report_and_nothing_else_and_is_refused_before_the_c
         (f"md={tmp_path}", f"{tmp_path}: cannot be opened: it is a directory"),
         (f"html={pipe}", f"{pipe}: cannot be opened: it is a pipe"),
         (f"junit={tmp_path}/none/x", f"{tmp_path}/none/x: cannot be written: there is no such folder"),
+        ("json=/proc/x.json", "/proc/x.json: cannot be written: "),  # root may write there, and nobody can
     ]
     for report, words in refusals:
         result = run("check", "tcp://127.0.0.1:1", "--report", report)
         assert (result.code, words in result.err) == (2, True), result.err
     assert notes.read_text() == "mine"
     assert pipe.is_fifo()
+
+
+def test_a_report_that_turns_out_not_to_be_writable_is_named_with_the_reason_and_the_others_are_written(
+    run: Callable[..., Any], tmp_path: Path, checked: str
+) -> None:
+    long, page = tmp_path / ("x" * 250), tmp_path / "check.md"  # it gets a longer name while it is written
+    report = f"json={long},junit={long}y,md={page}"
+    result = run("check", checked, "--unit", "1", "--only", "A10", "--report", report)
+    assert result.code == 2
+    assert result.err.splitlines()[-2:] == [
+        f"{long}: cannot be written: file name too long",
+        f"{long}y: cannot be written: file name too long",
+    ]
+    assert page.read_text().startswith("# Check of tcp://")
+    assert result.out.endswith(" pass\n")
 
 
 def test_what_the_checks_send_and_receive_is_captured_and_shown(run: Callable[..., Any], tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 from control_sockets import short_directory
@@ -409,6 +410,27 @@ def test_the_unit_file_for_systemd_starts_what_the_same_words_start(tmp_path: Pa
     with Busway("gateway", LOOPBACK, "tcp://10.0.0.5", "--systemd-unit") as program:
         out, _ = program.end()
     assert f"gateway {LOOPBACK} tcp://10.0.0.5 --control /run/busway/gateway.sock\n" in out
+
+
+@pytest.mark.parametrize(
+    ("given", "kept"),
+    [
+        (["--control=/tmp/x.sock"], "/tmp/x.sock"),
+        (["--control", "x.sock"], str(Path("x.sock").absolute())),
+        (["--control=x.sock"], str(Path("x.sock").absolute())),
+        (["--control=off"], "off"),
+        (["--control=127.0.0.1:0"], "127.0.0.1:0"),
+    ],
+)
+def test_the_unit_file_has_the_control_socket_of_the_command_line_however_it_is_written(
+    run: Callable[..., Any], monkeypatch: pytest.MonkeyPatch, given: list[str], kept: str
+) -> None:
+    words = ["gateway", "--systemd-unit", *given, LOOPBACK, "tcp://10.0.0.5"]
+    monkeypatch.setattr("sys.argv", ["busway", *words])
+    result = run(*words)
+    assert result.code == 0
+    (start,) = re.findall(r"^ExecStart=(.*)$", result.out, re.MULTILINE)
+    assert start.endswith(f"gateway --control {kept} {LOOPBACK} tcp://10.0.0.5")
 
 
 def test_what_the_policy_of_a_gateway_file_permits_is_asked_like_any_other() -> None:

@@ -127,6 +127,22 @@ def test_one_bad_register_is_a_record_and_spoils_no_other(
     assert (found["level"]["value"], found["nibble"]["value"]) == (3.1, 9)
 
 
+def test_a_point_that_the_file_lets_no_request_fetch_is_wrong_use_and_spoils_no_other(
+    run: Callable[..., Any], url: str, tmp_path: Path
+) -> None:
+    file = tmp_path / "plant.toml"
+    rules = 'unit = 1\nread = { readable = ["4x1-4x10"] }\n'
+    file.write_text(
+        f'[[unit]]\n{rules}point = [{{ name = "mode", address = "4x3" }}, {{ name = "aside", address = "4x20" }}]\n'
+    )
+    result = run("read", url, "--points", str(file), "--json")
+    found = records(result)
+    assert (found["mode"]["value"], found["aside"]["value"]) == (1, None)
+    assert found["aside"]["reason"] == "wrong configuration"
+    assert result.code == 2
+    assert run("read", url, "--points", str(file), "mode").code == 0
+
+
 def test_a_device_that_is_not_there_leaves_records_with_the_reason(
     run: Callable[..., Any], closed_port: str, plant: str
 ) -> None:

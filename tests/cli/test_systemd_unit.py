@@ -89,6 +89,12 @@ def test_the_program_is_named_by_an_absolute_path() -> None:
     assert Path(program()[0]).exists()
 
 
+def test_the_control_socket_is_an_option_also_where_the_words_end_with_arguments() -> None:
+    plan = parse_gateway(f'listen = ["tcp://127.0.0.1:5020"]\n{LINES["tcp"]}', "x").plan
+    text = ServiceUnit(["/usr/bin/busway", "gateway", "--", "/etc/x.toml"], plan, 5).text()
+    assert "ExecStart=/usr/bin/busway gateway --control /run/busway/gateway.sock -- /etc/x.toml\n" in text
+
+
 def test_systemd_finds_nothing_wrong_with_it(tmp_path: Path) -> None:
     plan = parse_gateway(f'listen = ["tcp://127.0.0.1:5020"]\n{LINES["rtu"]}', "x").plan
     text = ServiceUnit([*program(), "gateway", "/etc/a b.toml"], plan, 5, ["/var"]).text()

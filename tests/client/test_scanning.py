@@ -6,6 +6,7 @@ import pytest
 
 import busway
 from busway.client.scanning import FoundUnit
+from busway.observe.sniffing import LineToHear, Listening
 
 
 @pytest.fixture
@@ -39,6 +40,8 @@ def test_a_tcp_address_is_asked_for_every_unit_and_the_device_itself() -> None:
     [
         ("rtu+tcp://127.0.0.1:1", {"units": [0]}, "units: must be 1…247, not 0"),
         ("tcp://127.0.0.1:1", {"units": [256]}, "units: must be 0…255, not 256"),
+        ("tcp://127.0.0.1:1", {"units": [1, "2"]}, "units: each must be an integer, not '2'"),
+        ("tcp://127.0.0.1:1", {"units": [1.0]}, "units: each must be an integer, not 1.0"),
         ("tcp://127.0.0.1:1", {"units": []}, "units: at least one unit is needed"),
         ("tcp://127.0.0.1:1", {"timeout": 0}, "timeout: must be 0.001…60 seconds, not 0"),
         ("tcp://127.0.0.1:1", {"timout": 1}, "timout: unknown option of tcp://127.0.0.1:1; is it timeout?"),
@@ -48,6 +51,33 @@ def test_what_cannot_be_is_refused(url: str, arguments: dict[str, object], sente
     with pytest.raises(busway.ConfigError) as caught:
         busway.scan(url, **arguments)  # type: ignore[arg-type]
     assert str(caught.value) == sentence
+
+
+@pytest.mark.parametrize(
+    ("query", "options"),
+    [
+        ("", {"baud": 9600, "parity": "none", "retries": 2}),
+        ("?baud=19200&parity=none&retries=2", {"baudrate": 9600}),
+        ("?baudrate=9600&parity=none&queue=4", {}),
+    ],
+)
+def test_a_line_is_listened_to_with_the_settings_of_the_scan(
+    monkeypatch: pytest.MonkeyPatch, query: str, options: dict[str, object]
+) -> None:
+    heard: list[LineToHear] = []
+
+    class BusyLine(Listening):
+        def __init__(self, line: LineToHear) -> None:
+            heard.append(line)
+            self.bytes_heard = 1
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr("busway.observe.sniffing.Listening", BusyLine)
+    with pytest.raises(busway.ConfigError, match="the line is busy"):
+        busway.scan(f"rtu:///dev/ttyS0{query}", [1], **options)  # type: ignore[arg-type]
+    assert [str(line.port) for line in heard] == ["9600 8N2"]
 
 
 def test_where_nobody_listens_the_connection_is_down() -> None:

@@ -50,6 +50,20 @@ def test_bits_are_zeros_and_ones(instrument: Instrument, device: busway.Device) 
     assert list(device.coils[5:10]) == [True, True, True, False, True]
 
 
+def test_nothing_can_be_read_from_all_units_at_once() -> None:
+    everyone = Instrument("/dev/none", 0)
+    reads: list[Callable[[], Any]] = [
+        lambda: everyone.read_bits(0, 3),
+        lambda: everyone.read_bit(0, functioncode=1),
+        lambda: everyone.read_register(0),
+        lambda: everyone.read_string(0),
+    ]
+    for read in reads:
+        with pytest.raises(ValueError, match="cannot be broadcast"):
+            read()
+    everyone.serial.close()
+
+
 def test_registers_have_decimals_and_signs(instrument: Instrument, device: busway.Device) -> None:
     assert instrument.read_registers(0, 2, functioncode=4) == [7, 8]
     instrument.write_registers(10, [1, 65_535])

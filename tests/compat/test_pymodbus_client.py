@@ -442,3 +442,24 @@ def test_blocking_and_asyncio_clients_take_the_same_arguments() -> None:
     for kind in ("Tcp", "Udp", "Serial", "Tls"):
         blocking, other = getattr(client, f"Modbus{kind}Client"), getattr(client, f"AsyncModbus{kind}Client")
         assert inspect.signature(blocking) == inspect.signature(other)
+
+
+async def test_cancellation_of_a_close_that_waits_reaches_what_it_waits_in() -> None:
+    seen: list[str] = []
+
+    async def work() -> None:
+        try:
+            await asyncio.Event().wait()
+        except asyncio.CancelledError:
+            seen.append("cancelled")
+            await asyncio.sleep(0)
+            seen.append("cleaned up")
+            raise
+
+    task = client.begun(work())
+    assert task is not None
+    await asyncio.sleep(0)
+    task.cancel()
+    with pytest.raises(asyncio.CancelledError):
+        await task
+    assert seen == ["cancelled", "cleaned up"]

@@ -90,6 +90,20 @@ async def test_units_have_contexts_of_their_own_and_may_share_blocks() -> None:
         assert await code_of(link.unit(9).read_holding_registers(0, count=1)) == 0x0B
 
 
+async def test_without_a_context_no_unit_is_served_until_one_is_set() -> None:
+    context = ModbusServerContext()
+    responder = servers.ContextResponder(context, None, silent=False)
+    assert 1 not in context
+    assert context.device_ids() == []
+    assert responder.serves(1) is None
+    with pytest.raises(NoSuchIdException):
+        context[1]
+    context[1] = ModbusDeviceContext()
+    assert responder.serves(1) is not None
+    async with serving(context) as link:
+        assert await link.unit(7).read_coils(0, count=1) == [False]
+
+
 async def test_missing_unit_can_be_silent() -> None:
     context = ModbusServerContext(devices={1: ModbusDeviceContext()}, single=False)
     async with serving(context, ignore_missing_slaves=True) as link:
@@ -215,6 +229,39 @@ async def test_server_serves_until_it_is_stopped(start: Callable[..., Any]) -> N
         await servers.ServerAsyncStop()
 
 
+@pytest.mark.parametrize("background", [False, True])
+async def test_server_that_was_shut_down_serves_again(background: bool) -> None:
+    server = servers.ModbusTcpServer(ModbusServerContext(devices=ModbusDeviceContext()), address=ANY_PORT)
+    tasks = []
+    for turn in range(3):
+        if background and turn < 2:
+            await server.serve_forever(background=True)
+        else:
+            tasks.append(asyncio.create_task(server.serve_forever()))
+            while not server.endpoints and not tasks[-1].done():  # noqa: ASYNC110
+                await asyncio.sleep(0)  # the function tells nothing when the server listens
+        async with busway.open(server.endpoints[0]) as link:
+            assert await link.unit(1).read_coils(0, count=1) == [False]
+        await server.shutdown()
+        assert server.endpoints == []
+    for task in tasks:
+        await task
+
+
+async def test_end_of_an_earlier_serve_forever_leaves_the_next_one_alone() -> None:
+    server = servers.ModbusTcpServer(ModbusServerContext(devices=ModbusDeviceContext()), address=ANY_PORT)
+    earlier = asyncio.create_task(server.serve_forever())
+    while not server.endpoints:  # noqa: ASYNC110
+        await asyncio.sleep(0)
+    await server.shutdown()
+    assert not earlier.done()  # it returns in the next turn, when the server serves again
+    await server.serve_forever(background=True)
+    await earlier
+    async with busway.open(server.endpoints[0]) as link:
+        assert await link.unit(1).read_coils(0, count=1) == [False]
+    await server.shutdown()
+
+
 def test_blocking_server_is_stopped_from_another_thread() -> None:
     context = ModbusServerContext(devices=ModbusDeviceContext())
     thread = threading.Thread(target=lambda: servers.StartTcpServer(context=context, address=ANY_PORT), daemon=True)
@@ -259,6 +306,8 @@ async def test_arguments_are_those_of_pymodbus_and_others_are_refused() -> None:
     servers.ModbusTcpServer(context, address=ANY_PORT, broadcast_enable=True, custom_functions=[], defer_start=True)
     with pytest.raises(TypeError, match="'adress'"):
         servers.ModbusTcpServer(context, adress=ANY_PORT)
+    with pytest.raises(TypeError, match="'port'"):
+        servers.ModbusSerialServer(context)
     with pytest.raises(ParameterException, match="custom_pdu"):
         servers.ModbusTcpServer(context, custom_pdu=[object])
     with pytest.raises(ParameterException, match="generate_ssl"):

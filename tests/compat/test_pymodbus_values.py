@@ -14,6 +14,7 @@ from busway.compat.pymodbus.calls import ModbusClientMixin, RegisterDataType
 from busway.compat.pymodbus.constants import Endian
 from busway.compat.pymodbus.exceptions import ModbusException, ParameterException
 from busway.compat.pymodbus.payload import BinaryPayloadBuilder, BinaryPayloadDecoder
+from busway.errors import InvalidRequest
 
 # What pymodbus 3.16.1 gives for these.
 CONVERTED = [
@@ -192,3 +193,21 @@ def test_every_request_of_pymodbus_means_a_message_of_busway() -> None:
     for kind in kinds:
         if kind not in bases:
             assert kind.responds.function_code == kind.function_code
+
+
+@pytest.mark.parametrize("message", [70_000, -1, [1, 65_536], ["1"], "1"])
+def test_data_of_a_diagnostic_request_that_are_no_registers_are_refused(message: Any) -> None:
+    with pytest.raises(InvalidRequest):
+        pdu.DiagnosticBase(message, sub_function=0).to_request()
+
+
+def test_data_of_a_diagnostic_request_are_bytes_a_number_or_several() -> None:
+    for message, data in ((b"ab", "6162"), (65_535, "FFFF"), ([1, 2], "0001 0002")):
+        request = pdu.DiagnosticBase(message, sub_function=0).to_request()
+        assert request.encode() == bytes.fromhex("08 0000" + data)
+
+
+@pytest.mark.parametrize("kind", [pdu.WriteSingleRegisterRequest, pdu.WriteSingleCoilRequest])
+def test_request_to_write_one_value_without_any_is_refused(kind: Any) -> None:
+    with pytest.raises(InvalidRequest, match="no value"):
+        kind(0, []).to_request()

@@ -81,3 +81,51 @@ async def test_a_served_file_answers_as_it_declares() -> None:
             await unit.read_exception_status()
         with pytest.raises(busway.NoReply):  # unlisted = "silence"
             await link.unit(9).read_holding_registers(0, count=1, timeout=0.1)
+
+
+SCALED = """
+[[unit]]
+unit = 1
+point = [
+    { name = "watts", address = "4x1", scale_from = "scale", minimum = 1, maximum = 10, value = 50 },
+    { name = "scale", address = "4x2", type = "int16", value = -1 },
+    { name = "volts", address = "4x3", scale_from = "volt_scale", maximum = 300, value = 230 },
+    { name = "volt_scale", address = "3x1", type = "int16" },
+]
+"""
+
+
+async def test_a_range_counts_the_power_of_ten_that_the_registers_hold() -> None:
+    configuration = parse_configuration(SCALED, "x.toml")
+    async with (
+        configuration.serve(["tcp://127.0.0.1:0"]) as server,
+        busway.open(server.endpoints[0], shared=False) as link,
+    ):
+        unit = link.unit(1)
+        assert await unit.read_holding_registers(0, count=3) == [50, 0xFFFF, 230]
+        await unit.write_single_register(0, 100)  # 10.0
+        for value in (101, 9):
+            with pytest.raises(busway.ExceptionReply, match="exception 04"):
+                await unit.write_single_register(0, value)
+        with pytest.raises(busway.ExceptionReply, match="exception 04"):
+            await unit.write_single_register(1, 0)  # which makes it 100
+        with pytest.raises(busway.ExceptionReply, match="exception 04"):
+            await unit.write_single_register(1, 11)  # no exponent
+        await unit.write_multiple_registers(0, [1, 1])  # 10
+        await unit.write_single_register(2, 300)  # its exponent, in another table, is 0
+        with pytest.raises(busway.ExceptionReply, match="exception 04"):
+            await unit.write_single_register(2, 301)
+        assert await unit.read_holding_registers(0, count=3) == [1, 1, 300]
+
+
+def test_a_point_set_by_name_obeys_its_range_with_the_power_of_ten() -> None:
+    (unit,) = parse_device_file(SCALED, "x.toml").unit
+    device = build_device(unit)
+    points = Points(device, unit.point)
+    points["watts"] = 100
+    with pytest.raises(busway.InvalidRequest, match=r"must be 1…10, not 10\.1"):
+        points["watts"] = 101
+    device.holding_registers[1] = 0x8000
+    with pytest.raises(busway.InvalidRequest, match="its scale, scale, is -32768, no exponent"):
+        points["watts"] = 5
+    assert device.holding_registers[0] == 100

@@ -20,7 +20,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.local import DeviceResponder
 from busway.server.server import Server
 from busway.session.responder import LATER, Outcome, RequestContext, ServedUnit
-from busway.testing import FakeClock, known_device
+from busway.testing import FakeClock, Schedule, known_device
 from busway.testing.certificates import CertificateStore
 
 SCHEMES = ["tcp", "udp", "rtu+tcp", "ascii+tcp", "rtu+udp", "ascii+udp"]
@@ -140,6 +140,39 @@ def test_silent_connection_is_closed_also_if_the_fault_was_switched_on_after_it_
             clock.advance(10.0)
             assert _received(silent, 1) == b""
     assert [fault.struck for fault in board] == [1, 1]
+
+
+def test_connection_in_use_is_not_idle_when_the_first_fault_is_switched_on_again() -> None:
+    clock = FakeClock()
+    board = FaultSwitchboard(clock=clock)
+    name = board.add("idle-close", parameters={"seconds": 10})
+    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+
+        def ask() -> None:
+            client.sendall(encode_mbap(1, 1, PDU))
+            assert _received(client, 13) == encode_mbap(1, 1, ANSWER)
+
+        ask()
+        board.switch(name, on=False)
+        for _ in range(4):
+            clock.advance(8.0)
+            ask()
+        board.switch(name, on=True)
+        ask()
+        clock.advance(9.0)
+        ask()
+    assert [fault.struck for fault in board] == [0]
+
+
+def test_idle_connection_is_closed_by_a_fault_that_begins_later() -> None:
+    clock = FakeClock()
+    board = FaultSwitchboard(clock=clock)
+    board.add("idle-close", parameters={"seconds": 10}, schedule=Schedule(after=60.0))
+    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+        client.sendall(encode_mbap(1, 1, PDU))
+        assert _received(client, 13) == encode_mbap(1, 1, ANSWER)
+        clock.advance(61.0)
+        assert _received(client, 1) == b""
 
 
 def test_late_by_an_hour_of_a_clock_that_a_test_moves() -> None:

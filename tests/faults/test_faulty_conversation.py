@@ -13,7 +13,18 @@ from busway.pdu.message import Message
 from busway.server.local import DeviceResponder
 from busway.session.diagnostics import CommunicationState
 from busway.session.responder import RequestContext
-from busway.testing import FAULT_PROFILES, Carrier, Contact, Exchange, Faults, FaultyConversation, golden_adu
+from busway.testing import (
+    FAULT_PROFILES,
+    Carrier,
+    Contact,
+    Exchange,
+    Fault,
+    Faults,
+    FaultyConversation,
+    Schedule,
+    Selection,
+    golden_adu,
+)
 
 READ = "03 0005 0002"
 REPLY = bytes.fromhex("03 04 0005 0006")
@@ -158,6 +169,34 @@ def test_idle_close() -> None:
     assert said.talk.deadline(10) == 40
     said.talk.tick(40)
     assert said.talk.closed
+
+
+def test_idle_close_that_begins_later() -> None:
+    said = Said()
+    schedule = Schedule(after=1.0, lasts=0.5, every=10.0)
+    said.faults.add(FAULT_PROFILES["idle-close"](seconds=0.3), Selection(schedule=schedule))
+    assert said.at(0, READ) == [_adu()]
+    assert said.talk.deadline(0) == 1.0
+    assert said.at(0.9, READ) == [_adu()]
+    said.talk.tick(1.0)
+    assert not said.talk.closed
+    assert said.talk.deadline(1.0) == pytest.approx(1.2)
+    assert said.at(1.1, READ) == [_adu()]
+    assert said.at(1.4, READ) == [_adu()]
+    said.talk.tick(1.6)
+    assert said.talk.deadline(1.6) == 11.0
+    said.talk.tick(11.0)
+    assert said.talk.closed
+
+
+def test_request_counts_once_for_a_fault_that_answers_it_and_changes_the_answer() -> None:
+    said = Said()
+    both = said.faults.add(
+        Fault("both", asked=lambda exchange: bytes((0x83, 6)), answered=lambda exchange, emissions: 2 * emissions)
+    )
+    for number in range(1, 4):
+        assert said.at(number, READ) == 2 * [_adu(bytes((0x83, 6)))]
+        assert both.struck == number
 
 
 def test_wedged() -> None:
@@ -305,6 +344,8 @@ def test_broadcast_reply() -> None:
     said = Said("broadcast-reply", framing="rtu")
     assert said.at(0, one, is_broadcast=True) == [encode_rtu(1, bytes.fromhex(one))]
     assert said.at(0, several, is_broadcast=True) == [encode_rtu(1, bytes.fromhex(several)[:5])]
+    file = "15 09 06 0001 0000 0001 1234"  # of 21 the reply is the whole request
+    assert said.at(0, file, is_broadcast=True) == [encode_rtu(1, bytes.fromhex(file))]
     assert said.at(0, one) == [encode_rtu(1, bytes.fromhex(one))]
     assert said.device.holding_registers[1] == 2
 

@@ -282,6 +282,16 @@ def test_fewer_bytes_than_a_frame_are_one_error() -> None:
     assert [one.reason for one in line.damage] == [Damage.TOO_SHORT]
 
 
+@pytest.mark.parametrize("size", [257, 404])
+def test_more_bytes_than_a_frame_has_are_too_long_whatever_they_end_with(size: int) -> None:
+    receiver = RtuReceiver(LineRole.OBSERVER, SerialTiming.of_network())
+    raw = encode_rtu(1, bytes([65]) + bytes(size - 4))
+    assert receiver.receive(raw, 1.0) == []
+    [found] = receiver.flush(2.0)
+    assert isinstance(found, Damaged)
+    assert (found.reason, found.size, found.raw) == (Damage.TOO_LONG, size, raw[:256])
+
+
 def test_a_gap_limit_below_t3_5_is_refused() -> None:
     with pytest.raises(ValueError, match=r"t3\.5"):
         RtuReceiver(LineRole.SERVER, LINE, gap_limit=T3_5 / 2)

@@ -2,6 +2,7 @@
 
 import io
 import logging
+import threading
 from ipaddress import IPv4Address
 from pathlib import Path
 
@@ -116,6 +117,37 @@ def test_a_line_has_one_interface_however_often_it_is_asked_for() -> None:
         capture.line("rtu:///dev/ttyS0").heard(Damaged(b"", Damage.CHARACTER, 0, 0.0, 0.0))
     capture.line("rtu:///dev/ttyS1")
     assert [kind for kind, _ in blocks(file.getvalue())].count(1) == 2
+
+
+class MeetingLock:
+    """A lock that each of two threads leaves for the first time only when the other one has had it too."""
+
+    def __init__(self) -> None:
+        self._lock = threading.Lock()
+        self._meeting = threading.Barrier(2, timeout=60)
+        self._met: set[int] = set()
+
+    def __enter__(self) -> None:
+        self._lock.acquire()
+
+    def __exit__(self, *_: object) -> None:
+        self._lock.release()
+        if threading.get_ident() not in self._met:
+            self._met.add(threading.get_ident())
+            self._meeting.wait()
+
+
+def test_a_line_that_two_threads_ask_for_at_once_has_one_interface(monkeypatch: pytest.MonkeyPatch) -> None:
+    lock, file = MeetingLock(), io.BytesIO()
+    with monkeypatch.context() as patched:
+        patched.setattr("busway.observe.capture.threading.Lock", lambda: lock)
+        capture = Capture(file)
+    threads = [threading.Thread(target=capture.line, args=("rtu:///dev/ttyS0",)) for _ in range(2)]
+    for each in threads:
+        each.start()
+    for each in threads:
+        each.join()
+    assert [kind for kind, _ in blocks(file.getvalue())].count(1) == 1
 
 
 def test_a_full_disk_ends_the_file_and_nothing_else(caplog: pytest.LogCaptureFixture) -> None:

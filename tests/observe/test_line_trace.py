@@ -68,7 +68,7 @@ class Recorded:
     def __init__(self) -> None:
         self.heard_frames: list[tuple[bool, Received]] = []
 
-    def line(self, name: str) -> "Recorded":
+    def line(self, name: str, *, is_server: bool = True) -> "Recorded":
         return self
 
     def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:

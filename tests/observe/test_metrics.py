@@ -416,6 +416,24 @@ async def test_an_event_loop_that_is_stuck_is_told_and_not_waited_for(
     assert "busway_requests_unanswered_total" in found
 
 
+async def test_a_source_without_a_status_is_told_with_the_counts_of_its_requests(
+    device: busway.Device, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    def failing() -> Any:
+        raise RuntimeError("the status is broken")
+
+    server = busway.serve(FREE_TCP, units={1: device})
+    async with start_metrics(server, FREE) as endpoint, server, busway.open(server.endpoints[0]) as link:
+        await link.unit(1).read_holding_registers(0, count=1)
+        monkeypatch.setattr(server, "status", failing)
+        found = await samples(endpoint)
+    assert of_name(found, "busway_up") == {(): 0}
+    assert sum(of_name(found, "busway_requests_total").values()) == 1
+    assert [record.getMessage() for record in caplog.records if record.name == "busway.metrics"] == [
+        "a scrape has no status: RuntimeError('the status is broken')"
+    ]
+
+
 async def test_a_scrape_goes_on_while_the_server_is_stopped(device: busway.Device) -> None:
     server = busway.serve(FREE_TCP, units={1: device})
     async with start_metrics(server, FREE) as endpoint:

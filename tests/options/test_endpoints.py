@@ -143,5 +143,37 @@ def test_any_text_is_an_endpoint_or_a_configuration_error(text: str, scheme: str
 def test_port_of_thousands_of_digits_is_refused_in_a_sentence_of_ours() -> None:
     with pytest.raises(ConfigError) as refused:
         parse_endpoint("tcp://127.0.0.1:" + "9" * 5000)
-    assert str(refused.value).endswith("…: the port must be 0…65535")
+    assert str(refused.value).endswith(f"…: the port must be 0…65535, not '{'9' * 60}…'")
     assert len(str(refused.value)) < 200
+
+
+LONG = "x" * 5000
+
+
+@pytest.mark.parametrize(
+    "url",
+    [
+        LONG,
+        LONG.encode(),
+        f"foo://{LONG}",
+        f"{LONG}://host",
+        f"tcp:{LONG}",
+        f"/dev/{LONG}",
+        f"tcp://host#{LONG}",
+        f"tcp://user@{LONG}",
+        f"tcp://host/{LONG}",
+        f"tcp:// {LONG}",
+        f"tcp://[{LONG}",
+        f"tcp://host:{LONG}",
+        f"tcp://::{LONG}",
+        f"rtu+tcp://{LONG}",
+        f"rtu://{LONG}",
+        f"rtu://?a={LONG}",
+        f"tcp://host?{LONG}",
+        f"tcp://host?{LONG}=1&{LONG}=2",
+    ],
+)
+def test_no_error_shows_a_long_url_in_full(url: object) -> None:
+    with pytest.raises(ConfigError) as refused:
+        parse_endpoint(url)  # type: ignore[arg-type]
+    assert len(str(refused.value)) < 400

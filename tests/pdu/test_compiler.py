@@ -178,3 +178,22 @@ def test_an_item_that_knows_its_exception_code_keeps_it() -> None:
     with pytest.raises(MalformedPdu, match="groups, item 1: not this") as caught:
         Groups.decode(b"\x45\x00")
     assert caught.value.code == 2
+
+
+class Padded(Request):
+    """A function whose byte count has limits that its bytes alone do not keep."""
+
+    code = 0x42
+    byte_count = rest_length(1, 4, 8, 2)
+    data: bytes = rest(0, 100)
+
+    class Reply(ReplyMessage):
+        data: bytes = rest()
+
+
+@pytest.mark.parametrize("size", [0, 2, 5, 10])
+def test_a_byte_count_outside_its_limits_is_neither_built_nor_received(size: int) -> None:
+    with pytest.raises(InvalidRequest, match=f"byte count must be 4…8, a multiple of 2, not {size}"):
+        Padded(bytes(size))
+    with pytest.raises(MalformedPdu, match=f"byte count must be 4…8, a multiple of 2, not {size}"):
+        Padded.decode(bytes((0x42, size)) + bytes(size))

@@ -200,3 +200,15 @@ def test_a_read_reply_with_a_broken_group_is_malformed(pdu: str) -> None:
 def test_groups_show_their_registers() -> None:
     assert FileData(1, 2, b"\x00\x01\x00\x02").registers == [1, 2]
     assert FileData(1, 2, b"\x00\x01\x00\x02").count == 2
+
+
+@pytest.mark.clause("A15")
+def test_a_request_without_registers_cannot_be_asked_for() -> None:
+    with pytest.raises(InvalidRequest, match="values must have at least one register, not 0"):
+        WriteFileRecord.of(1, 0, [])
+    with pytest.raises(InvalidRequest, match="byte count must be 9…251, not 7"):
+        WriteFileRecord((FileData(1, 0, b""),))
+    with pytest.raises(InvalidRequest, match="count must be at least 1, not 0"):
+        ReadFileRecord.of([FileReference(1, 0, 1), FileReference(1, 0, 0)])
+    of_two = WriteFileRecord((FileData(1, 0, b""), FileData(1, 0, b"\x00\x01")))
+    assert STANDARD.decode_request(of_two.encode()) == of_two

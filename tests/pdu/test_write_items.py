@@ -239,3 +239,17 @@ def test_a_write_that_is_refused_changes_nothing(request_: Any) -> None:
 def test_registers_are_packed_big_endian() -> None:
     assert pack_registers([1, 0xFFFE]) == b"\x00\x01\xff\xfe"
     assert pack_registers([]) == b""
+
+
+@pytest.mark.parametrize("values", [b"ab", bytearray(b"ab"), memoryview(b"ab"), "ab", {1: 2}, 7])
+def test_bytes_and_texts_are_no_registers(values: Any) -> None:
+    with pytest.raises(InvalidRequest, match="the registers must be a sequence of values, not"):
+        pack_registers(values)
+
+
+@pytest.mark.parametrize(("value", "number"), [(True, 1), (False, 0)])
+def test_a_state_among_registers_is_named(value: bool, number: int) -> None:
+    with pytest.raises(InvalidRequest, match=f"value 2 must be an integer, not {value}"):
+        pack_registers([0x0101, value])
+    assert pack_registers((0x0101, number)) == bytes((1, 1, 0, number))
+    assert pack_registers(range(2)) == b"\x00\x00\x00\x01"

@@ -65,6 +65,12 @@ def test_what_is_no_number_is_refused_where_raw_numbers_are_whole(value: float) 
         Point("p", HOLDING, 0, value_type("int16"), Conversion(0.1)).encode(value)
 
 
+@pytest.mark.parametrize("name", ["int16", "float32", "float64"])
+def test_a_number_of_hundreds_of_digits_is_refused_where_there_is_a_scale(name: str) -> None:
+    with pytest.raises(InvalidRequest, match=r"^1000.*…"):
+        Point("p", HOLDING, 0, value_type(name), Conversion(0.1)).encode(10**400)
+
+
 def test_a_write_keeps_to_its_range_and_its_steps() -> None:
     rule = WriteRule(minimum=5.0, maximum=30.0, step=0.5)
     for value in (5.0, 21.5, 30.0):
@@ -75,6 +81,12 @@ def test_a_write_keeps_to_its_range_and_its_steps() -> None:
         rule.check(21.3)
     with pytest.raises(InvalidRequest):
         rule.check(math.nan)
+
+
+@pytest.mark.parametrize("value", [math.nan, math.inf, -math.inf])
+def test_what_is_no_finite_number_is_no_number_of_steps(value: float) -> None:
+    with pytest.raises(InvalidRequest, match=f"must be a whole number of steps of 0.5 from 0 on, not {value}"):
+        WriteRule(step=0.5).check(value)
 
 
 @pytest.mark.parametrize(

@@ -162,6 +162,15 @@ def test_device_beyond_its_own_limit_replaces_its_oldest_connection_and_nobody_e
     assert len(both) == 2
 
 
+@pytest.mark.clause("T13", "T18")
+def test_device_beyond_its_own_limit_keeps_its_connection_where_the_new_one_is_closed_already() -> None:
+    both = pools(other=9, per_host=1)
+    worker = Connection("x")
+    both.admit(worker)
+    assert not both.admit(Connection("x", last_used=9.0, received=0, has_ended=True)).accepted
+    assert both.admit(Connection("x")).evicted is worker
+
+
 def test_one_that_has_lost_its_place_may_leave_again() -> None:
     both = pools(other=1)
     first, second = Connection("x"), Connection("y")

@@ -219,6 +219,36 @@ async def test_answer_that_waits_for_its_silence_leaves_before_the_port_is_close
         await until(lambda: any(talk.port == 1 for talk in slow.transmissions(0.01)))
 
 
+@pytest.mark.real_time
+async def test_requests_that_come_while_the_server_stops_are_neither_executed_nor_missing_in_the_count(
+    line: PacedLine,
+) -> None:
+    class EndsSlowly(Slow):
+        async def _answer(self, request: AnyRequest) -> Message:
+            self.asked.set()
+            try:
+                await asyncio.Event().wait()
+            finally:
+                ending.set()
+                await self.go_on.wait()
+            raise AssertionError("it is cancelled")
+
+    ending, handler = asyncio.Event(), EndsSlowly()
+    server = busway.serve(url(line), responder=handler)  # type: ignore[arg-type]
+    await server.start()
+    line.inject(READ)
+    await handler.asked.wait()
+    handler.asked.clear()
+    stopping = asyncio.create_task(server.stop())
+    await ending.wait()  # the port is open until the handler has ended
+    line.inject(READ)
+    with pytest.raises(TimeoutError):
+        await asyncio.wait_for(handler.asked.wait(), 0.1)
+    handler.go_on.set()
+    await stopping
+    assert server.status().counters.requests == 1
+
+
 @pytest.mark.clause("S6")
 @pytest.mark.real_time
 async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: PacedLine) -> None:

@@ -1,5 +1,7 @@
 """Serving beside or instead of a blocking program."""
 
+import asyncio
+import errno
 import os
 import signal
 import subprocess
@@ -55,6 +57,20 @@ def test_listener_that_a_thread_cannot_have_is_an_error_of_the_program() -> None
         ):
             raise AssertionError("two servers on one port")
         assert caught.value.endpoint == taken
+
+
+def test_event_loop_that_a_thread_cannot_have_is_an_error_of_the_program(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_loop() -> asyncio.AbstractEventLoop:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("busway.server.loops._loop_factory", lambda: no_loop)
+    before = threading.active_count()
+    with (
+        pytest.raises(OSError, match="Too many open files"),
+        busway.serve_in_thread(ANY_PORT, units=busway.Device(holding_registers=10)),
+    ):
+        raise AssertionError("a server without an event loop")
+    assert threading.active_count() == before
 
 
 _FOREVER = """

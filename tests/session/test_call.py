@@ -1,19 +1,22 @@
 """Calls: what is still to be sent and what became of it; batches, held equal to requests in flight one by one."""
 
+import math
+import re
 from dataclasses import asdict
-from typing import Any
+from typing import Any, cast
 
 import pytest
 from conversations import ClientWire, answer_to, read
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.errors import ExceptionReply, ModbusError
+from busway.errors import ExceptionReply, InvalidRequest, ModbusError
 from busway.framing.mbap import MbapFrame, encode_mbap
+from busway.options.client import ClientParameters
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.call import Call, encoded_request, plan_of
+from busway.session.call import Call, CallOptions, call_for, encoded_request, plan_of
 
 
 def call_of(requests: int) -> Call:
@@ -57,6 +60,37 @@ def test_the_error_of_a_demand_is_the_first_among_its_outcomes() -> None:
     one.outcomes[2] = ExceptionReply(2)
     one.outcomes[1] = ExceptionReply(3)
     assert one.error is one.outcomes[1]
+
+
+# Options of one call.
+
+LINK = ClientParameters(timeout=2.0, retries=3, deadline=9.0)
+
+
+def called(**options: Any) -> tuple[float, int, float | None]:
+    """Timeout, retries and deadline of a call at the time 100, with these options, over `LINK`."""
+    call = call_for(1, [read(0)], LINK, cast(CallOptions, options), 100.0)
+    return call.timeout, call.retries, call.deadline
+
+
+def test_option_that_is_left_out_or_none_is_that_of_the_link() -> None:
+    assert called() == (2.0, 3, 109.0)
+    assert called(timeout=None, retries=None, deadline=None) == (2.0, 3, 109.0)
+    assert called(timeout=0.5, retries=0, deadline=4) == (0.5, 0, 104.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "said"),
+    [
+        *[("timeout", value, repr(value)) for value in ("x", -1.0, 3601, math.nan, math.inf, [1])],
+        *[("retries", value, repr(value)) for value in ("x", -1, 101, 1.5, math.nan, [])],
+        *[("deadline", value, repr(value)) for value in ("x", -1, math.nan, [1])],
+    ],
+    ids=str,
+)
+def test_option_that_is_no_number_in_its_range_is_refused_by_name(name: str, value: object, said: str) -> None:
+    with pytest.raises(InvalidRequest, match=f"^{name} must be .*, not {re.escape(said)}$"):
+        called(**{name: value})
 
 
 # Pipelined batches.

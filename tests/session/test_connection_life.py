@@ -5,13 +5,19 @@ import math
 import pytest
 
 from busway.errors import LinkDown, ModbusError, WriteOutcomeUnknown
+from busway.framing.frame_direction import LineRole
+from busway.framing.rtu import encode_rtu
+from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
+from busway.options.lines import FramingParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.connection_life import ConnectionLife
+from busway.session.line_framing import line_framing
 from busway.session.reconnect import ConnectionEvent, ConnectionState, Reconnect
+from busway.session.serial_client import SerialClientSession
 
 PAUSE = 8.0
 """Seconds of the first pause, with no part of it left to chance."""
@@ -200,6 +206,66 @@ def test_timeout_makes_a_connection_suspect_and_a_reply_ends_that() -> None:
     link.read(1.0)
     link.answer(1.5)
     assert link.state is ConnectionState.UP
+
+
+def test_frame_that_answers_nothing_leaves_a_connection_suspect_that_had_a_reply_before() -> None:
+    link = Link().up(0.0)
+    link.read(0.0)
+    link.answer(0.1)
+    link.read(0.2, retries=0)
+    assert link.life.tick(1.2)
+    told = list(link.told)
+    foreign = bytes.fromhex("FFFF 0000 0005 01 03 02 0001")  # the identifier of no request
+    link.session.receive(foreign, len(foreign), 1.3)
+    link.life.replied(1.3)
+    assert link.session.counters.foreign_replies == 1
+    assert link.state is ConnectionState.SUSPECT
+    assert link.told == told
+    link.life.lost(1.4, "the peer reset it")
+    assert link.state is ConnectionState.DOWN  # no pause: the connection had brought a reply
+
+
+def test_late_reply_ends_the_suspicion() -> None:
+    link = Link().up(0.0)
+    link.read(0.0)
+    link.answer(0.1)
+    link.read(0.2, retries=0)
+    (transaction,) = link.session._pending
+    assert link.life.tick(1.2)
+    late = transaction.to_bytes(2, "big") + bytes.fromhex("0000 0005 01 03 02 0001")
+    link.session.receive(late, len(late), 1.3)
+    link.life.replied(1.3)
+    assert link.session.counters.late_replies == 1
+    assert link.state is ConnectionState.UP
+    assert link.told[-1] == "up: it answers again"
+
+
+def test_reply_that_a_silence_completes_ends_the_suspicion_when_the_silence_is_over() -> None:
+    line = SerialTiming.of_line(9600)
+    framing = line_framing("rtu", LineRole.MASTER, line, FramingParameters(strict_timing=True))
+    session = SerialClientSession(ClientParameters(retries=0), framing=framing, jitter=lambda: 0.0)
+    life = ConnectionLife(session, Reconnect(lambda: 1.0), endpoint="serial", hold=math.inf, moved=Link().moved)
+    life.dialled(0.0)
+    life.connected(0.0)
+
+    def ask(unit: int, now: float) -> None:
+        life.tick(now)
+        session.submit(Call(unit, (ReadHoldingRegisters(1, 1),), False, 1.0, 0), now)
+        assert session.transmit(now)
+
+    ask(1, 1.0)
+    assert life.tick(2.5)
+    life.tick(4.0)
+    ask(2, 5.0)
+    life.tick(5.1)
+    now = 5.1
+    for byte in encode_rtu(2, bytes.fromhex("03 02 0001")):
+        now += line.character
+        session.receive(bytes((byte,)), 1, now)
+        life.replied(now)
+    assert life.reconnect.state is ConnectionState.SUSPECT  # a character within t3.5 would spoil it
+    assert not life.tick(now + line.t3_5 * 1.1)
+    assert life.reconnect.state is ConnectionState.UP
 
 
 def test_end_of_the_link_fails_what_waits() -> None:

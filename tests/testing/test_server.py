@@ -1,5 +1,7 @@
 """The server that misbehaves, as a fixture of tests."""
 
+import asyncio
+import errno
 import socket
 import threading
 
@@ -14,6 +16,7 @@ from busway.testing import (
     faulty_server,
     known_device,
     misbehaving_client,
+    simulated_device,
 )
 
 
@@ -43,6 +46,19 @@ def test_thread_and_sockets_are_gone_when_the_block_is_left() -> None:
         assert client.recv(1) == b""
     with pytest.raises(ConnectionRefusedError):
         socket.create_connection(("127.0.0.1", busway.parse_endpoint(endpoint).port or 0))
+
+
+def test_event_loop_that_cannot_be_had_is_an_error_of_the_test(monkeypatch: pytest.MonkeyPatch) -> None:
+    def no_loop() -> asyncio.AbstractEventLoop:
+        raise OSError(errno.EMFILE, "Too many open files")
+
+    monkeypatch.setattr("asyncio.events.new_event_loop", no_loop)
+    before = threading.active_count()
+    with pytest.raises(OSError, match="Too many open files"), faulty_server(known_device()):
+        raise AssertionError("a server without an event loop")
+    with pytest.raises(OSError, match="Too many open files"), simulated_device({"4x1": 7}):
+        raise AssertionError("a device without an event loop")
+    assert threading.active_count() == before
 
 
 def test_listener_that_cannot_be_had_is_an_error_of_the_test() -> None:

@@ -195,6 +195,28 @@ def test_whoever_stops_waiting_leaves_no_socket_behind(
     run_on("asyncio", main)
 
 
+@pytest.mark.parametrize("waits_together", [pytest.param(True, marks=CROWDED), False])
+def test_protocol_that_cannot_be_made_leaves_no_connection_behind(
+    listening: socket.socket, monkeypatch: pytest.MonkeyPatch, waits_together: bool
+) -> None:
+    monkeypatch.setattr(dialling, "can_watch", lambda loop: waits_together)
+
+    def fails() -> asyncio.BaseProtocol:
+        raise RuntimeError("no memory left")
+
+    async def main() -> None:
+        port = listening.getsockname()[1]
+        with pytest.raises(RuntimeError, match="no memory"):
+            await dialling.open_stream(
+                fails, "127.0.0.1", port, local_address=None, interface=None, prepare=lambda connection: None
+            )
+
+    run_on("asyncio", main)
+    listening.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        listening.accept()
+
+
 @pytest.mark.parametrize("interface", [None, "lo"])
 def test_a_loop_that_can_have_no_crowd_uses_its_own_transports(
     listening: socket.socket, monkeypatch: pytest.MonkeyPatch, interface: str | None

@@ -1,7 +1,9 @@
 """The interfaces of this host, as the system tells them."""
 
+import ctypes
 import errno
 import socket
+import struct
 import sys
 from pathlib import Path
 
@@ -19,6 +21,42 @@ def test_the_loopback_interface_has_its_address_and_netmask() -> None:
     assert interfaces_with("::1") == (Interface("lo", "::1", "/128"),)
     assert Interface("lo", "127.0.0.1", "255.0.0.0") in interfaces_with("0.0.0.0")
     assert interfaces_with("192.0.2.1") == ()
+
+
+def test_every_address_of_an_interface_is_found_with_its_own_netmask(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    held = {
+        b"10.0.0.5": (b"eth0", b"255.255.255.0"),
+        b"10.0.0.6": (b"eth0", b"255.255.255.128"),
+        b"10.1.0.1": (b"eth0:1", b"255.255.0.0"),
+    }
+
+    def entry(label: bytes, address: bytes) -> bytes:
+        numeric = socket.inet_aton(address.decode())
+        # name, family, port, address, and what other members of the structure need
+        return struct.pack("16sHH4s", label, socket.AF_INET, 0, numeric).ljust(interfaces._ENTRY.size, b"\0")
+
+    def ioctl(descriptor: int, request: int, argument: bytes) -> bytes:
+        if request == 0x8912:  # SIOCGIFCONF: size and address of a buffer
+            size, where = struct.unpack("iP", argument)
+            data = b"".join(entry(label, address) for address, (label, _) in held.items())
+            assert len(data) <= size
+            ctypes.memmove(where, data, len(data))
+            return struct.pack("iP", len(data), where)
+        assert request == 0x891B  # SIOCGIFNETMASK of a label's address
+        label, netmask = held[socket.inet_ntoa(argument[20:24]).encode()]
+        assert argument[:16].rstrip(b"\0") == label
+        return entry(label, netmask)
+
+    monkeypatch.setattr("fcntl.ioctl", ioctl)
+    monkeypatch.setattr(interfaces, "_ROUTES", tmp_path / "none")
+    assert interfaces_with("10.0.0.6") == (Interface("eth0", "10.0.0.6", "255.255.255.128"),)
+    assert [(one.name, one.address, one.netmask) for one in interfaces_with("0.0.0.0")] == [
+        ("eth0", "10.0.0.5", "255.255.255.0"),
+        ("eth0", "10.0.0.6", "255.255.255.128"),
+        ("eth0", "10.1.0.1", "255.255.0.0"),
+    ]
 
 
 def test_without_a_descriptor_left_there_is_nothing_to_show(monkeypatch: pytest.MonkeyPatch) -> None:

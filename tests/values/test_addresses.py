@@ -3,7 +3,7 @@
 from typing import Literal
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from busway.codes import Table
@@ -100,7 +100,7 @@ def test_0x10_for_a_holding_register_is_refused_with_the_hexadecimal_notation() 
 def test_an_integer_is_an_offset(value: int) -> None:
     assert parse_address(value) == Address(None, value)
     assert parse_address(value, table=INPUT) == Address(INPUT, value)
-    assert parse_address(value).text == str(value)
+    assert str(parse_address(value)) == f"offset {value}"
 
 
 @pytest.mark.parametrize("text", ["10", "0", "65535", "0001", "20001", "50000"])
@@ -309,9 +309,33 @@ def test_an_impossible_address_cannot_be_built(table: Table, offset: int, bit: i
 def test_an_address_prints_as_it_was_written_or_in_the_notation_with_prefix() -> None:
     assert str(parse_address("holding:0x10")) == "holding:0x10"
     assert str(Address(HOLDING, 16)) == "4x17"
-    assert str(Address(None, 16)) == "16"
+    assert str(Address(None, 16)) == "offset 16"
+    assert str(Address(None, 16, 3)) == "offset 16.3"
     assert format_address(Address(COILS, 9)) == "0x10"
     assert format_address(Address(HOLDING, 9, 3)) == "4x10.3"
+
+
+@given(
+    value=st.integers(1, 65535) | st.sampled_from(["1", "40001", "4x1", "4x9.3", "holding:1", "holding:0x10", "%MW1"]),
+    table=st.sampled_from([None, HOLDING]),
+    base=st.sampled_from([None, 0, 1]),
+)
+@example(value=40001, table=None, base=None)
+@example(value=40001, table=HOLDING, base=None)
+@example(value="40001", table=None, base=0)
+@example(value="holding:1", table=None, base=1)
+def test_what_an_address_prints_is_read_as_no_other_address(
+    value: int | str, table: Table | None, base: Literal[0, 1] | None
+) -> None:
+    try:
+        address = parse_address(value, table=table, base=base)
+    except InvalidRequest:
+        return  # a bare text without a table
+    if address.table is None:
+        with pytest.raises(InvalidRequest):
+            parse_address(str(address))
+    else:
+        assert parse_address(str(address), table=HOLDING) == address
 
 
 def test_an_address_without_a_table_has_no_notation() -> None:

@@ -202,6 +202,21 @@ def test_what_is_not_an_integer_is_refused_by_integer_types(name: str, value: ob
         encode([1, value, 1], name)
 
 
+class NoNumber:
+    """Has ``__index__``, which refuses, as that of a numpy array of several numbers does."""
+
+    def __index__(self) -> int:
+        raise TypeError("only integer scalar arrays can be converted to a scalar index")
+
+
+@pytest.mark.parametrize("name", INTEGERS)
+def test_what_refuses_to_be_an_integer_is_refused_by_integer_types(name: str) -> None:
+    with pytest.raises(InvalidRequest, match=rf"values\[1\] = .* does not fit {name}, which takes a whole number"):
+        encode([1, NoNumber(), 1], name)
+    with pytest.raises(InvalidRequest, match=rf"^values\[1\] = .* does not fit {name}, which takes a whole number"):
+        encode([1, NoNumber(), 1 << 70], name)
+
+
 def test_a_fraction_for_an_integer_type_is_answered_with_a_hint() -> None:
     with pytest.raises(InvalidRequest, match=r"1\.5 does not fit uint16, .*; round it first"):
         encode([1.5], "uint16")

@@ -166,7 +166,7 @@ def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> 
     def number(text: str) -> int:
         if not _NUMBER.fullmatch(text):
             raise ConfigError(f"{shown(text)} is no {what}, nor a range such as 1-5")
-        found = int(text, 16 if text[:2] in ("0x", "0X") else 10)
+        found = _number(text)
         if found > highest:
             raise ConfigError(f"a {what} is 0…{highest}, not {found}")
         return found
@@ -179,6 +179,11 @@ def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> 
             first, last = _ends(part, number)
             found.append((first, last + 1))
     return found
+
+
+def _number(text: str) -> int:
+    """Return the number for a text that `_NUMBER` matches; it is decimal also with zeros at its begin."""
+    return int(text, 16 if text[:2] in ("0x", "0X") else 10)
 
 
 def _ends(part: str, number: Callable[[str], int]) -> Range:
@@ -216,7 +221,7 @@ def _functions(text: str | int) -> set[Function]:
         if not _NUMBER.fullmatch(code_text) or (slash and not _NUMBER.fullmatch(sub_text)):
             known = ", ".join([*FUNCTION_GROUPS, *_CODE_OF])
             raise ConfigError(f"there is no function {shown(text)}; write a code, code/sub-function or one of {known}")
-        code, sub_code = int(code_text, 0), int(sub_text, 0) if slash else None
+        code, sub_code = _number(code_text), _number(sub_text) if slash else None
     else:
         code, sub_code = text, None
     if not 1 <= code <= 127:

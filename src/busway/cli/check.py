@@ -6,7 +6,7 @@ The checks are `busway.apps.check`; here are their arguments, what is printed wh
 import json
 import os
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING
 import typer
 
 from ..codes import LAST_SERIAL_UNIT, TABLE_SIZE, Table
+from ..config.files.file_error import FileError
 from ..errors import ConfigError
 from ..safe_files import check_replaceable, read_safely, write_whole
 from ..values.addresses import parse_address
@@ -115,8 +116,7 @@ def check(
                 _show(result)
     summary = Summary(endpoint.url, target.unit, chosen.name.lower(), tuple(results), before)
     _conclude(summary)
-    for path, form in files:
-        write_whole(path, form(summary))
+    _write_reports(files, summary)
     if summary.is_aborted:
         return ExitCode.BROKEN
     return ExitCode.FAILED if summary.failures else ExitCode.DONE
@@ -182,9 +182,11 @@ def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]
     """Return the path of each report that ``--report`` asks for, with the function that formats it.
 
     Raises:
-        ConfigError: the text is not a list such as ``html=FILE,json=FILE``, a folder is missing, or a file exists that
-            is no report of the same form.
+        ConfigError: the text is not a list such as ``html=FILE,json=FILE``, a folder is missing or no file can be made
+            in it, or a file exists that is no report of the same form.
     """
+    import tempfile  # here: it takes 10 ms
+
     from ..apps.check.reports import REPORT_BEGINNINGS, REPORTS
 
     files = []
@@ -198,8 +200,38 @@ def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]
         whole = check_replaceable(path, is_ours=partial(_begins_with, begin), kind=f"{name} report of busway check")
         if not os.path.isdir(os.path.dirname(whole)):
             raise ConfigError("cannot be written: there is no such folder", file=path)
+        try:
+            with tempfile.TemporaryFile(dir=os.path.dirname(whole)):
+                pass
+        except OSError as error:
+            raise _cannot_be_written(path, error) from error
         files.append((whole, REPORTS[name]))
     return files
+
+
+def _write_reports(files: "Sequence[tuple[str, Callable[[Summary], str]]]", summary: "Summary") -> None:
+    """Write all reports.
+
+    Args:
+        files: path of each report, with the function that formats it.
+        summary: what they report.
+
+    Raises:
+        FileError: reports could not be written, with a problem for each; the others are written.
+    """
+    problems = []
+    for path, form in files:
+        try:
+            write_whole(path, form(summary))
+        except OSError as error:
+            problems.append(_cannot_be_written(path, error))
+    if problems:
+        raise FileError(problems)
+
+
+def _cannot_be_written(path: str, error: OSError) -> ConfigError:
+    reason = error.strerror or str(error)
+    return ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=path)
 
 
 def _begins_with(begin: bytes, head: bytes) -> bool:

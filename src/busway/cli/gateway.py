@@ -61,7 +61,7 @@ A listener that the network reaches is read-only without a policy; --allow-write
 """
 
 CHECK = "check"
-_PATHS = frozenset({"--policy", "--audit", "--capture"})
+_PATHS = frozenset({"--policy", "--audit", "--capture", "--control"})
 """Options whose values are paths. A systemd unit file gets them absolute, since a service runs in another folder."""
 
 
@@ -216,8 +216,8 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
     kept: list[str] = []
     for word in _separate(words):
         if word != "--systemd-unit":
-            is_path = (is_file and word == configuration.name) or (bool(kept) and kept[-1] in _PATHS)
-            kept.append(str(Path(word).absolute()) if is_path and word != READ_ONLY else word)
+            is_path = (is_file and word == configuration.name) or (bool(kept) and _is_path(kept[-1], word))
+            kept.append(str(Path(word).absolute()) if is_path else word)
     log = audit or configuration.audit
     unit = ServiceUnit(
         command=[*program(), *kept],
@@ -227,6 +227,19 @@ def _print_unit(configuration: "GatewayConfiguration", words: list[str], audit: 
         name=Path(configuration.name).stem if is_file else "gateway",
     )
     sys.stdout.write(unit.text())
+
+
+def _is_path(option: str, value: str) -> bool:
+    """Whether the value of an option is a path; some options also take a word or a URL instead.
+
+    Raises:
+        ConfigError: the value of ``--control`` is invalid.
+    """
+    from ..apps.control.addresses import OFF, UnixAddress, parse_control_address
+
+    if option == "--control":
+        return value != OFF and isinstance(parse_control_address(value), UnixAddress)
+    return option in _PATHS and value != READ_ONLY
 
 
 def _separate(words: list[str]) -> list[str]:

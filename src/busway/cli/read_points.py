@@ -142,7 +142,8 @@ class PointReader:
         self._stored = [point for point in needed if not point.formula]
         self._known: dict[str, int] = {}
         self.code: int = ExitCode.DONE
-        """Exit code of the first request that failed in the last call of `read`; 0 if none failed."""
+        """Exit code of the first failure in the last call of `read`, 0 without: of a request, or 2 for a point that the
+        device file lets no request fetch."""
 
     def _with_inputs(self, points: Iterable[Point]) -> list[Point]:
         """Return these points, and all points that are needed to compute or scale them, in the order of the file."""
@@ -161,7 +162,8 @@ class PointReader:
     def read(self) -> list[PointRecord]:
         """Read the chosen points once, and return a record for each that exists, in the order of the file.
 
-        If a request fails, the records of its points have the reason, and ``code`` the exit code of the first failure.
+        If a request fails, or the device file lets no request fetch a point, the records have the reason, and ``code``
+        the exit code of the first failure.
 
         Raises:
             InvalidRequest: a request cannot be sent to this unit.
@@ -197,6 +199,8 @@ class PointReader:
         plan = plan_reads(points, self._rules, network_cost())
         replies: list[tuple[ReadDecoder, bytes]] = []
         found = {each.item.name: self._failed(each.item, Reason.CONFIGURATION) for each in plan.unreadable}
+        if plan.unreadable:
+            self.code = self.code or ExitCode.WRONG_USE
         for read in plan.reads:
             members = [point for point in read.items if point in points]
             self._ask(members, read.start, read.width, replies, found)

@@ -28,7 +28,7 @@ class ServiceUnit:
     """The contents of a systemd unit file for a gateway: command, rights and paths.
 
     Attributes:
-        command: words of the command line; the first is an absolute path.
+        command: words of the command line; the first is an absolute path. ``--control`` and its value are two words.
         plan: listeners and upstreams of the gateway; the rights of the service follow from them.
         drain: seconds that the gateway may take to answer open requests at its end.
         written: absolute paths of folders that the gateway writes into, such as that of the audit log.
@@ -66,8 +66,9 @@ class ServiceUnit:
     def _service(self) -> Iterator[str]:
         yield "Type=notify"
         words = list(self.command)
-        if "--control" not in words:
-            words += ["--control", f"/run/{_RUNTIME_DIRECTORY}/{self.name}.sock"]
+        end = words.index("--") if "--" in words else len(words)  # what follows is no option
+        if "--control" not in words[:end]:
+            words[end:end] = ["--control", f"/run/{_RUNTIME_DIRECTORY}/{self.name}.sock"]
         yield f"ExecStart={' '.join(map(quoted, words))}"
         yield "ExecReload=/bin/kill -HUP $MAINPID"
         yield "Restart=always"

@@ -56,10 +56,10 @@ class Poll:
         Returns True also if the connection has ended or failed: then the next call on it raises. Returns False if
         ``seconds`` were over first, or if another thread closed the socket.
         """
-        if self._poll is None:
-            readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
-            return bool(readable or writable)
         try:
+            if self._poll is None:
+                readable, writable, _ = select.select([connection], [connection] if writes else [], [], seconds)
+                return bool(readable or writable)
             if writes != self._writes:
                 self._writes = writes
                 self._poll.modify(connection, select.POLLIN | (select.POLLOUT if writes else 0))

@@ -15,9 +15,9 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
-from ..errors import BadReply, ConfigError, ExceptionReply, LinkDown, ModbusError, NoReply
+from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.offer import MONITORS, Offer, aliases
+from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import SerialSettings
 from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters
@@ -84,7 +84,7 @@ def scan(
     if not 0.001 <= timeout <= 60:
         raise ConfigError(f"must be 0.001…60 seconds, not {timeout:g}", key="timeout")
     if listen is not None:
-        refuse_busy_line(endpoint, listen)
+        refuse_busy_line(endpoint, listen, options)
     return list(UnitScan(endpoint, asked, timeout, learn=learn, identify=identify, options=options).found())
 
 
@@ -94,13 +94,17 @@ def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
     None for ``units`` gives 1…247, and 255 too on TCP, TLS and UDP with Modbus TCP framing.
 
     Raises:
-        ConfigError: no unit is given, or one is out of range: 0…255, or 1…247 on a serial line (0 is the broadcast).
+        ConfigError: no unit is given, or one is no integer or out of range: 0…255, or 1…247 on a serial line (0 is the
+            broadcast).
     """
     is_line = endpoint.framing != "mbap"
     if units is None:
         return [*range(1, LAST_SERIAL_UNIT + 1), *([] if is_line else [TCP_DEVICE_UNIT])]
     low, high = (1, LAST_SERIAL_UNIT) if is_line else (0, 255)
-    found = sorted({as_integer("unit", unit) for unit in units})
+    try:
+        found = sorted({as_integer("each", unit) for unit in units})
+    except InvalidRequest as error:
+        raise ConfigError(error.message, key="units") from None
     for unit in found:
         if not low <= unit <= high:
             raise ConfigError(f"must be {low}…{high}, not {unit}", key="units")
@@ -112,6 +116,7 @@ def units_to_ask(endpoint: Endpoint, units: Iterable[int] | None) -> list[int]:
 def refuse_busy_line(
     endpoint: Endpoint,
     listen: float,
+    options: Mapping[str, object] | None = None,
     *,
     hint: str = "listen=None asks all the same",
     begun: Callable[[], None] = lambda: None,
@@ -121,18 +126,19 @@ def refuse_busy_line(
     Args:
         endpoint: the endpoint to be scanned. With Modbus TCP framing, and for a line over UDP, nothing is done.
         listen: the longest time to listen, in seconds; the first byte received ends it.
+        options: options of the scan beside those of the endpoint, which they replace.
         hint: the end of the error message, which says how to scan in spite of it.
         begun: called without arguments when the line is open and listening begins.
 
     Raises:
-        ConfigError: there is traffic, or an option of the endpoint is invalid.
+        ConfigError: there is traffic, or an option is invalid.
         LinkDown: the line cannot be opened.
     """
     if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
         return
     from ..observe.sniffing import Listening, line_to_hear
 
-    with Listening(line_to_hear(_for_listening(endpoint))) as listening:
+    with Listening(line_to_hear(replace(endpoint, options={}), _for_listening(endpoint, options or {}))) as listening:
         begun()
         until = time.monotonic() + listen
         while time.monotonic() < until and not listening.bytes_heard:
@@ -144,11 +150,11 @@ def refuse_busy_line(
             )
 
 
-def _for_listening(endpoint: Endpoint) -> Endpoint:
-    """Return the endpoint without the options that listening to a line does not accept."""
-    taken = Offer.at(endpoint, "monitor", MONITORS).options
-    kept = {name: text for name, text in endpoint.options.items() if aliases().get(name, name) in taken}
-    return replace(endpoint, options=kept)
+def _for_listening(endpoint: Endpoint, options: Mapping[str, object]) -> dict[str, object]:
+    """Return those options of a scan that listening to the line has too."""
+    taken = Offer.at(endpoint, "monitor", MONITORS).names
+    given = {**canonical(endpoint.options), **canonical(options)}
+    return {name: value for name, value in given.items() if name in taken}
 
 
 class UnitScan:

@@ -29,7 +29,8 @@ class ClientSession(Protocol):
         counters: counters of requests, replies and errors of the link.
         finished: calls whose requests all have a reply or an error; the driver wakes their callers, and empties it.
         recycle: why the driver must close the connection and open another; empty while it may stay open.
-        valid_reply: whether a reply to a request has come over the present connection.
+        valid_reply: whether a reply to a request has come over the present connection; the driver sets it to False
+            after a timeout, to see whether another comes.
     """
 
     counters: ClientCounters

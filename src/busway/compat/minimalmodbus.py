@@ -292,7 +292,7 @@ class Instrument:
         _one_of("functioncode", functioncode, (1, 2))
         kind = ReadCoils if functioncode == 1 else ReadDiscreteInputs
         reply = self._ask(kind(_address(registeraddress), number_of_bits))
-        return [int(bit) for bit in reply.bits(number_of_bits)] if self.address else []
+        return [int(bit) for bit in reply.bits(number_of_bits)]
 
     def write_bit(self, registeraddress: int, value: int, functioncode: int = 5) -> None:
         """Write one coil, 0 or 1, by function code 5 or 15. ``value`` must be an int, not a bool."""

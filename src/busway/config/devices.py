@@ -10,7 +10,7 @@ from typing import Any
 from ..codes import Table
 from ..server.cells import Cells
 from ..server.device import Device
-from .device_writes import judge_writes
+from .device_writes import check_scaled, judge_writes
 from .files.device import DeviceFile, TableSection, UnitSection
 from .files.points import PointSection
 
@@ -47,15 +47,27 @@ def build_device(section: UnitSection) -> Device:
     return device
 
 
-def put_value(device: Device, point: PointSection, value: Any) -> None:  # Any: what the point's type says
-    """Write the value of a point, in its unit of measure, into the memory of a device; no hook is called.
+def put_value(
+    device: Device,
+    point: PointSection,
+    value: Any,  # what the point's type says
+    scale: PointSection | None = None,
+) -> None:
+    """Write the value of a point, in its unit of measure, into a device; no hook is called.
 
-    If the point has ``scale_from``, the power of ten that the other point holds is not applied.
+    Args:
+        device: the device.
+        point: the point.
+        value: the value, without the power of ten of ``scale_from``.
+        scale: the point that ``scale_from`` names, whose exponent counts for the range of the value. With None, a point
+            with ``scale_from`` may have a value outside its range.
 
     Raises:
         InvalidRequest: the value does not fit the point.
     """
     raw = point.raw(value)
+    if scale is not None:
+        check_scaled(device, point, value, scale)
     form = point.form
     if form is None or not form.is_part:
         device.write(point.place, raw if form is None else [raw], form)  # sixteen bits are one value

@@ -4,8 +4,8 @@ Knows tapped connections, an event loop and a clock; which bytes are sent, and w
 
 1. A connection has one timer, for its next action, and none while it has nothing to do.
 2. All actions run in the thread of the server's event loop, also if another thread moves the clock or switches a fault.
-3. While all faults are off, requests are not recorded. When the first fault is switched on, each open connection
-   without a recorded request counts as used at that moment.
+3. While all faults are off, requests are not recorded. When the first fault is switched on, each open connection counts
+   as used at that moment.
 """
 
 import asyncio
@@ -187,13 +187,12 @@ class FaultyConnection:
     def ask_to_pump(self, *, is_used_now: bool = False) -> None:
         """Make the event loop call `pump` soon; can be called from any thread, and does nothing if the loop is closed.
 
-        With ``is_used_now``, a connection without a recorded request counts as used from this moment.
+        With ``is_used_now``, the connection counts as used at this moment: its requests were not recorded.
         """
 
         def pump() -> None:
-            contact = self.conversation.contact
-            if is_used_now and contact.last_received is None:
-                contact.last_received = self.clock.now()
+            if is_used_now:
+                self.conversation.contact.last_received = self.clock.now()
             self.pump()
 
         if not self._loop.is_closed():

@@ -315,7 +315,18 @@ class AppliedFault:
         struck: number of requests it has changed and of connections it has refused or closed.
     """
 
-    __slots__ = ("_changed", "_chosen", "_random", "_since", "enabled", "fault", "label", "selection", "struck")
+    __slots__ = (
+        "_changed",
+        "_chosen",
+        "_counted",
+        "_random",
+        "_since",
+        "enabled",
+        "fault",
+        "label",
+        "selection",
+        "struck",
+    )
 
     def __init__(
         self,
@@ -334,6 +345,7 @@ class AppliedFault:
         self.struck: int = 0
         self._changed = changed
         self._chosen = 0
+        self._counted: Exchange | None = None
         self._since: float | None = None
         self._random = random
 
@@ -398,6 +410,16 @@ class AppliedFault:
         if self.selection.probability < 1 and self._random.random() >= self.selection.probability:
             return None
         return replace(exchange, random=self._random)
+
+    def count(self, seen: Exchange) -> None:
+        """Count a request in ``struck``; once, also if several functions of the fault have changed its answer.
+
+        Args:
+            seen: the request, as `strikes` returned it.
+        """
+        if self._counted is not seen:
+            self._counted = seen
+            self.struck += 1
 
 
 class Faults:
@@ -531,11 +553,14 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """Return the earliest time, in seconds, at which a fault will close an idle connection; None for never.
+        """Return the earliest time, in seconds, at which a fault may close an idle connection; None for never.
 
-        Only faults that are on at ``now`` count. The time can be before ``now``.
+        Faults that are on at ``now`` count, with a time that can be before ``now``; and those that their schedule makes
+        active later, with the time at which they become active.
         """
-        return min((when for when, _ in self._closing(contact, now)), default=None)
+        begins = (one.next_change(now) for one in self._that_close(contact) if not one.is_on(now))
+        times = [*(when for when, _ in self._closing(contact, now)), *(each for each in begins if each is not None)]
+        return min(times, default=None)
 
     def closes(self, contact: Contact, now: float) -> bool:
         """Return whether a fault closes an idle connection at ``now``; ``struck`` of the first one then grows by 1."""
@@ -545,12 +570,15 @@ class Faults:
         return bool(due)
 
     def _closing(self, contact: Contact, now: float) -> Iterator[tuple[float, AppliedFault]]:
-        for one in self._applied:
-            if one.fault.closes_at is None or not one.fault.is_met(contact) or not one.is_on(now):
-                continue
-            when = one.fault.closes_at(contact)
+        for one in self._that_close(contact):
+            when = one.fault.closes_at(contact) if one.fault.closes_at is not None and one.is_on(now) else None
             if when is not None:
                 yield when, one
+
+    def _that_close(self, contact: Contact) -> Iterator[AppliedFault]:
+        for one in self._applied:
+            if one.fault.closes_at is not None and one.fault.is_met(contact):
+                yield one
 
 
 def _unused(name: str, taken: Collection[str]) -> str:

@@ -108,7 +108,7 @@ class FaultyConversation:
             asked = applied.fault.asked
             answer = asked(seen) if asked is not None else None
             if answer is not None:
-                applied.struck += 1
+                applied.count(seen)
                 return answer
         return None
 
@@ -129,7 +129,7 @@ class FaultyConversation:
             if applied.fault.answered is not None:
                 made = applied.fault.answered(seen, emissions)
                 if made != emissions:
-                    applied.struck += 1
+                    applied.count(seen)
                 emissions = made
         for emission in emissions:
             self._plan(emission, now)

@@ -501,9 +501,15 @@ class RtuReceiver:
         return True
 
     def _reason(self) -> Damage:
-        if len(self._buffer) - self._at < SHORTEST:
+        """Return why the whole disturbance, which ends with the undecided bytes, is no frame."""
+        undecided = len(self._buffer) - self._at
+        size = self._lost.size + undecided
+        if size < SHORTEST:
             return Damage.TOO_SHORT
-        return Damage.INCOMPLETE if self._look(self._at)[0] == WAITS else Damage.CHECKSUM
+        if size > RTU_ADU_LIMIT:
+            return Damage.TOO_LONG
+        is_unfinished = undecided >= SHORTEST and self._look(self._at)[0] == WAITS
+        return Damage.INCOMPLETE if is_unfinished else Damage.CHECKSUM
 
     # Looking for a frame inside a damaged chunk (rules 5 and 6).
 

@@ -121,15 +121,18 @@ class Capture:
         source, destination = (here, there) if is_outgoing else (there, here)
         self.ip_packet(udp_packet(source, destination, data), is_outgoing=is_outgoing)
 
-    def line(self, name: str) -> "LineCapture":
-        """Return a recorder for a serial line; lines of the same name are one interface of the file."""
-        with self._lock:
-            number = self._lines.get(name)
-        if number is None:
-            number = self._guarded(lambda: self._writer.add_interface(LinkType.UPPER_PDU, name, "serial line"))
-            with self._lock:
-                self._lines[name] = number
-        return LineCapture(self, number)
+    def line(self, name: str, *, is_server: bool = True) -> "LineCapture":
+        """Return a recorder for a serial line; lines of the same name are one interface of the file.
+
+        ``is_server`` is ignored: the file says of each frame which way it went.
+        """
+
+        def interface() -> int:
+            if name not in self._lines:
+                self._lines[name] = self._writer.add_interface(LinkType.UPPER_PDU, name, "serial line")
+            return self._lines[name]
+
+        return LineCapture(self, self._guarded(interface))
 
     def close(self) -> None:
         """Write the incomplete frames that serial lines have received, and close the file; later packets are dropped.

@@ -115,7 +115,7 @@ class LineTrace:
         """
         from ..session.line_framing import line_framing  # here: Modbus TCP does without it
 
-        self._capture = None if TRACE.capture is None else TRACE.capture.line(name)
+        self._capture = None if TRACE.capture is None else TRACE.capture.line(name, is_server=is_server)
         self._name = name
         self._functions = functions
         self._receiver = line_framing(

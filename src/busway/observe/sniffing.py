@@ -11,7 +11,7 @@ Knows ports, and sockets to device servers that mirror a line; knows no Modbus b
 
 import socket
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
@@ -21,7 +21,7 @@ from ..framing.received import Damaged, Received
 from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
-from ..options.offer import MONITORS, Offer
+from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing
@@ -192,7 +192,7 @@ class _ClaimedPort:
         self._claim.release()
 
 
-def line_to_hear(url: str | Endpoint) -> LineToHear:
+def line_to_hear(url: str | Endpoint, options: Mapping[str, object] | None = None) -> LineToHear:
     """Return the serial line that a URL describes, to listen to; nothing is opened.
 
     Args:
@@ -200,6 +200,7 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
             behind ``?`` are ``preset``, fields of `FramingParameters`, and those of `SerialSettings` with
             ``reopen_first`` and ``reopen_most`` of `OpeningParameters`; over TCP those of `SocketParameters`, over UDP
             only its ``receive_buffer``. The host of a UDP URL is one of this machine, empty for all its IPv4 addresses.
+        options: more of these options, as values or as texts; where the URL gives the same one, this one counts.
 
     Raises:
         ConfigError: another scheme, no host of a device server on TCP, or an unknown option or value.
@@ -211,7 +212,8 @@ def line_to_hear(url: str | Endpoint) -> LineToHear:
         )
     if endpoint.carrier == "tcp":
         require_host(endpoint)
-    chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(endpoint.options, of=endpoint.url)
+    given = {**canonical(endpoint.options), **canonical(options or {})}
+    chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(given, of=endpoint.url)
     return LineToHear(
         endpoint,
         chosen.build(FramingParameters),

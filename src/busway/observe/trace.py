@@ -60,8 +60,11 @@ class Recorder(Protocol):
     def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
         """Return a recorder for a connection between these addresses."""
 
-    def line(self, name: str) -> LineRecorder:
-        """Return a recorder for the serial line with this name."""
+    def line(self, name: str, *, is_server: bool = True) -> LineRecorder:
+        """Return a recorder for the serial line with this name.
+
+        ``is_server``: whether requests are received here, and replies sent.
+        """
 
 
 class Undecided(Protocol):

@@ -22,6 +22,7 @@ from urllib.parse import parse_qsl, quote, unquote, urlsplit
 
 from ..codes import DEFAULT_TCP_PORT, DEFAULT_TLS_PORT
 from ..errors import ConfigError
+from ..values.refusal import shown
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +118,8 @@ class Endpoint:
         return f"{self.url}?{query}"
 
 
-_LONGEST = 4096
-"""Longest URL, in characters, that errors about its host or port show in full; of a longer one they show 60 of them."""
+_LONGEST = 1024
+"""Longest URL, or part of one, in characters, that errors show in full; of longer ones they show 60."""
 
 
 def parse_endpoint(url: "str | Endpoint") -> Endpoint:
@@ -133,29 +134,28 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
     if isinstance(url, Endpoint):
         return url
     if not isinstance(url, str):
-        raise ConfigError(f"{url!r} is no endpoint; write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0")
+        raise ConfigError(f"{shown(url)} is no endpoint; write for example tcp://192.168.0.5 or rtu:///dev/ttyUSB0")
     if "://" not in url:
         url = _with_scheme(url)
     scheme, _, rest = url.partition("://")
     scheme = scheme.lower()
     if scheme not in SCHEMES:
-        raise ConfigError(f"{url}: unknown scheme {scheme!r}; {_hint_of_scheme(scheme, rest)}")
-    shown = f"{url[:60]}…" if len(url) > _LONGEST else url
+        raise ConfigError(f"{_cut(url)}: unknown scheme {_cut(scheme)!r}; {_hint_of_scheme(scheme, _cut(rest))}")
     try:
         parts = urlsplit(url)
     except ValueError:
-        raise ConfigError(f"{shown}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
+        raise ConfigError(f"{_cut(url)}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
     try:
         port = parts.port
     except ValueError:
         if parts.netloc.count(":") > 1 and "[" not in parts.netloc:
-            raise ConfigError(f"{shown}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
-        given = "" if len(url) > _LONGEST else f", not {parts.netloc.rpartition(':')[2]!r}"
-        raise ConfigError(f"{shown}: the port must be 0…65535{given}") from None
+            raise ConfigError(f"{_cut(url)}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
+        given = _cut(parts.netloc.rpartition(":")[2])
+        raise ConfigError(f"{_cut(url)}: the port must be 0…65535, not {given!r}") from None
     if parts.fragment:
-        raise ConfigError(f"{url}: an endpoint has no #{parts.fragment}")
+        raise ConfigError(f"{_cut(url)}: an endpoint has no #{_cut(parts.fragment)}")
     if parts.username is not None:
-        raise ConfigError(f"{url}: an endpoint has no user name")
+        raise ConfigError(f"{_cut(url)}: an endpoint has no user name")
     options = _options(url, parts.query)
     rule = SCHEMES[scheme]
     if rule.carrier == "serial":
@@ -165,19 +165,19 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
         elif parts.netloc:
             meant = rest if rest.startswith("dev/") else f"dev/{rest}"
             raise ConfigError(
-                f"{url}: a serial line is {scheme}:///dev/… with three slashes; is it {scheme}:///{meant}?"
+                f"{_cut(url)}: a serial line is {scheme}:///dev/… with three slashes; is it {scheme}:///{_cut(meant)}?"
             )
         if len(path) < 2:
-            raise ConfigError(f"{url}: the path of the serial port is missing, as in {scheme}:///dev/ttyUSB0")
+            raise ConfigError(f"{_cut(url)}: the path of the serial port is missing, as in {scheme}:///dev/ttyUSB0")
         return Endpoint(scheme, path=unquote(path), options=options)
     if parts.path not in ("", "/"):
-        raise ConfigError(f"{url}: a network endpoint has no path {parts.path}")
+        raise ConfigError(f"{_cut(url)}: a network endpoint has no path {_cut(parts.path)}")
     netloc = parts.netloc.rsplit(":", 1)[0] if port is not None or parts.netloc.endswith(":") else parts.netloc
     if not _HOST.match(netloc):
-        raise ConfigError(f"{url}: {netloc!r} is no host name or address (IPv6 goes in brackets)")
+        raise ConfigError(f"{_cut(url)}: {_cut(netloc)!r} is no host name or address (IPv6 goes in brackets)")
     port = rule.default_port if port is None else port
     if port is None:
-        raise ConfigError(f"{url}: the port is missing; {scheme} has no usual one")
+        raise ConfigError(f"{_cut(url)}: the port is missing; {scheme} has no usual one")
     return Endpoint(scheme, host=parts.hostname or "", port=port, options=options)
 
 
@@ -185,6 +185,11 @@ def require_host(endpoint: Endpoint) -> None:
     """Raise `ConfigError` if a network endpoint has no host, so that a client has no peer to connect to."""
     if endpoint.carrier != "serial" and not endpoint.host:
         raise ConfigError(f"{endpoint.url}: the host is missing, as in {endpoint.scheme}://127.0.0.1:{endpoint.port}")
+
+
+def _cut(text: str) -> str:
+    """Return a URL, or a part of one, as errors show it: long ones are cut."""
+    return f"{text[:60]}…" if len(text) > _LONGEST else text
 
 
 def _with_scheme(text: str) -> str:
@@ -198,7 +203,7 @@ def _with_scheme(text: str) -> str:
         return f"tcp://{place}{mark}{query}"
     if re.fullmatch(_BARE_IPV6, place):
         return f"tcp://[{place}]{mark}{query}"
-    raise ConfigError(f"{text!r} is no endpoint; {_hint_of_text(place)}")
+    raise ConfigError(f"{_cut(text)!r} is no endpoint; {_hint_of_text(_cut(place))}")
 
 
 def _hint_of_text(place: str) -> str:
@@ -225,10 +230,10 @@ def _options(url: str, query: str) -> dict[str, str]:
     try:
         pairs = parse_qsl(query, keep_blank_values=True, strict_parsing=True) if query else []
     except ValueError:
-        raise ConfigError(f"{url}: the options behind ? are name=value pairs joined by &") from None
+        raise ConfigError(f"{_cut(url)}: the options behind ? are name=value pairs joined by &") from None
     for name, value in pairs:
         name = name.replace("-", "_")
         if name in options:
-            raise ConfigError(f"{url}: the option {name} is given twice", key=name)
+            raise ConfigError(f"{_cut(url)}: the option {_cut(name)} is given twice", key=_cut(name))
         options[name] = value
     return options

@@ -231,11 +231,43 @@ def _init_source(cls: Any, names: tuple[str, ...]) -> str:
         body += [" problem = self.validate()", " if problem: raise InvalidRequest(problem)"]
     if cls.layout.tail is not None:
         body += [" size = len(self.encode())", " if size > LIMIT: raise InvalidRequest(too_long(size))"]
+        body += _length_test(cls.layout)
     return (
         f"def __init__({', '.join(parameters)}):\n"
         + "\n".join(body or [" pass"])
         + ("\ndef too_long(size): return f'the PDU would have {size} bytes; at most {LIMIT} fit'\n")
     )
+
+
+def _length_test(layout: Layout) -> list[str]:
+    """Return lines that check the byte count of a message with ``size`` bytes that is built.
+
+    No lines if there is no byte count, or if the limits of a tail of bytes imply its own.
+    """
+    if layout.length_at is None:
+        return []
+    name, field, tail = layout.names[layout.length_at], layout.fields[layout.length_at], layout.tail
+    assert isinstance(field, RestLength)
+    offset = layout.length_offset + field.width
+    if isinstance(tail, RestField):
+        fixed = layout.head.size - offset
+        is_in_step = field.step == 1 or not (tail.step % field.step or (fixed + tail.low) % field.step)
+        if is_in_step and field.low <= fixed + tail.low and fixed + tail.high <= field.high:
+            return []
+    test = " or ".join(_limits(f"size - {offset}", field))
+    return [f" if {test}: raise InvalidRequest(out_of_range({name!r}, size - {offset}, layout))"] if test else []
+
+
+def _limits(value: str, field: RestLength) -> list[str]:
+    """Return the texts of Python expressions, each true if a byte count, the expression ``value``, breaks a limit."""
+    found = []
+    if field.low:
+        found.append(f"{value} < {field.low}")
+    if field.high < 0xFFFF:
+        found.append(f"{value} > {field.high}")
+    if field.step > 1:
+        found.append(f"({value}) % {field.step}")
+    return found
 
 
 def _encode_source(cls: Any, self_coded: bool) -> str:
@@ -296,13 +328,7 @@ def _decode_source(cls: Any, names: tuple[str, ...], self_coded: bool) -> str:
                 f" if {name} != size - {offset}: raise MalformedPdu("
                 f"f'{name.replace('_', ' ')} {{{name}}} where ' + counted(size - {offset}, 'byte', 'follows'))"
             )
-            limits = []
-            if field.low:
-                limits.append(f"{name} < {field.low}")
-            if field.high < 0xFFFF:
-                limits.append(f"{name} > {field.high}")
-            if field.step > 1:
-                limits.append(f"{name} % {field.step}")
+            limits = _limits(name, field)
             if limits:
                 lines.append(f" if {' or '.join(limits)}: raise MalformedPdu(out_of_range({name!r}, {name}, layout))")
         elif isinstance(field, FixedField):

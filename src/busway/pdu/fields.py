@@ -148,8 +148,7 @@ def u16(low: int = 0, high: int = 0xFFFF, *, values: Sequence[int] | None = None
 def rest_length(width: int = 1, low: int = 0, high: int = 0xFFFF, step: int = 1) -> RestLength:
     """Declare a message field of ``width`` bytes (1 or 2) that holds the number of all bytes after it.
 
-    In received messages it must be ``low``…``high`` and a multiple of ``step``; of messages that are built it is not
-    checked.
+    It must be ``low``…``high`` and a multiple of ``step``, in messages that are received and that are built.
     """
     return RestLength(width, low, high, step)
 

@@ -200,13 +200,15 @@ class ReadFileRecord(Request):
         """Create the request that reads ``groups``.
 
         Raises:
-            InvalidRequest: a file is not 1…65535, a record not 0…9999, there are not 1…35 groups, or the reply would be
-                too long. Nothing was sent.
+            InvalidRequest: a file is not 1…65535, a record not 0…9999, a group has no register, there are not 1…35
+                groups, or the reply would be too long. Nothing was sent.
         """
         for group in groups:
             problem = _check_reference(group.file, group.record)
             if problem is not None:
                 raise InvalidRequest(problem)
+            if not group.count:
+                raise InvalidRequest("count must be at least 1, not 0")
         return cls(tuple(groups))
 
     def validate(self) -> str | None:
@@ -264,12 +266,16 @@ class WriteFileRecord(Request):
             values: the registers, each 0…65535; at most 122 fit one request.
 
         Raises:
-            InvalidRequest: a number is out of range, or there are too many values for one request. Nothing was sent.
+            InvalidRequest: a number is out of range, or there are no values or too many for one request. Nothing was
+                sent.
         """
         problem = _check_reference(file, record)
         if problem is not None:
             raise InvalidRequest(problem)
-        return cls((FileData(file, record, pack_registers(values)),))
+        data = pack_registers(values)
+        if not data:
+            raise InvalidRequest("values must have at least one register, not 0")
+        return cls((FileData(file, record, data),))
 
     def apply(self, model: DataModel, context: Context) -> Message:
         for dry in (True, False):

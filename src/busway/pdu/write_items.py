@@ -1,7 +1,7 @@
 """Messages of functions 05, 06, 15, 16, 22 and 23, which write coils and holding registers."""
 
 import struct
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, ClassVar, Self, cast
 
 from ..codes import (
@@ -347,14 +347,23 @@ def pack_registers(values: Iterable[int]) -> bytes:
 
     Raises:
         InvalidRequest: a value is no integer 0…65535, and the message names the first such value; or ``values`` is a
-            single number, a set or a mapping, or has more than 65536 values. Nothing was sent.
+            single number, a text, bytes, a set or a mapping, or has more than 65536 values. Nothing was sent.
     """
-    if not isinstance(values, Sequence) or len(values) > TABLE_SIZE:
+    if (values.__class__ is not list and values.__class__ is not tuple) or len(values) > TABLE_SIZE:
         values = listed(values, "registers")
     try:
-        return struct.pack(f">{len(values)}H", *values)
+        data = struct.pack(f">{len(values)}H", *values)
     except struct.error:
-        for position, value in enumerate(values):
-            if not 0 <= as_integer(f"value {position + 1}", value) <= 0xFFFF:
-                raise InvalidRequest(f"value {position + 1} must be 0…65535, not {value}") from None
+        _check_registers(values)
         raise
+    # True and False pack as 1 and 0. To look for these bytes first costs less than to ask each value for its type.
+    if (b"\0\0" in data or b"\0\1" in data) and bool in map(type, values):
+        _check_registers(values)
+    return data
+
+
+def _check_registers(values: Iterable[int]) -> None:
+    """Raise `InvalidRequest` for the first value that is no integer 0…65535, if there is one."""
+    for position, value in enumerate(values):
+        if not 0 <= as_integer(f"value {position + 1}", value) <= 0xFFFF:
+            raise InvalidRequest(f"value {position + 1} must be 0…65535, not {value}") from None

@@ -126,21 +126,24 @@ class Conversion:
             exponent: the value of the point that ``scale_from`` names; 0 without one.
 
         Raises:
-            InvalidRequest: the value to be converted is no number, or no whole number of steps where raw numbers are
-                integers.
+            InvalidRequest: the value to be converted is no number, or too large, or no whole number of steps where raw
+                numbers are integers.
         """
         if not self.changes and not exponent:
             return value
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise InvalidRequest(f"a number is needed where there is a scale, not {shown(value)}")
-        if not math.isfinite(value):
+        if isinstance(value, float) and not math.isfinite(value):
             if whole:
                 raise InvalidRequest(f"{shown(value)} is no whole number of steps of {self.scale:g}")
             return value
         scale, offset = self.factors()
         steps = (exact(value) / Fraction(10) ** exponent - offset) / scale
         if not whole:
-            return float(steps)
+            try:
+                return float(steps)
+            except OverflowError:
+                raise InvalidRequest(f"{shown(value)} is too large") from None
         if abs(steps) >= 1 << 64 or not is_whole(steps, value, scale * Fraction(10) ** exponent):
             raise InvalidRequest(f"{shown(value)} is no whole number of steps of {float(scale):g}")
         return round(steps)

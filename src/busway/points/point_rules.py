@@ -112,7 +112,8 @@ class WriteRule:
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
         if self.step is not None:
             step = exact(self.step)
-            if not is_whole((exact(value) - exact(low or 0)) / step, value, step):
+            is_finite = isinstance(value, int) or math.isfinite(value)
+            if not is_finite or not is_whole((exact(value) - exact(low or 0)) / step, value, step):
                 raise InvalidRequest(
                     f"must be a whole number of steps of {self.step:g} from {low or 0.0:g} on, not {shown(value)}"
                 )

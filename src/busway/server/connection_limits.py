@@ -145,9 +145,10 @@ class Pools(Generic[One]):
             self._prefer(candidate)
             return Admission(True)
         evicted = self._of_same_host(candidate)
-        if evicted is None and len(self._other) >= self.limits.other:
-            if candidate.has_ended:
-                return Admission(False)
+        is_full = len(self._other) >= self.limits.other
+        if (evicted is not None or is_full) and candidate.has_ended:
+            return Admission(False)
+        if evicted is None and is_full:
             evicted = self._silent_one(candidate) or self._longest_unused() or self._oldest_priority(candidate)
             if evicted is None:
                 return Admission(False)

@@ -135,12 +135,12 @@ class Deadlines(Generic[One]):
             times.append(self._next_look)
         return min((one for one in times if one is not None), default=None)
 
-    def due(self, allow_all: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
+    def due(self, connections: Iterable[One], now: float) -> list[tuple[One, Overdue]]:
         """Return each connection whose timeout or pause is over at ``now``, together with what is over.
 
         A timeout of a frame or a write, or a pause, is returned once and then forgotten. Idle connections are searched
-        among ``allow_all``, which has all open connections, only at the times that `next_due` has set (rule 4). They
-        are returned again each time until they are closed. A connection can be in the list more than once.
+        among ``connections``, which has all open ones, only at the times that `next_due` has set (rule 4). They are
+        returned again each time until they are closed. A connection can be in the list more than once.
         """
         found = [*self._frames(now), *self._writes(now)]
         for one, until in list(self._held.items()):
@@ -150,7 +150,7 @@ class Deadlines(Generic[One]):
         idle = self._parameters.idle_timeout
         if idle is not None and self._next_look is not None and now >= self._next_look:
             self._next_look = None
-            found += [(one, Overdue.IDLE) for one in allow_all if now >= one.last_used + idle and one.is_idle]
+            found += [(one, Overdue.IDLE) for one in connections if now >= one.last_used + idle and one.is_idle]
         return found
 
     def _frame_deadline(self, one: One, since: float) -> float | None:

@@ -13,8 +13,11 @@ Result = TypeVar("Result")
 
 def run(main: Coroutine[Any, Any, Result]) -> Result:
     """Run a coroutine to its end on a new event loop and return its result."""
-    with asyncio.Runner(loop_factory=_loop_factory()) as runner:
-        return runner.run(main)
+    try:
+        with asyncio.Runner(loop_factory=_loop_factory()) as runner:
+            return runner.run(main)
+    finally:
+        main.close()  # it has not begun if the system has no descriptors for another event loop
 
 
 def _loop_factory() -> Any:  # a callable that makes an event loop, or None

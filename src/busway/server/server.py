@@ -293,6 +293,8 @@ class Server:
         self._bound.clear()
         self._started = 0.0
         try:
+            for line in lines:
+                line.take_no_more()  # what comes while a line is being closed would be executed and not counted
             for each in streams:
                 each.accept_no_more()
             await settle()

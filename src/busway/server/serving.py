@@ -199,24 +199,29 @@ def serve_in_thread(
 
     Raises:
         ConfigError, LinkDown: as in `serve` and `Server.start`.
+        OSError: the system has no descriptors for another event loop.
     """
     server = serve(*endpoints, **options)
     ready = _Ready()
 
     async def run() -> None:
         stop = asyncio.Event()
-        try:
-            await server.start()
-        except BaseException as error:
-            ready.error = error
-            ready.event.set()
-            return
+        await server.start()
         ready.loop, ready.stop = asyncio.get_running_loop(), stop
         ready.event.set()
         await stop.wait()
         await server.stop()
 
-    thread = threading.Thread(target=lambda: run_on_new_loop(run()), name="busway server", daemon=True)
+    def run_until_stopped() -> None:
+        try:
+            run_on_new_loop(run())
+        except BaseException as error:
+            if ready.event.is_set():
+                raise
+            ready.error = error
+            ready.event.set()
+
+    thread = threading.Thread(target=run_until_stopped, name="busway server", daemon=True)
     thread.start()
     ready.event.wait()
     if ready.error is not None:

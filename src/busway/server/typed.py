@@ -86,7 +86,7 @@ class TypedAccess:
     def _located(self, address: str | Address) -> tuple[Address, TableView]:
         where = parse_address(address)
         if where.table is None:
-            raise InvalidRequest(f"address {where} does not say which table; write for example holding:{where.offset}")
+            raise InvalidRequest(f"{where} does not say which table; write for example holding:{where.offset}")
         return where, self._views[where.table]
 
 

@@ -13,6 +13,7 @@ the errors that end a request are in `retries`.
    identifiers cannot come round to one of the batch, and later requests are not compared with it.
 """
 
+import math
 import struct
 from collections.abc import Iterator, Mapping, Sequence
 from functools import lru_cache
@@ -37,17 +38,17 @@ HEAD_SIZE = 9
 class CallOptions(TypedDict, total=False):
     """Options that every read and write of a unit accepts, as keyword arguments of one call.
 
-    Without ``timeout``, ``retries`` or ``deadline`` the option of the link applies; so it does if ``timeout`` or
-    ``deadline`` is None or 0.
+    Without ``timeout``, ``retries`` or ``deadline`` the option of the link applies; so it does if one of them is None,
+    or ``timeout`` or ``deadline`` is 0.
 
     timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of reads, 0…100. deadline: seconds
     for the whole call, time in the queue included. idempotent: True if executing the write twice does no harm, so that
     it is repeated like a read; False if left out.
     """
 
-    timeout: float
-    retries: int
-    deadline: float
+    timeout: float | None
+    retries: int | None
+    deadline: float | None
     idempotent: bool
 
 
@@ -198,20 +199,29 @@ def _checked(
 ) -> tuple[float, int, float | None, bool]:
     rest: dict[str, Any] = dict(call_options)
     timeout = rest.pop("timeout", None) or timeout
-    retries = rest.pop("retries", retries)
+    own_retries = rest.pop("retries", None)
+    retries = retries if own_retries is None else own_retries
     deadline = rest.pop("deadline", None) or deadline
     idempotent = rest.pop("idempotent", False)
     if rest:
         raise InvalidRequest(
             f"unknown option {next(iter(rest))}; a call takes timeout, retries, deadline and idempotent"
         )
-    if not 0 < timeout <= 3600:
-        raise InvalidRequest(f"timeout must be above 0 and at most 3600 seconds, not {timeout}")
-    if not 0 <= retries <= 100:
-        raise InvalidRequest(f"retries must be 0…100, not {retries}")
-    if deadline is not None and deadline <= 0:
-        raise InvalidRequest(f"deadline must be above 0 seconds, not {deadline}")
+    if not _is_time(timeout, 3600):
+        raise InvalidRequest(f"timeout must be above 0 and at most 3600 seconds, not {timeout!r}")
+    if not (hasattr(retries, "__index__") and 0 <= retries <= 100):
+        raise InvalidRequest(f"retries must be 0…100, not {retries!r}")
+    if deadline is not None and not _is_time(deadline, math.inf):
+        raise InvalidRequest(f"deadline must be above 0 seconds, not {deadline!r}")
     return timeout, retries, deadline, idempotent
+
+
+def _is_time(seconds: Any, longest: float) -> bool:  # Any: whatever the caller gave
+    """Whether a value is a number above 0 and at most ``longest``; NaN is not."""
+    try:
+        return bool(0 < seconds <= longest)
+    except TypeError:
+        return False
 
 
 class EncodedRequest:

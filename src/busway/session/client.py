@@ -11,8 +11,8 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
    more than 4096 the oldest is forgotten). Its late reply is dropped, and shows how slow the device is.
 4. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
    says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
-5. Where transactions cannot be told apart (option ``mismatch`` automatic or ignore), a timeout ends the connection: the
-   next reply could be the late one.
+5. Where transactions cannot be told apart (option ``transaction_policy`` automatic or ignore), a timeout ends the
+   connection: the next reply could be the late one.
 6. A connection that brings only timeouts or late replies is closed, and opened again at the next request.
 7. A cancelled request keeps its slot until its reply comes or its time is over: the device is still working on it.
 8. With breakers, a unit that does not answer is suspended for a while, and its requests fail with `UnitSuspended`:
@@ -72,7 +72,8 @@ class TcpClientSession:
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
         late_units: by unit: the time of its last late reply, and the seconds from request to that reply.
-        valid_reply: whether this connection has brought a reply that answers a request, in time or late.
+        valid_reply: whether this connection has brought a reply that answers a request, in time or late; the driver
+            sets it to False after a timeout, to see whether another comes.
         breakers: the circuit breakers of the units; None if the link uses none.
     """
 
@@ -744,7 +745,7 @@ class TcpClientSession:
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
         """Return the request in flight that accepts a reply with another transaction identifier; None if none does.
 
-        The option ``mismatch`` must allow that, and there must be only one request in flight.
+        The option ``transaction_policy`` must allow that, and there must be only one request in flight.
         """
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:
@@ -771,7 +772,7 @@ class TcpClientSession:
         return True
 
     def _unit_fits(self, awaited: RequestInFlight, unit: int, *, alone: bool) -> bool:
-        """Whether a reply of ``unit`` is accepted for a request: it is the unit asked, or ``mismatch`` allows another.
+        """Whether a reply of ``unit`` is accepted for a request: it is the unit asked, or ``unit_policy`` allows any.
 
         For a request to unit 0 or 255 every unit is accepted. ``alone``: whether no other request is in flight.
         """
@@ -782,7 +783,7 @@ class TcpClientSession:
 
     @property
     def _tolerant(self) -> bool:
-        """Whether the option ``mismatch`` accepts replies with another transaction identifier."""
+        """Whether the option ``transaction_policy`` accepts replies with another transaction identifier."""
         return self.parameters.transaction_policy is not MismatchPolicy.STRICT
 
     def _foreign(self, protocol: int) -> None:

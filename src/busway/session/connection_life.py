@@ -44,7 +44,17 @@ class ConnectionLife:
         closed: whether the link was closed for good; the driver sets it.
     """
 
-    __slots__ = ("_asked_before", "_conversation", "_moved", "closed", "endpoint", "failure", "hold", "reconnect")
+    __slots__ = (
+        "_asked_before",
+        "_conversation",
+        "_had_reply",
+        "_moved",
+        "closed",
+        "endpoint",
+        "failure",
+        "hold",
+        "reconnect",
+    )
 
     def __init__(
         self,
@@ -59,6 +69,7 @@ class ConnectionLife:
         self.endpoint: str = endpoint
         self._moved = WeakMethod(moved)
         self._asked_before = 0  # requests before this connection
+        self._had_reply = False  # whether this connection brought a valid reply before its last timeout
         self.reconnect: Reconnect = reconnect
         self.hold: float = hold
         self.failure: LinkDown | None = None
@@ -81,6 +92,7 @@ class ConnectionLife:
         """Record that the connection is open; from now on the session gives the driver requests to send."""
         self.failure = None
         self._asked_before = self._conversation.counters.requests
+        self._had_reply = False
         self._move(ConnectionEvent.CONNECTED, now)
         self._conversation.connected(now)
 
@@ -102,21 +114,27 @@ class ConnectionLife:
     def replied(self, now: float) -> None:
         """Record that the session has processed received bytes.
 
-        If this connection has brought a valid reply so far, the state becomes "up".
+        If this connection has brought a valid reply since its last timeout, if any, the state becomes "up".
         """
         if self._conversation.valid_reply:
             self._move(ConnectionEvent.VALID_REPLY, now)
 
     def tick(self, now: float) -> bool:
-        """Let the session handle timeouts and deadlines that have passed. Returns whether a request timed out.
+        """Let the session handle silences, timeouts and deadlines that are over. Returns whether a request timed out.
 
-        If one did, the state becomes "suspect". A call that ended by its deadline in the queue is no such timeout.
+        If one did, the state becomes "suspect". A call that ended by its deadline in the queue is no such timeout. If
+        a silence completed a valid reply, "suspect" becomes "up" again.
         """
-        counters = self._conversation.counters
+        conversation = self._conversation
+        counters = conversation.counters
         timeouts = counters.timeouts
-        self._conversation.tick(now)
+        conversation.tick(now)
         if counters.timeouts == timeouts:
+            if self.reconnect.state is ConnectionState.SUSPECT:
+                self.replied(now)
             return False
+        if conversation.valid_reply:
+            self._had_reply, conversation.valid_reply = True, False
         self._move(ConnectionEvent.TIMEOUT, now)
         return True
 
@@ -140,7 +158,8 @@ class ConnectionLife:
         """
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:
-            self._move(ConnectionEvent.LOST, now, reason, had_reply=conversation.valid_reply)
+            had_reply = self._had_reply or conversation.valid_reply
+            self._move(ConnectionEvent.LOST, now, reason, had_reply=had_reply)
         else:
             self._move(ConnectionEvent.RELEASED, now, reason)
         by_peer = not conversation.recycle

@@ -31,7 +31,8 @@ class ClientCounters:
         bad_replies: replies to a request that break the protocol or do not fit the request.
         late_replies: replies that came after the timeout of their request.
         foreign_replies: frames that answer no request of this link.
-        tolerated_replies: replies accepted although their transaction identifier was wrong (option ``mismatch``).
+        tolerated_replies: replies accepted although their transaction identifier was wrong (option
+            ``transaction_policy``).
         foreign_protocol: TCP frames with a protocol identifier other than 0.
         overruns: damaged frames with a character overrun.
         markers: marker requests sent (`busway.session.late_replies`).

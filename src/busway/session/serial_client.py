@@ -109,7 +109,8 @@ class SerialClientSession:
         counters: counters of the link.
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
-        valid_reply: whether the port, since it was opened, has brought a reply in time that answers a request.
+        valid_reply: whether the port, since it was opened, has brought a reply in time that answers a request; the
+            driver sets it to False after a timeout, to see whether another comes.
         state: state of the master.
         breakers: the circuit breakers of the units.
         doubts: the late replies that units may still send.

@@ -231,8 +231,8 @@ class _ServerThread:
         self._server = server
         self._started = threading.Event()
         self._end: asyncio.Event | None = None
-        self._failure: OSError | None = None
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="busway faults", daemon=True)
+        self._failure: BaseException | None = None
+        self._thread = threading.Thread(target=self._serve, name="busway faults", daemon=True)
 
     def start(self) -> None:
         """Start the thread and the server; raises the error if the server cannot start."""
@@ -248,15 +248,20 @@ class _ServerThread:
             self._server.loop.call_soon_threadsafe(self._end.set)
         self._thread.join()
 
-    async def _run(self) -> None:
+    def _serve(self) -> None:
         try:
-            await self._server.start()
-            self._end = asyncio.Event()
-        except OSError as error:
+            with asyncio.Runner() as runner:
+                runner.run(self._run())
+        except BaseException as error:
+            if self._started.is_set():
+                raise
             self._failure = error
-            return
-        finally:
             self._started.set()
+
+    async def _run(self) -> None:
+        await self._server.start()
+        self._end = asyncio.Event()
+        self._started.set()
         await self._end.wait()
         await self._server.stop()
 

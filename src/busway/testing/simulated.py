@@ -274,7 +274,7 @@ class _Thread:
         self._started = threading.Event()
         self._stop: tuple[asyncio.AbstractEventLoop, asyncio.Event] | None = None
         self._failure: BaseException | None = None
-        self._thread = threading.Thread(target=lambda: asyncio.run(self._run()), name="busway device", daemon=True)
+        self._thread = threading.Thread(target=self._serve, name="busway device", daemon=True)
         self.endpoints: list[str] = []
 
     def start(self) -> None:
@@ -292,20 +292,23 @@ class _Thread:
             loop.call_soon_threadsafe(event.set)
         self._thread.join()
 
-    async def _run(self) -> None:
+    def _serve(self) -> None:
         try:
-            async with self._simulation.running(self._url) as simulation:
-                self.endpoints = simulation.server.endpoints
-                stop = asyncio.Event()
-                self._stop = asyncio.get_running_loop(), stop
-                self._started.set()
-                await stop.wait()
+            with asyncio.Runner() as runner:
+                runner.run(self._run())
         except BaseException as error:
             if self._started.is_set():
                 raise
             self._failure = error
-        finally:
             self._started.set()
+
+    async def _run(self) -> None:
+        async with self._simulation.running(self._url) as simulation:
+            self.endpoints = simulation.server.endpoints
+            stop = asyncio.Event()
+            self._stop = asyncio.get_running_loop(), stop
+            self._started.set()
+            await stop.wait()
 
 
 def _declared(content: Content, unit: int | None) -> "SimulationDeclaration":

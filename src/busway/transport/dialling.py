@@ -38,7 +38,7 @@ async def open_stream(
     """Open a TCP connection for an asyncio protocol and return its transport.
 
     Args:
-        protocol: creates the protocol of the connection, an `asyncio.BufferedProtocol`.
+        protocol: creates the protocol of the connection, an `asyncio.BufferedProtocol`; called before anything else.
         host: host name or address of the peer.
         port: its TCP port.
         local_address: local address to connect from; None lets the system choose.
@@ -49,10 +49,11 @@ async def open_stream(
         OSError: the host name cannot be resolved, or no address of it can be connected to.
     """
     loop = asyncio.get_running_loop()
+    made = protocol()  # first: if it fails, there is no socket to close yet
     waits_together = can_watch(loop)
     if not waits_together and interface is None:
         local = None if local_address is None else (local_address, 0)
-        transport, _ = await loop.create_connection(protocol, host, port, local_addr=local)
+        transport, _ = await loop.create_connection(lambda: made, host, port, local_addr=local)
         with contextlib.suppress(OSError):  # as below
             prepare(transport.get_extra_info("socket"))
         return transport
@@ -60,14 +61,14 @@ async def open_stream(
     with contextlib.suppress(OSError):  # a peer that is gone already says so at the first read
         prepare(connection)
     if not waits_together:
-        transport, _ = await loop.create_connection(protocol, sock=connection)
+        transport, _ = await loop.create_connection(lambda: made, sock=connection)
         return transport
     try:
         peer = connection.getpeername()
     except OSError:
         connection.close()
         raise
-    stream = EpollStream(_epoll_set_of(loop), connection, protocol(), peer)
+    stream = EpollStream(_epoll_set_of(loop), connection, made, peer)
     stream.begin()
     return stream
 

@@ -4,7 +4,9 @@ Works on Linux only; on other systems there are none. The operating system confi
 reads them (Messaging on TCP/IP V1.0b §4.3.3).
 """
 
+import array
 import contextlib
+import os
 import socket
 import struct
 import sys
@@ -12,8 +14,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-_SIOCGIFADDR: Final = 0x8915
+_SIOCGIFCONF: Final = 0x8912
 _SIOCGIFNETMASK: Final = 0x891B
+_ENTRY: Final = struct.Struct("16sLLHBBB0L")
+"""Layout of `ifreq` by its longest member, the memory map of an interface; only its size is of use."""
+_ADDRESS: Final = struct.Struct("16sH2x4s")
+"""The beginning of an `ifreq` with an IPv4 address: name, family, port (0), address."""
+_MOST: Final = 1024  # addresses; more are left out
 _ROUTES: Final = Path("/proc/net/route")
 _IPV6_ADDRESSES: Final = Path("/proc/net/if_inet6")
 
@@ -38,7 +45,7 @@ class Interface:
 def interfaces_with(host: str) -> tuple[Interface, ...]:
     """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family.
 
-    Only the first IPv4 address of each interface is found. Empty on systems other than Linux.
+    Empty on systems other than Linux.
     """
     if sys.platform != "linux":
         return ()
@@ -52,17 +59,30 @@ def _ipv4_interfaces() -> list[Interface]:
     found = []
     # Without a descriptor left, as where too many connect, there is nothing to show; the caller goes on.
     with contextlib.suppress(OSError), socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asking:
-        for _, name in socket.if_nameindex():
-            with contextlib.suppress(OSError):  # one that has no such address
-                address, netmask = (_asked(asking, what, name) for what in (_SIOCGIFADDR, _SIOCGIFNETMASK))
-                found.append(Interface(name, address, netmask, gateways.get(name, "")))
+        for label, address in _ipv4_addresses(asking):
+            with contextlib.suppress(OSError):  # one that was removed meanwhile
+                name = os.fsdecode(label).partition(":")[0]  # eth0:1 is a second address of eth0
+                netmask = _netmask(asking, label, address)
+                found.append(Interface(name, socket.inet_ntoa(address), netmask, gateways.get(name, "")))
     return found
 
 
-def _asked(asking: socket.socket, what: int, name: str) -> str:
+def _ipv4_addresses(asking: socket.socket) -> list[tuple[bytes, bytes]]:
+    """Return label and address of each IPv4 address of this host, secondary ones too."""
     from fcntl import ioctl  # not on every system
 
-    return socket.inet_ntoa(ioctl(asking.fileno(), what, struct.pack("256s", name.encode()[:15]))[20:24])
+    entries = array.array("B", bytes(_MOST * _ENTRY.size))
+    address, size = entries.buffer_info()
+    (filled, _) = struct.unpack("iP", ioctl(asking.fileno(), _SIOCGIFCONF, struct.pack("iP", size, address)))
+    found = (_ADDRESS.unpack_from(entries, at) for at in range(0, filled, _ENTRY.size))
+    return [(label.rstrip(b"\0"), ip) for label, _, ip in found]
+
+
+def _netmask(asking: socket.socket, label: bytes, address: bytes) -> str:
+    from fcntl import ioctl
+
+    asked = _ADDRESS.pack(label, socket.AF_INET, address).ljust(_ENTRY.size, b"\0")
+    return socket.inet_ntoa(_ADDRESS.unpack_from(ioctl(asking.fileno(), _SIOCGIFNETMASK, asked))[2])
 
 
 def _gateways() -> dict[str, str]:

@@ -78,8 +78,9 @@ class Address:
         table: which of the four tables; None if the address names none and the function that takes it decides.
         offset: the item as on the wire, 0…65535.
         bit: a bit of the register, 0 (least significant)…15; None for the whole item.
-        text: the text or the digits of the ``int`` that `parse_address` got, for messages; empty if not parsed. It does
-            not matter for equality.
+        text: the text that `parse_address` got without ``base``, for messages; else empty: then ``str`` gives the
+            notation of `format_address`, or ``offset 16`` without a table. `parse_address` makes the same address of
+            it, or refuses it. Two addresses are equal also if their texts differ.
 
     Raises:
         InvalidRequest: offset or bit out of range, or a bit of a coil or discrete input. Nothing was sent.
@@ -108,7 +109,9 @@ class Address:
     def __str__(self) -> str:
         if self.text:
             return self.text
-        return str(self.offset) if self.table is None else format_address(self)
+        if self.table is not None:
+            return format_address(self)
+        return f"offset {self.offset}" if self.bit is None else f"offset {self.offset}.{self.bit}"
 
 
 def parse_address(
@@ -134,8 +137,12 @@ def parse_address(
     if isinstance(value, bool) or not isinstance(value, int | str):
         raise InvalidRequest(f"an address is an int or text such as '4x1', not {shown(value)}")
     if isinstance(value, int):
-        return _address(shown(value), table, value, base or 0, None)
-    return _in_table(_from_text(value.strip(), table, base), table)
+        found = _address(shown(value), table, value, base or 0, None)
+    else:
+        found = _in_table(_from_text(value.strip(), table, base), table)
+    if isinstance(value, str) and base is None:
+        return found
+    return Address(found.table, found.offset, found.bit)  # its text would be read as another address
 
 
 def format_address(address: Address) -> str:

@@ -8,6 +8,7 @@ import struct
 from typing import Any, Final
 
 from ..errors import InvalidRequest
+from .numbers import real_number, whole_number
 from .orders import ByteOrder, Wire, swapped
 from .refusal import shown, unfit
 
@@ -52,8 +53,9 @@ class CustomCodec:
         self._name = name
         self._layout = layout
         self._swaps = order.swaps
-        self._length = len(layout.unpack(bytes(layout.size)))
-        self.expects: str = f"{self._length} numbers that fit {layout.format}"
+        self._states = [isinstance(each, bool) for each in layout.unpack(bytes(layout.size))]
+        hint = ", True or False for each ?" if any(self._states) else ""
+        self.expects: str = f"{len(self._states)} numbers that fit {layout.format}{hint}"
 
     def decode(self, data: Wire) -> list[Any]:
         """Return the tuples that registers in wire order hold.
@@ -65,31 +67,40 @@ class CustomCodec:
     def encode(self, values: list[object]) -> bytes:
         """Return the registers, in wire order, that hold tuples or lists with all numbers of the format.
 
+        A ``bool`` is no number; for ``?`` it is needed, or the integer 0 or 1.
+
         Raises:
             InvalidRequest: a value is no tuple or list, or does not fit the format. Nothing was sent.
         """
         parts = []
         for index, value in enumerate(values):
-            if not isinstance(value, tuple | list):
+            if not isinstance(value, tuple | list) or not all(map(_suits, value, self._states)):
                 raise unfit(values, index, self._name, self.expects)
             try:
                 parts.append(self._layout.pack(*value))
-            except (struct.error, OverflowError, TypeError) as error:
+            except (struct.error, OverflowError, TypeError, ValueError) as error:
                 raise unfit(values, index, self._name, self.expects) from error
         return swapped(b"".join(parts), self._swaps)
 
     def parse(self, text: str) -> tuple[Any, ...]:
-        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``. Integers may be written ``0x1F``.
+        """Return the tuple for a text of numbers separated by commas: ``1, -2, 3.5``; 1 and 0 are the states of ``?``.
 
         Raises:
-            InvalidRequest: the numbers, or how many they are, do not fit the format. Nothing was sent.
-            ValueError: a part of the text is no number.
+            InvalidRequest: the numbers do not fit the format.
+            ValueError: a part of the text is no number, or too large for a float.
         """
         numbers: list[int | float] = []
         for part in text.split(","):
             try:
-                numbers.append(int(part, 0))
+                numbers.append(whole_number(part.strip()))
             except ValueError:
-                numbers.append(float(part))
+                numbers.append(real_number(part.strip()))
         self.encode([tuple(numbers)])
         return tuple(numbers)
+
+
+def _suits(number: object, is_state: bool) -> bool:
+    """Whether one number of a tuple is the state that ``?`` takes, or no ``bool`` where a number is needed."""
+    if not is_state:
+        return not isinstance(number, bool)
+    return isinstance(number, int) and number in (0, 1)

@@ -15,6 +15,7 @@ Rules:
 """
 
 import math
+import operator
 import re
 import struct
 from typing import Any, Final, SupportsFloat, SupportsIndex
@@ -41,6 +42,35 @@ def whole_number(text: str) -> int:
     sign, digits = match.groups()
     base = {"0x": 16, "0b": 2}.get(digits[:2].lower(), 10)
     return -int(digits, base) if sign == "-" else int(digits, base)
+
+
+def real_number(text: str) -> float:
+    """Return the float for a text as Python writes it, ``inf`` and ``nan`` included.
+
+    Raises:
+        ValueError: the text is no number, or too large for a float.
+    """
+    if not text.isascii() or "_" in text:
+        raise ValueError(text)
+    number = float(text)
+    # float() makes an infinity of 1e999 without a word.
+    if math.isinf(number) and "inf" not in text.lower():
+        raise ValueError(text)
+    return number
+
+
+def _integer(value: object) -> int | None:
+    """Return the integer that a value is; None if it is none, as a ``bool`` is none here.
+
+    Integers of other libraries (numpy) are welcome: they have ``__index__``, which floats and strings lack. Arrays of
+    numpy have it too, and it refuses them.
+    """
+    if isinstance(value, bool):
+        return None
+    try:
+        return operator.index(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, OverflowError):
+        return None
 
 
 class _StructLayout:
@@ -109,15 +139,15 @@ class IntegerCodec:
         return number
 
     def _refuse_strangers(self, values: list[object]) -> None:
-        # Integers of other libraries (numpy) are welcome: they have __index__, which floats and strings lack.
         for index, value in enumerate(values):
-            if isinstance(value, bool) or not isinstance(value, SupportsIndex):
+            if _integer(value) is None:
                 hint = "; round it first" if isinstance(value, float) and math.isfinite(value) else ""
                 raise unfit(values, index, self._name, self.expects, hint)
 
     def _misfit(self, values: list[object]) -> Exception:
         for index, value in enumerate(values):
-            if isinstance(value, SupportsIndex) and not self._minimum <= value.__index__() <= self._maximum:
+            number = _integer(value)
+            if number is None or not self._minimum <= number <= self._maximum:
                 return unfit(values, index, self._name, self.expects)
         raise AssertionError("struct refused integers that are in range")
 
@@ -154,12 +184,7 @@ class FloatCodec:
         Raises:
             ValueError: the text is no number, or too large for the type.
         """
-        if not text.isascii() or "_" in text:
-            raise ValueError(text)
-        number = float(text)
-        # float() makes an infinity of 1e999 without a word.
-        if math.isinf(number) and "inf" not in text.lower():
-            raise ValueError(text)
+        number = real_number(text)
         try:
             self._layout.pack([number])
         except OverflowError as error:
@@ -204,10 +229,8 @@ class ThreeRegisterCodec:
         """
         parts = []
         for index, value in enumerate(values):
-            if isinstance(value, bool) or not isinstance(value, SupportsIndex):
-                raise unfit(values, index, self._name, self.expects)
-            number = value.__index__()
-            if not self._minimum <= number <= self._maximum:
+            number = _integer(value)
+            if number is None or not self._minimum <= number <= self._maximum:
                 raise unfit(values, index, self._name, self.expects)
             parts.append(number.to_bytes(6, "big", signed=self._signed))
         return swapped(b"".join(parts), self._swaps)
@@ -256,10 +279,8 @@ class BcdCodec:
         """
         parts = []
         for index, value in enumerate(values):
-            if isinstance(value, bool) or not isinstance(value, SupportsIndex):
-                raise unfit(values, index, self._name, self.expects)
-            number = value.__index__()
-            if not 0 <= number <= self._maximum:
+            number = _integer(value)
+            if number is None or not 0 <= number <= self._maximum:
                 raise unfit(values, index, self._name, self.expects)
             parts.append(f"{number:0{self._digits}d}")
         return swapped(bytes.fromhex("".join(parts)), self._swaps)

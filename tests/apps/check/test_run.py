@@ -56,6 +56,33 @@ def test_what_cannot_be_restored_fails() -> None:
     assert "from 100 on do not hold what they held before" in result.reason
 
 
+def test_the_coils_are_restored_also_where_the_registers_cannot_be() -> None:
+    dialer = ForgetfulDevice("mbap")
+    registers, coils = dialer.device.holding_registers, list(dialer.device.coils)
+    dialer.device.on_write("coils", lambda change: registers.__setitem__(103, 7))
+    result = run(dialer, Level.WRITE, ["fc05-off"])["scratch-restored"]
+    assert result.reason == "holding registers from 100 on do not hold what they held before"
+    assert list(dialer.device.coils) == coils
+
+
+class UnchangingDevice(ForgetfulDevice):
+    """A device that also says it has written coil 100 when it is switched on, and leaves it off."""
+
+    def answer(self, unit: int, pdu: bytes) -> bytes:
+        reply = super().answer(unit, pdu)
+        if pdu[0] in (5, 15) and len(reply) == 5:
+            self.device.coils[100] = False
+        return reply
+
+
+def test_each_table_that_cannot_be_restored_is_named() -> None:
+    reason = run(UnchangingDevice("mbap"), Level.WRITE)["scratch-restored"].reason
+    assert reason == (
+        "holding registers from 100 on do not hold what they held before; "
+        "coils from 100 on do not hold what they held before"
+    )
+
+
 def test_scratch_items_that_cannot_be_read_are_not_written() -> None:
     dialer = VirtualDialer("mbap", busway.Device(holding_registers=50, coils=SIZE))
     dialer.device.on_write("coils", lambda change: pytest.fail("it was written"))
@@ -99,6 +126,36 @@ def test_a_device_that_dies_ends_the_run_and_the_check_that_killed_it_is_named()
     assert aborted[0] == "protocol-1"
     assert results["protocol-1"].evidence[0].data[2:4] == b"\x00\x01"
     assert results[aborted[1]].reason == "the device had died before"
+
+
+class LeavingWire(VirtualWire):
+    """Ends the device as soon as the scratch registers are read."""
+
+    def send(self, data: bytes) -> None:
+        if data[7:12] == bytes.fromhex("03 0064 0008"):
+            self._dialer.is_dead = True
+            raise LinkDown("the device closed the connection")
+        super().send(data)
+
+
+class LeavingDialer(DyingDialer):
+    """A device that is gone when the first check that writes is due."""
+
+    def open(self) -> VirtualWire:
+        super().open().close()
+        return LeavingWire(self)
+
+
+def test_a_device_that_is_gone_when_the_scratch_is_saved_aborts_the_checks_and_the_run_still_has_all_results() -> None:
+    dialer = LeavingDialer("mbap")
+    results = run(dialer, Level.WRITE)
+    assert list(results) == [one.id for one in checks_for(target_of("mbap"), Level.WRITE, ())] + ["scratch-restored"]
+    first, *others = [one for one in results.values() if one.outcome is Outcome.ABORTED]
+    assert first.check.writes
+    assert first.reason.startswith("no connection any more: the device is dead")
+    assert others
+    assert {one.reason for one in others} == {"the device had died before"}
+    assert results["scratch-restored"].reason == "nothing was written"
 
 
 class SilentLine(VirtualDialer):

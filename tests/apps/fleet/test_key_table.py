@@ -153,7 +153,7 @@ async def test_a_watch_that_is_late_makes_a_claim_wait_and_one_that_is_dead_refu
         assert await west.claim(opened("k1")) == DONE
         monkeypatch.setattr("busway.apps.fleet.key_table.CLAIM_SECONDS", 0.05)
         other = next(key for key in (f"x{n}" for n in range(5000)) if slot_of(key) == slot_of("k1"))
-        with pytest.raises(KeysUnavailable, match="does not confirm"):
+        with pytest.raises(KeysUnavailable, match="does not confirm: no answer"):
             await east.claim(opened(other))
 
 

@@ -111,6 +111,11 @@ def test_bytes_that_are_no_message_are_refused(data: bytes) -> None:
         decode_message(data)
 
 
+def test_bytes_that_are_nested_too_deep_are_refused_by_the_kind_of_the_error() -> None:
+    with pytest.raises(UnreadableMessage, match=r"the bytes are no message of samples: StackError$"):
+        decode_message(b"\x91" * 2000)
+
+
 @pytest.mark.parametrize("wrong", [7, "text", [9], None, {"a": 1}])
 def test_a_message_with_a_field_of_another_kind_is_refused_or_read_without_another_error(wrong: object) -> None:
     content = msgpack.unpackb(message([CommittedSample(1, "d", "p", 1, 0, 2**70, 0, "V")]).encode())

@@ -77,12 +77,12 @@ async def refusal(asked: object) -> int:
 
 async def test_every_write_that_may_be_broadcast_is_echoed_as_a_device_would_answer_it() -> None:
     async with bus() as line, gateway(Route(upstream="line", units=OTHERS), lines={"line": line.url}) as (_, link):
-        allow_all = link.unit(0)
-        await allow_all.write_single_register(0, 7)
-        await allow_all.write_multiple_registers(1, [8, 9])
-        await allow_all.write_single_coil(3, True)
-        await allow_all.write_multiple_coils(4, [True, False, True])
-        await allow_all.mask_write_register(0, and_mask=0x00FF, or_mask=0x100)
+        all_units = link.unit(0)
+        await all_units.write_single_register(0, 7)
+        await all_units.write_multiple_registers(1, [8, 9])
+        await all_units.write_single_coil(3, True)
+        await all_units.write_multiple_coils(4, [True, False, True])
+        await all_units.mask_write_register(0, and_mask=0x00FF, or_mask=0x100)
         assert line.registers(0, 3) == [[0x107, 8, 9]] * 2
         for device in line.devices.values():
             assert list(device.coils[3:7]) == [True, True, False, True]
@@ -321,13 +321,13 @@ async def test_the_rate_of_a_rule_holds_for_broadcasts_each_of_which_counts_once
             for guard in made._running.values():
                 assert guard.authorizer is not None
                 guard.authorizer._clock = lambda: 0.0  # no time passes: two are allowed, and no third one
-            allow_all = link.unit(0)
-            await allow_all.write_single_register(5, 55)
-            await allow_all.write_single_register(6, 66)
+            all_units = link.unit(0)
+            await all_units.write_single_register(5, 55)
+            await all_units.write_single_register(6, 66)
             if scheme == "tcp":
-                assert await refusal(allow_all.write_single_register(7, 77)) == 6
+                assert await refusal(all_units.write_single_register(7, 77)) == 6
             else:
-                await allow_all.write_single_register(7, 77)
+                await all_units.write_single_register(7, 77)
                 await until(lambda: made.status().upstreams[0].counters.broadcasts == 2)
                 with pytest.raises(busway.ExceptionReply, match="exception 06"):
                     await link.unit(2).write_single_register(8, 88)

@@ -1,5 +1,6 @@
 """Reads that clients ask together are forwarded as batches: the answers of the generic path, each on arrival."""
 
+import asyncio
 import gc
 import struct
 from collections.abc import Callable
@@ -800,3 +801,19 @@ def test_shared_reads_leave_no_work_to_the_collector_of_garbage(batches: bool) -
     finally:
         gc.enable()
     assert plant.line.counters.shared == 80
+
+
+async def test_all_who_wait_for_the_answers_are_told_at_once() -> None:
+    plant = Plant()
+    client = plant.client("10.0.0.1:500")
+    for address in (1, 2):
+        client.ask(read(address))
+        waiting = [asyncio.create_task(plant.forwarder.wait_until_answered()) for _ in range(2)]
+        await asyncio.sleep(0)
+        assert not any(task.done() for task in waiting)
+        plant.link.answer()
+        done, late = await asyncio.wait(waiting, timeout=60)
+        for task in late:
+            task.cancel()
+        assert (len(done), len(late)) == (2, 0)
+    await plant.forwarder.wait_until_answered()

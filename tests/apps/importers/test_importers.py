@@ -232,6 +232,14 @@ def test_home_assistant_s_sensors_and_switches_become_points() -> None:
     assert any("message_wait_milliseconds" in each for each in report)
 
 
+@pytest.mark.parametrize("kind", ["data_type: string\n        count: 8", "data_type: custom\n        structure: '>16'"])
+def test_home_assistant_s_texts_and_structures_are_not_repeated_and_that_is_reported(kind: str) -> None:
+    text = f"sensors:\n      - name: Maker\n        address: 10\n        {kind}\n        virtual_count: 1\n"
+    found = read_home_assistant(text, "x")
+    assert [point.keys["name"] for point in found.points[1]] == ["Maker"]
+    assert any("Maker.virtual_count: is not carried over for this type" in each for each in said(found))
+
+
 def test_modpoll_s_references_become_points() -> None:
     found = read_modpoll(MODPOLL, "meter.csv")
     points = points_of(found)
@@ -243,6 +251,24 @@ def test_modpoll_s_references_become_points() -> None:
     assert [str(points[5, f"status.{bit}"].address) for bit in (0, 15)] == ["4x108.0", "4x108.15"]
     assert str(points[5, "relay"].address) == "0x4"
     assert any(each.startswith("line 7: odd") for each in said(found))
+
+
+def test_a_reference_of_modpoll_below_an_invalid_device_or_poll_is_left_out_and_not_put_elsewhere() -> None:
+    lines = [
+        "device,a,1", "poll,holding_register,0,10,BE_BE", "ref,x,0,uint16,r",
+        "device,b,two", "ref,y,1,uint16,r", "poll,holding_register,0,10,BE_BE", "ref,z,2,uint16,r",
+        "device,c,3", "ref,u,3,uint16,r", "poll,input_register,0,10,BE_BE", "ref,v,4,uint16,r",
+        "poll,coil", "ref,w,5,uint16,r",
+    ]  # fmt: skip
+    found = read_modpoll("\n".join(lines), "plant.csv")
+    assert {place: str(point.address) for place, point in points_of(found).items()} == {
+        (1, "x"): "4x1",
+        (3, "v"): "3x5",
+    }
+    left_out = [each.what for each in found.omissions if "has no unit, no table or no address" in each.why]
+    assert left_out == ["y", "z", "u", "w"]
+    assert "line 4: device,b,two: is no line of modpoll that is known" in said(found)
+    assert "line 12: poll,coil: is no line of modpoll that is known" in said(found)
 
 
 def test_a_sunspec_model_becomes_points_and_groups() -> None:
@@ -279,6 +305,14 @@ def test_a_group_with_something_behind_it_needs_its_count() -> None:
     assert points["tail.X"].start == points["module.2.P"].start + 1
 
 
+@pytest.mark.parametrize("count", [0, -1])
+def test_a_group_that_would_be_there_less_than_once_is_refused(count: int) -> None:
+    with pytest.raises(
+        ConfigError, match=f"--count module: a repeated group is there at least once, not {count} times"
+    ):
+        read_sunspec(json.dumps(MODEL), "model.json", counts={"module": count})
+
+
 def test_points_on_top_of_each_other_are_kept_and_doubled_names_numbered() -> None:
     found = ImportedDevice()
     found.add(1, {"name": "a", "address": "4x1", "type": "uint32"})
@@ -312,6 +346,12 @@ def test_nothing_that_could_be_carried_over_is_refused() -> None:
         ("- " * 1000 + "x", "x:1: is nested too deeply"),
         ("a: \x00", "x:1: is no YAML"),
         ("x" * (LONGEST + 1), "x: has 1000001 characters"),
+        ("a: 1\nb: !!int foo", "x:2: 'foo' cannot be read as int"),
+        ("a: !!int ''", "x:1: '' cannot be read as int"),
+        ("a: !!bool x", "x:1: 'x' cannot be read as bool"),
+        ("a: !!float x", "x:1: 'x' cannot be read as float"),
+        (f"a: {'1:' * 300}1.5", "x:1: '1:1:1"),  # of base 60, beyond what a float holds
+        (f"a: 1\nb: {'1:' * 5000}1", "x:2: is a number of 10001 characters, and 1000 are the limit"),
         (BILLION_LAUGHS, "x:1: comes to more than 100000 values"),
     ],
 )

@@ -2,6 +2,7 @@
 
 import socket
 from collections.abc import Sequence
+from ipaddress import IPv6Address
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from busway.apps.replay.recorded_devices import RecordedDevices
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
 from busway.errors import ConfigError
+from busway.observe.capture_files.packet_file import CapturedPacket
 from busway.observe.capture_files.traffic import CapturedTraffic
 from busway.observe.capture_headers import Node
 from busway.testing import simulated_device
@@ -62,8 +64,11 @@ def spoken(*pairs: tuple[str, str], server: Node = SERVER) -> Talk:
 
 
 def recorded(*talks: Talk) -> RecordedDevices:
+    return recorded_packets(captured(packet for talk in talks for packet in talk.packets))
+
+
+def recorded_packets(packets: Sequence[CapturedPacket]) -> RecordedDevices:
     traffic, exchanges, devices = CapturedTraffic(), Exchanges(), RecordedDevices()
-    packets = captured(packet for talk in talks for packet in talk.packets)
     events = [event for packet in packets for event in traffic.take(packet)] + traffic.finish()
     for event in events:
         for exchange in exchanges.take(event):
@@ -148,6 +153,28 @@ def test_one_of_several_servers_is_chosen_by_its_address() -> None:
     with pytest.raises(ConfigError, match=r"no unit of 10\.0\.0\.7 answered"):
         devices.file("10.0.0.7")
     assert devices.file("10.0.0.6").server == devices.file("10.0.0.6:502").server == "10.0.0.6:502"
+
+
+def test_a_serial_line_is_chosen_by_its_whole_name_alone() -> None:
+    frames = ["01 03 00 00 00 01 84 0a", "01 03 02 00 01 79 84"]  # read 4x1; it is 1
+    packets = [
+        CapturedPacket(2 * line + place + 1, place / 10, 147, bytes.fromhex(text), interface=line, interface_name=name)
+        for line, name in enumerate(["/dev/ttyS0", "rtu:/dev/ttyS1"])
+        for place, text in enumerate(frames)
+    ]
+    devices = recorded_packets(packets)
+    for part in ("", "rtu"):
+        with pytest.raises(ConfigError, match=f"no unit of {part} answered"):
+            devices.file(part)
+    assert devices.file("/dev/ttyS0").server == "/dev/ttyS0"
+    assert devices.file("rtu:/dev/ttyS1").server == "rtu:/dev/ttyS1"
+
+
+def test_a_server_with_an_address_of_version_6_is_chosen_without_brackets() -> None:
+    server = Node(IPv6Address("fe80::2"), 502)
+    talk = spoken(("01 03 0000 0001", "01 03 02 0001"), server=server)
+    talk.client = Node(IPv6Address("fe80::9"), 40_000)
+    assert recorded(talk).file("fe80::2").server == "[fe80::2]:502"
 
 
 def test_a_capture_without_a_reply_gives_no_file() -> None:

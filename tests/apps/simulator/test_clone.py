@@ -187,6 +187,19 @@ def test_a_value_outside_its_range_or_names_widens_them() -> None:
     assert content(built_again(clone)) == content(device)
 
 
+def test_the_range_of_a_value_with_a_power_of_ten_stays() -> None:
+    device = busway.Device(holding_registers=[50, 0xFFFF])
+    watts = {"name": "watts", "address": "4x1", "scale_from": "exponent", "minimum": 1, "maximum": 10}
+    exponent = {"name": "exponent", "address": "4x2", "type": "int16"}
+    with asked(device) as (unit, _):
+        clone = clone_points(unit, [SimulatedPointSection.model_validate(each) for each in (watts, exponent)])
+        learnt = watch_points(unit, clone, [1.0])
+    for each in (clone, learnt):
+        found = each.section.point[0]
+        assert (found.value, found.minimum, found.maximum) == (50, 1, 10)
+        assert content(built_again(each)) == content(device)
+
+
 def test_bits_beside_those_with_a_name_are_kept() -> None:
     device = busway.Device(holding_registers=[0b1010_0000_0000_1001])
     with asked(device) as (unit, seen):

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from busway.apps.simulator.registers import form_of, largest_of
+from busway.apps.simulator.registers import begin_of, form_of, largest_of
 from busway.config.files.simulation import SimulatedPointSection
 from busway.values import value_type
 from busway.values.orders import ORDERS
@@ -50,6 +50,8 @@ def test_a_bit_is_put_without_touching_its_neighbours() -> None:
         ({"type": "uint16", "scale": 0.1, "minimum": 0.25, "maximum": 0.7}, {0.0: 3, 9.0: 7}),
         ({"type": "float32", "scale": 2.0, "minimum": -4.0, "maximum": 6.0}, {5.0: 2.5, -5.0: -2.0, math.inf: 3.0}),
         ({"type": "float16"}, {1e9: 65_504.0, -math.inf: -65_504.0}),
+        ({"type": "int16", "scale_from": "exponent", "minimum": 1, "maximum": 10}, {-50.0: -50, 50.0: 50}),
+        ({"type": "float32", "scale_from": "exponent", "minimum": 1, "maximum": 10}, {-50.0: -50.0, 50.0: 50.0}),
     ],
 )
 def test_a_value_becomes_the_nearest_that_the_point_can_hold(keys: dict[str, Any], values: dict[float, Any]) -> None:
@@ -67,3 +69,21 @@ def test_a_counter_rolls_over_where_its_type_ends() -> None:
     assert largest_of(form_of(section(type="bcd16", scale=0.5))) == 5000
     assert largest_of(form_of(section(type="float32"))) is None
     assert largest_of(form_of(section(address="0x1"))) is None
+
+
+@pytest.mark.parametrize(
+    ("keys", "begin", "end"),
+    [
+        ({"type": "uint16", "offset": -1000}, -1000, 64_536),
+        ({"type": "uint16", "scale": 0.5, "offset": 100}, 100, 32_868),
+        ({"type": "int16", "offset": -1000}, -1000, 31_768),
+        ({"type": "int16", "scale": -1}, 0, 32_768),
+        ({"type": "uint16", "scale": -1, "offset": 65_535}, 0, 65_536),
+        ({"type": "uint16", "offset": -1000, "rollover": 500}, 0, 500),
+    ],
+)
+def test_a_counter_of_a_point_with_an_offset_begins_again_where_its_registers_do(
+    keys: dict[str, Any], begin: float, end: float
+) -> None:
+    form = form_of(section(**keys))
+    assert (begin_of(form), largest_of(form)) == (begin, end)

@@ -188,6 +188,32 @@ def test_a_counter_goes_on_from_what_it_was_set_to() -> None:
     assert simulation.points["1/energy"].value == 1010
 
 
+def test_the_range_of_a_point_that_is_set_counts_its_power_of_ten() -> None:
+    simulation = simulated(
+        "[[unit]]\nunit = 1\npoint = [\n"
+        "{ name = 'watts', address = '4x1', scale_from = 'exponent', maximum = 10, value = 50 },\n"
+        "{ name = 'exponent', address = '4x2', type = 'int16', value = -1 },\n]\n"
+    )
+    simulation.set("1/watts", 100)
+    with pytest.raises(InvalidRequest, match=r"1/watts: must be at most 10, not 10\.1"):
+        simulation.set("1/watts", 101)
+    simulation.set("1/exponent", 0)
+    with pytest.raises(InvalidRequest, match="1/watts: must be at most 10, not 50"):
+        simulation.set("1/watts", 50)
+
+
+def test_a_counter_whose_point_has_an_offset_counts_on_where_its_register_rolls_over() -> None:
+    simulation = simulated(
+        "[[unit]]\nunit = 1\n[[unit.point]]\nname = 'energy'\naddress = '4x1'\noffset = -1000\nvalue = 64000\n"
+        "behaviour = { kind = 'counter', rate = 100 }\n"
+    )
+    simulation.tick(0.0)
+    simulation.tick(5.0)
+    assert simulation.points["1/energy"].raw == "FFDC"  # 64 500
+    simulation.tick(6.0)
+    assert (simulation.points["1/energy"].value, simulation.points["1/energy"].raw) == (-936, "0040")
+
+
 def test_what_is_no_number_does_not_stay_in_a_counter() -> None:
     simulation = simulated(PLANT.replace('type = "uint32"\norder = "CDAB"', 'type = "float32"'))
     simulation.tick(0.0)
@@ -422,6 +448,9 @@ async def test_values_are_kept_over_a_restart_and_go_on_where_they_were(tmp_path
         '{"kind": "busway simulation state", "version": 2, "time": 1, "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": -1, "points": {}}',
         '{"kind": "busway simulation state", "version": 1, "time": "x", "points": {}}',
+        '{"kind": "busway simulation state", "version": 1, "time": 1' + "0" * 400 + ', "points": {}}',
+        '{"kind": "busway simulation state", "version": 1, "time": 1, "points": {"1/energy": {"value": null, '
+        '"held": false, "behaviour": 1' + "0" * 400 + "}}}",
         '{"kind": "busway simulation state", "version": 1, "time": 1, "points": {"1/mode": 5}}',
         '{"kind": "busway simulation state", "version": 1, "time": 1, "points": []}',
         '{"kind": "busway simulation state", "points": ' + "[" * 100_000,

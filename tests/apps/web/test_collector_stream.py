@@ -17,6 +17,7 @@ from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.writer import Commit
 from busway.apps.web import collector_stream, viewers
+from busway.apps.web.access import Caller, Role
 from busway.apps.web.collector_stream import CollectorStream
 from busway.apps.web.live_values import LiveValues
 
@@ -110,6 +111,51 @@ def test_a_commit_while_the_last_values_are_taken_over_is_shown(when: str) -> No
     if when == "reload":
         collector.configuration, collector.values = configured("power", "energy"), LastValuesOfBefore()
     assert stream.refresh().columns()[0][0] == 7
+
+
+async def test_what_a_tick_of_another_caller_changes_while_values_are_told_is_told_next(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    group = PointGroup("meter", ("power",))
+    device = SimpleNamespace(name="meter", points=[SimpleNamespace(name="power")])
+    collector: Any = SimpleNamespace(
+        configuration=SimpleNamespace(devices={"meter": device}),
+        values=LastValues(),
+        subscribe=lambda told: None,
+        commands=SimpleNamespace(subscribe=lambda told: None),
+        alarms=SimpleNamespace(counts=lambda: (0, 0)),
+        loads=dict,
+    )
+    stream = CollectorStream(collector)
+    values, told_since = stream.values, LiveValues.since
+
+    def read(value: int) -> None:
+        values.update(Commit(value, 0, [SampleBatch(group, value * 1_000_000_000, 0, [value])], []))
+
+    def since(values: LiveValues, seen: int) -> str:
+        text = told_since(values, seen)
+        if values.values == [7]:
+            read(8)
+            values.columns()  # as GET /api/values does
+        return text
+
+    monkeypatch.setattr(LiveValues, "since", since)
+    monkeypatch.setattr(collector_stream, "TICK", 0)
+    read(7)
+    viewer = collector_stream.Viewer(Caller("anna", Role.VIEW))
+    stream._viewers.append(viewer)
+    ticks = asyncio.create_task(stream._tick())
+    told = []
+    while len(told) < 2:
+        async with asyncio.timeout(60):
+            while not viewer.message:
+                await viewer.wake.wait()
+                viewer.wake.clear()
+        told.append(json.loads(viewer.message)["changed"])
+        viewer.message, viewer.is_sending = "", False
+    ticks.cancel()
+    await asyncio.gather(ticks, return_exceptions=True)
+    assert told == [[[0, [7], 0]], [[0, [8], 0]]]
 
 
 def test_registers_come_for_points_that_are_shown_and_only_as_they_change(plant: WatchedCollector) -> None:

@@ -253,6 +253,8 @@ def test_the_traffic_is_asked_for_from_a_number_on(plant, unit):
     assert "holding register 4x1" in answer["frames"][0]["text"]
     assert answer["frames"][1]["seconds"] >= 0
     assert plant.ask("GET", f"/api/traffic?after={answer['last']}")[1]["frames"] == []
+    cut_off = plant.ask("GET", "/api/traffic?after=0&limit=1")[1]
+    assert ([frame["number"] for frame in cut_off["frames"]], cut_off["lost"]) == ([answer["last"]], 0)
     assert plant.ask("GET", "/api/traffic?limit=0")[0] == 422
 
 

@@ -191,6 +191,29 @@ async def test_a_client_that_takes_nothing_keeps_no_more_than_one_mark_per_point
         assert message["skipped"] == 5000 - FRAMES_AT_ONCE
 
 
+async def test_a_frame_that_is_recorded_while_others_are_told_is_told_next(monkeypatch):
+    async with watching(BUSY) as plant:
+        client = SimulationViewer(plant.page.api)
+        client.wish(Wish(traffic=True))
+        tail = plant.page.traffic
+        kept_after = tail.after
+
+        def after(number, limit):
+            found = kept_after(number, limit)
+            if tail.last == 1:  # as a line's timer does, in its thread
+                tail.add("another", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+            return found
+
+        monkeypatch.setattr(tail, "after", after)
+        tail.add("somebody", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+        messages = []
+        for _ in range(2):
+            client.passed()
+            messages.append(await client.next())
+        assert [[frame["number"] for frame in message["traffic"]] for message in messages] == [[1], [2]]
+        assert messages[-1]["skipped"] == 0
+
+
 async def test_more_points_than_anybody_looks_at_cannot_all_be_followed():
     async with watching(BUSY) as plant:
         client = SimulationViewer(plant.page.api)

@@ -6,9 +6,12 @@ import pytest
 
 from busway.apps.web.simulation_traffic import Traffic
 from busway.errors import ConfigError
+from busway.framing.ascii import encode_ascii
 from busway.framing.mbap import encode_mbap
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
+from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
+from busway.observe.line_trace import trace_for
 from busway.observe.socket_addresses import SocketAddresses
 from busway.observe.trace import TRACE
 
@@ -16,6 +19,7 @@ ENDS = SocketAddresses(("127.0.0.1", 5020), ("10.0.0.7", 40_000))
 READ = bytes.fromhex("03 00 00 00 02")
 REPLY = bytes.fromhex("03 04 00 01 00 02")
 REFUSED = bytes.fromhex("83 02")
+LINE_ADUS = {"rtu": encode_rtu(1, READ), "ascii": encode_ascii(1, READ)}
 
 
 class Ticking:
@@ -99,6 +103,14 @@ def test_connections_that_the_program_made_itself_are_left_out(traffic):
     traffic.connection(SocketAddresses(("127.0.0.1", 51_111), ("10.0.0.9", 502))).sent(encode_mbap(1, 1, READ))
     traffic.connection(SocketAddresses()).received(encode_mbap(1, 1, READ))
     assert traffic.last == 0
+
+
+@pytest.mark.parametrize("framing", ["rtu", "ascii"])
+def test_lines_of_client_links_of_the_program_are_left_out(traffic, framing):
+    trace_for(framing, f"{framing}+tcp://10.0.0.9", is_server=False).sent(LINE_ADUS[framing])
+    assert traffic.last == 0
+    trace_for(framing, f"{framing}+tcp://10.0.0.9", is_server=True).sent(LINE_ADUS[framing])
+    assert traffic.last == 1
 
 
 def test_a_reply_on_a_line_is_paired_by_its_unit_and_what_leaves_is_a_reply(traffic):

@@ -12,6 +12,7 @@ from handles import settled_handles
 
 from busway.errors import ConfigError, LinkDown
 from busway.options.ports import Parity, Rs485, SerialSettings
+from busway.transport.serial import blocking
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
 from busway.transport.serial.emission import TIOCOUTQ
@@ -101,6 +102,17 @@ def test_rts_is_up_from_before_the_first_until_after_the_last_character(pty: Pty
         assert time.monotonic() >= until + 0.001
         switched = [request for request in driver.requests() if request in (TIOCMBIS, TIOCMBIC)]
         assert switched == [TIOCMBIS, TIOCMBIC]
+
+
+def test_rts_is_down_again_where_the_port_takes_no_more_bytes(pty: Pty, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocking, "STUCK_AFTER", 0.001)
+    driver = FakeDriver()
+    driver.answers = {TIOCMBIS: taken, TIOCMBIC: taken}
+    with BlockingSerialPort(pty.path, SerialSettings(rs485=Rs485.RTS), ioctl=driver) as port:
+        driver.asked.clear()
+        with pytest.raises(LinkDown, match="has taken no bytes"):
+            port.write(bytes(1_000_000))  # more than a pseudo-terminal holds that nobody reads
+        assert driver.requests() == [TIOCMBIS, TIOCMBIC]
 
 
 def test_the_counters_come_from_the_driver(pty: Pty) -> None:

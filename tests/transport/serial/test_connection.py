@@ -143,14 +143,14 @@ async def test_rts_is_up_from_before_the_first_until_after_the_last_character(pt
     await closed(connection)
 
 
-async def test_a_close_while_rts_is_up_leaves_no_timer_behind(pty: Pty) -> None:
+async def test_a_close_while_rts_is_up_takes_it_down_and_leaves_no_timer_behind(pty: Pty) -> None:
     driver = SwitchedDriver()
     settings = SerialSettings(rs485=Rs485.RTS, delay_before_send=0.01)
     connection, _ = await connected(pty, settings, ioctl=driver)
     connection.write(b"x")
     assert connection.held() >= 1
     await closed(connection)
-    assert [word for word, _ in driver.switched] == ["down", "up"]
+    assert [word for word, _ in driver.switched] == ["down", "up", "down"]
 
 
 async def test_a_driver_that_is_gone_while_rts_is_up_is_a_lost_port(pty: Pty) -> None:

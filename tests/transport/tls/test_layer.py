@@ -217,6 +217,21 @@ async def test_while_reading_is_paused_nothing_is_handed_up_and_nothing_is_lost(
     await turns()
 
 
+async def test_what_is_written_after_a_protocol_failed_at_the_begin_leaves_at_once(store: CertificateStore) -> None:
+    world = World(store)
+
+    def fails(transport: asyncio.BaseTransport) -> None:
+        raise RuntimeError("no memory left")
+
+    world.above.connection_made = fails  # type: ignore[method-assign]
+    with pytest.raises(RuntimeError, match="no memory"):
+        world.agree()
+    world.layer.write(b"sorry")
+    assert world.client_reads() == b"sorry"
+    world.layer.abort()
+    await turns()
+
+
 async def test_a_peer_that_ends_gets_the_replies_that_are_still_to_come(store: CertificateStore) -> None:
     world = World(store)
     world.agree()

@@ -399,11 +399,7 @@ class CheckRun:
         scratch = _Scratch(self._talk, self._target)
         try:
             for check in checks:
-                if check.writes and self._is_worth_it and not scratch.save():
-                    reason = "the scratch items cannot be read, so nothing is written to them"
-                    yield Result(check, Outcome.UNDECIDED, reason, self._talk.take_evidence())
-                else:
-                    yield self._result(check)
+                yield self._result(check, scratch)
         finally:
             fault = scratch.restore()
             self._talk.close()
@@ -417,14 +413,9 @@ class CheckRun:
                 self._talk.take_evidence(),
             )
 
-    @property
-    def _is_worth_it(self) -> bool:
-        """Whether the device still answers, and no failed basic check has left all other checks undecided."""
-        return not self.is_dead and not self._hidden_by
-
     # One check.
 
-    def _result(self, check: Check) -> Result:
+    def _result(self, check: Check, scratch: "_Scratch") -> Result:
         if self.is_dead:
             return Result(check, Outcome.ABORTED, "the device had died before")
         if self._hidden_by:
@@ -437,6 +428,9 @@ class CheckRun:
             return Result(check, Outcome.UNDECIDED, f"it needs function {missing[0]}, which cannot be relied on")
         evidence: tuple[Evidence, ...] = ()
         try:
+            if check.writes and not scratch.save():
+                reason = "the scratch items cannot be read, so nothing is written to them"
+                return Result(check, Outcome.UNDECIDED, reason, self._talk.take_evidence())
             try:
                 outcome, reason = self._judged(check)
             except CannotOffer as error:
@@ -608,18 +602,20 @@ class _Scratch:
         return self.is_saved
 
     def restore(self) -> str:
-        """Write the saved values back and read them again; return what is wrong first as a sentence, empty if nothing.
+        """Write the saved values back and read them again; return what is wrong with each table, empty if nothing.
 
-        Nothing is sent if the values are not known. An error of the connection is such a sentence, and not raised.
+        Nothing is sent if the values are not known. An error of the connection is told like this too, and not raised.
         """
+        faults = [self._restore(items, data) for items, data in (self._saved if self.is_saved else ())]
+        return "; ".join(fault for fault in faults if fault)
+
+    def _restore(self, items: Items, data: bytes) -> str:
+        place = f"{items.table.label}s from {items.address} on"
         try:
-            for items, data in self._saved if self.is_saved else ():
-                self._write(items, data)
-                if self._read(items) != data:
-                    return f"{items.table.label}s from {items.address} on do not hold what they held before"
+            self._write(items, data)
+            return "" if self._read(items) == data else f"{place} do not hold what they held before"
         except LinkDown as error:
-            return f"the scratch items could not be restored: {error}"
-        return ""
+            return f"{place} could not be restored: {error}"
 
     def _read(self, items: Items) -> bytes | None:
         pdu = bytes((_READS[items.table],)) + items.address.to_bytes(2, "big") + items.count.to_bytes(2, "big")

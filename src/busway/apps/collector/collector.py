@@ -554,7 +554,6 @@ class Collector:
 
         Raises:
             InvalidRequest: there is no such point, or an argument is not valid. Nothing was sent.
-            OSError: there is no such point now, and it cannot be read whether the key was used. Nothing was sent.
         """
         return await self.commands.write(device, point, value, by=by, origin=origin, expires=expires, key=key)
 

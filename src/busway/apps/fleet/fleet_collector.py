@@ -412,7 +412,8 @@ class FleetCollector:
         if self._is_ending or self._defect:
             return
         error = None if task.cancelled() else task.exception()
-        self._defect = f"{task.get_name()} has ended: {error or 'it was cancelled'}; start this collector again"
+        why = "it was cancelled" if error is None else str(error) or type(error).__name__
+        self._defect = f"{task.get_name()} has ended: {why}; start this collector again"
         _log.error("collector %s owns nothing: %s", self.member.name, self._defect, exc_info=error)
         for each in self._tasks:
             each.cancel()

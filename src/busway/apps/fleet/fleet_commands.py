@@ -90,7 +90,7 @@ async def send_command(client: Any, zone: str, link: str, content: dict[str, Any
     except (errors.Error, OSError, TimeoutError, ValueError) as error:
         if subject in client.cause and "permissions" in client.cause.lower():
             raise ConfigError(f"the credentials do not permit commands: {client.cause}", key="coordinator") from error
-        raise WriteOutcomeUnknown(f"no answer to command {content['key']} came: {error or 'in time'}") from error
+        raise WriteOutcomeUnknown(f"no answer to command {content['key']} came: {str(error) or 'in time'}") from error
     if not isinstance(answer, dict) or answer.get("state") not in set(CommandState):
         raise WriteOutcomeUnknown(f"the answer to command {content['key']} is none")
     return answer
@@ -282,5 +282,5 @@ class FleetCommands:
                 "the line of command %s is in the audit log of %s alone: %s",
                 result.command.key,
                 self._fleet.member.name,
-                error or type(error).__name__,
+                str(error) or type(error).__name__,
             )

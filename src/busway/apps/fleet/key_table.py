@@ -103,7 +103,7 @@ class KeyTable:
             raise KeysUnavailable(f"the fleet's table of keys does not answer: {error}") from error
         except (OutcomeUnknown, TimeoutError) as error:
             self._doubt(key)
-            raise KeysUnavailable(f"the fleet's table of keys does not confirm: {error or 'no answer'}") from error
+            raise KeysUnavailable(f"the fleet's table of keys does not confirm: {str(error) or 'no answer'}") from error
         self._doubtful.pop(key, None)
         return found
 

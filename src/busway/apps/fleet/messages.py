@@ -160,7 +160,7 @@ def decode_message(data: bytes) -> SampleMessage:
     except UnreadableMessage:
         raise
     except (ValueError, TypeError, AttributeError, LookupError, msgpack.UnpackException) as error:
-        raise UnreadableMessage(f"the bytes are no message of samples: {error or type(error).__name__}") from error
+        raise UnreadableMessage(f"the bytes are no message of samples: {str(error) or type(error).__name__}") from error
 
 
 def by_link(samples: Sequence[CommittedSample], link_of: dict[str, str]) -> Iterator[tuple[str, list[CommittedSample]]]:

@@ -198,7 +198,7 @@ async def _found_or_made(client: Any, config: Any, domain: str | None) -> Any:
             raise ConfigError(
                 f"the credentials do not permit the stream {config.name}: {refused}", key="coordinator"
             ) from error
-        raise StreamDown(f"the stream {config.name} does not answer: {error or type(error).__name__}") from error
+        raise StreamDown(f"the stream {config.name} does not answer: {str(error) or type(error).__name__}") from error
 
 
 class NatsStream:
@@ -235,7 +235,7 @@ class NatsStream:
                 f"busway.{self._zone}.samples.{shard}", message.encode(), headers={"Nats-Msg-Id": message.name}
             )
         except (nats.errors.Error, OSError, TimeoutError) as error:
-            raise StreamDown(f"the stream does not acknowledge: {error or type(error).__name__}") from error
+            raise StreamDown(f"the stream does not acknowledge: {str(error) or type(error).__name__}") from error
 
     async def connected_again(self) -> None:
         """Wait until the connection to the server is a newer one than when the last message was sent."""
@@ -422,7 +422,7 @@ async def sink_lags(
     except errors.NotFoundError:
         return {}
     except (nats.errors.Error, OSError, TimeoutError) as error:
-        raise StreamDown(f"the stream of the zone does not answer: {error or type(error).__name__}") from error
+        raise StreamDown(f"the stream of the zone does not answer: {str(error) or type(error).__name__}") from error
     book = CursorBook()
     async with contextlib.aclosing(coordinator.watch(CURSORS)) as entries:
         async for entry in entries:
@@ -598,7 +598,7 @@ class StreamSink:
                 except (SinkDown, StreamDown, CoordinatorDown, OutcomeUnknown) as error:
                     self._down(str(error))
                 except (nats.errors.Error, OSError, TimeoutError) as error:
-                    self._down(f"the stream cannot be read: {error or type(error).__name__}")
+                    self._down(f"the stream cannot be read: {str(error) or type(error).__name__}")
                 await self._sink.close()
                 self._is_open = False
                 await asyncio.sleep(0.5)

@@ -172,7 +172,7 @@ class Forwarder:
         self.cache: ReadCache[Batch] = ReadCache(upstream.register_width, same_device)
         self.open: dict[Batch, None] = {}
         self.answered: dict[ForwardingClient, None] = {}
-        self._all_answered: asyncio.Event | None = None  # while `wait_until_answered` waits
+        self._all_answered: asyncio.Event | None = None  # for all calls of `wait_until_answered`
         upstream.watch = self.look
 
     @property
@@ -183,7 +183,8 @@ class Forwarder:
     async def wait_until_answered(self) -> None:
         """Wait until no request forwarded to the upstream is without an answer; return at once if there is none."""
         if self.open:
-            self._all_answered = asyncio.Event()
+            if self._all_answered is None or self._all_answered.is_set():
+                self._all_answered = asyncio.Event()
             await self._all_answered.wait()
 
     def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:

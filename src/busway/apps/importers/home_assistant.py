@@ -95,7 +95,7 @@ def _sensor(
         keys |= {"scale": None if scale == 1 else float(scale), "offset": None if not offset else float(offset)}
         keys["invalid"] = None if entity.get("nan_value") is None else [_number(entity["nan_value"])]
     several = entity.get("virtual_count", entity.get("slave_count", 0)) or 0
-    size = {"16": 1, "32": 2, "64": 4}.get(kind[-2:], 0)
+    size = {"16": 1, "32": 2, "64": 4}.get(kind[-2:], 0) if numbers else 0
     if several and not size:
         found.omit(where, f"{keys['name']}.virtual_count", "is not carried over for this type")
         several = 0

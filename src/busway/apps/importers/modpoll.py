@@ -2,6 +2,9 @@
 
 Knows modpoll's columns and types. Addresses of modpoll count from 0. The first half of an order such as ``BE_LE`` is
 that of the bytes in a register, the second half that of the registers.
+
+A ``ref`` belongs to the ``poll`` before it, and that to the ``device`` before it. If one of these lines is invalid, the
+points that belong to it are left out: which unit and table they have is not known.
 """
 
 import csv
@@ -42,7 +45,8 @@ def read_modpoll(text: str, name: str) -> ImportedDevice:
         The points, by unit; and as ``omissions`` the lines that could not be carried over, all ``poll`` lines included.
     """
     found = ImportedDevice()
-    unit, table, order = 1, "", "ABCD"
+    unit: int | None = 1
+    table, order = "", "ABCD"
     rows = csv.reader(io.StringIO(text))
     for row in rows:
         cells = [cell.strip() for cell in row]
@@ -50,6 +54,8 @@ def read_modpoll(text: str, name: str) -> ImportedDevice:
         kind = cells[0].lower() if cells else ""
         if not kind or kind.startswith("#"):
             continue
+        if kind in ("device", "poll"):  # what follows belongs to this line, also where it is invalid
+            unit, table = None if kind == "device" else unit, ""
         if kind == "device" and len(cells) > 2 and cells[2].isdecimal():
             unit = int(cells[2])
             found.remarks.append(f"Unit {unit} is modpoll's device {cells[1]}.")
@@ -67,10 +73,12 @@ def read_modpoll(text: str, name: str) -> ImportedDevice:
     return found
 
 
-def _reference(cells: Sequence[str], where: str, unit: int, table: str, order: str, found: ImportedDevice) -> None:
+def _reference(
+    cells: Sequence[str], where: str, unit: int | None, table: str, order: str, found: ImportedDevice
+) -> None:
     name, address, kind, access, measure, scale = [*cells[1:7], "", "", "", "", "", ""][:6]
-    if not table or not address.isdecimal():
-        found.omit(where, name or "a point", f"has no table or no address: {shown(','.join(cells))}")
+    if unit is None or not table or not address.isdecimal():
+        found.omit(where, name or "a point", f"has no unit, no table or no address: {shown(','.join(cells))}")
         return
     keys: dict[str, object] = {"name": name, "address": f"{table}:{address}", "unit_of_measure": measure or None}
     first, bools = int(address), _BOOLS.fullmatch(kind.lower())

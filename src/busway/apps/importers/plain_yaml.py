@@ -1,9 +1,9 @@
 """Reads plain data from YAML by PyYAML (``busway[yaml]``), with the line of each key and list item.
 
 1. Only plain data are read. A tag such as ``!include`` has a meaning in one program only, and is refused with its line.
-2. A text has at most `LONGEST` characters and `MOST_NODES` values, so that no text exhausts time or memory; what an
-   alias refers to is counted each time. Merge keys (``<<``) are refused: PyYAML would copy their values before they are
-   counted.
+2. A text has at most `LONGEST` characters and `MOST_NODES` values, and a number `LONGEST_NUMBER` characters, so that no
+   text exhausts time or memory; what an alias refers to is counted each time. Merge keys (``<<``) are refused: PyYAML
+   would copy their values before they are counted.
 """
 
 from dataclasses import dataclass, field
@@ -12,10 +12,13 @@ from typing import Any, Final
 
 from ...errors import ConfigError
 from ...extras import require
+from ...values.refusal import shown
 
 Place = tuple[str | int, ...]
 LONGEST: Final = 1_000_000
 MOST_NODES: Final = 100_000
+LONGEST_NUMBER: Final = 1000
+"""The time for a number of base 60, such as ``1:30:00``, grows with the square of its length."""
 _TAG: Final = "tag:yaml.org,2002:"
 _CONVERTED: Final = frozenset({"null", "bool", "int", "float"})
 _KEPT: Final = frozenset({"str", "timestamp", "value", "seq", "map"})
@@ -85,8 +88,8 @@ class _Reader:
             place: path of the node from the root.
 
         Raises:
-            ConfigError: the node has a tag, a merge key, a repeated key or a key that is no text, or the text has too
-                many values.
+            ConfigError: the node has a tag that is not plain data, a value that does not fit its tag, a merge key, a
+                repeated key or a key that is no text; or the text has too many values.
         """
         self._left -= 1
         kind = node.tag.removeprefix(_TAG)
@@ -97,7 +100,7 @@ class _Reader:
         if node.id == "sequence":
             return [self._inner(each, each, (*place, index)) for index, each in enumerate(node.value)]
         if node.id == "scalar":
-            return self._loader.construct_object(node) if kind in _CONVERTED else node.value
+            return self._converted(node, kind) if kind in _CONVERTED else node.value
         found: dict[str, Any] = {}
         for key, each in node.value:
             if key.id != "scalar" or key.tag == f"{_TAG}merge":
@@ -106,6 +109,14 @@ class _Reader:
                 raise self._error(key, f"{key.value} is there twice")
             found[key.value] = self._inner(key, each, (*place, key.value))
         return found
+
+    def _converted(self, node: Any, kind: str) -> Any:
+        if len(node.value) > LONGEST_NUMBER:
+            raise self._error(node, f"is a number of {len(node.value)} characters, and {LONGEST_NUMBER} are the limit")
+        try:
+            return self._loader.construct_object(node)
+        except (ValueError, LookupError, OverflowError) as error:  # PyYAML does not check what a tag is put before
+            raise self._error(node, f"{shown(node.value)} cannot be read as {kind}") from error
 
     def _inner(self, first: Any, node: Any, place: Place) -> Any:
         self.found.lines[place] = first.start_mark.line + 1

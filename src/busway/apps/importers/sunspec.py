@@ -62,14 +62,21 @@ def read_sunspec(
         text: the model in JSON.
         name: the file's name, for errors.
         first: 0-based address of the model's register ``ID`` in the device.
-        counts: how many members a repeated group has, by the name of the group or of the point that holds its count.
+        counts: how many members a repeated group has, 1 or more, by the name of the group or of the point that holds
+            its count.
 
     Returns:
         The points and groups; and as ``omissions`` what could not be carried over.
 
     Raises:
-        ConfigError: the text is no SunSpec model, or the user has to give the count of a repeated group.
+        ConfigError: the text is no SunSpec model, the user has to give the count of a repeated group, or a given count
+            is less than 1.
     """
+    for group_name, count in (counts or {}).items():
+        if count < 1:
+            raise ConfigError(
+                f"a repeated group is there at least once, not {count} times", key=f"--count {group_name}"
+            )
     try:
         model = json.loads(text)
     except (ValueError, RecursionError) as error:

@@ -94,6 +94,7 @@ class RecordedDevices:
 
     def __init__(self) -> None:
         self._servers: dict[str, dict[int, _RecordedUnit]] = {}
+        self._hosts: dict[str, str] = {}  # of servers with an address; a serial line has none
         self._limits = _Limits()
 
     def add(self, exchange: CapturedExchange) -> None:
@@ -103,7 +104,12 @@ class RecordedDevices:
         """
         if exchange.unit is None or exchange.asked is None or exchange.is_broadcast:
             return
-        units = self._servers.setdefault(exchange.channel.server_text, {})
+        channel = exchange.channel
+        units = self._servers.get(channel.server_text)
+        if units is None:
+            units = self._servers[channel.server_text] = {}
+            if channel.server is not None:
+                self._hosts[channel.server_text] = str(channel.server.address)
         unit = units.get(exchange.unit)
         if unit is None:
             unit = units[exchange.unit] = _RecordedUnit(exchange.unit, self._limits)
@@ -145,7 +151,7 @@ class RecordedDevices:
     def _chosen(self, server: str | None) -> "tuple[str, dict[int, _RecordedUnit]]":
         there = {name: units for name, units in self._servers.items() if any(unit.is_there for unit in units.values())}
         if server is not None:
-            found = {name: units for name, units in there.items() if server in (name, _host(name))}
+            found = {name: units for name, units in there.items() if server in (name, self._hosts.get(name))}
             if not found:
                 raise ConfigError(f"no unit of {server} answered; those who did: {_listed(there)}", key="--server")
             there = found
@@ -154,11 +160,6 @@ class RecordedDevices:
         if len(there) > 1:
             raise ConfigError(f"there are several: {_listed(there)}", key="--server")
         return next(iter(there.items()))
-
-
-def _host(name: str) -> str:
-    """Return the host of a server's address ``HOST:PORT``, without the brackets of an IPv6 address."""
-    return name.rpartition(":")[0].strip("[]")
 
 
 def _listed(names: Sequence[str] | dict[str, Any]) -> str:

@@ -65,8 +65,7 @@ class Reload:
 
         Raises:
             ConfigError, LinkDown: the files have an error, or a file or port that they name cannot be opened; the
-                earlier configuration is in force. Only if the audit log cannot be opened again, listeners, upstreams
-                and routes of a gateway have changed already.
+                earlier configuration is in force.
         """
         with collecting_paused():
             found: list[ReloadedConfiguration] = []  # and not the thread's result, which would live a little longer
@@ -94,11 +93,11 @@ class Reload:
     ) -> list[str]:
         """Apply a reloaded configuration to the running server; return a sentence for each change, or one for none."""
         new, rules, access = reloaded.configuration, reloaded.rules, self._access
-        followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
         done = []
         if audit is not None:
-            audit.reopen()
+            audit.reopen()  # first: where it cannot be opened, nothing has changed
             done.append("the audit log was opened anew")
+        followed = await new.apply_to(server, access.listeners(new), policy=access.cautious_policy(rules))
         done += followed
         if reloaded.are_other_rules:
             done.append("the policy was replaced")

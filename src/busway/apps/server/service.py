@@ -114,8 +114,7 @@ class Service:
 
         Raises:
             ConfigError, LinkDown: the files have an error, or a file or port that they name cannot be opened; the
-                earlier configuration is in force. Only if the audit log cannot be opened again, listeners, upstreams
-                and routes of a gateway have changed already.
+                earlier configuration is in force.
         """
         async with self._reloading:
             return await self._reload.run(self.server, self._audit)

@@ -29,7 +29,7 @@ from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader
-from .registers import form_of, largest_of
+from .registers import begin_of, form_of, largest_of, limits_of
 from .simulated import SimulatedPoint, SimulatedUnit
 
 
@@ -66,9 +66,10 @@ def build_simulation(declared: Sequence[DeclaredUnit], seed: int, *, read: Reade
         forms = [
             form_of(each.section) for each in unit.section.stored if isinstance(each.section, SimulatedPointSection)
         ]
+        sections = {form.section.name: form.section for form in forms}
         for number in unit.section.unit:
             device = build_device(unit.section)
-            points = [SimulatedPoint(number, form, device) for form in forms]
+            points = [SimulatedPoint(number, form, device, sections.get(form.section.scale_from)) for form in forms]
             planned |= {point: plan for point in points if (plan := plans.get(id(point.section))) is not None}
             units[number] = SimulatedUnit(
                 number,
@@ -269,8 +270,8 @@ def _driven(
         point.key,
         seed,
         _start(section, point.number),
-        section.minimum,
-        section.maximum,
+        *limits_of(section),
+        begin_of(point.form),
         largest_of(point.form),
         plan.expressions,
         plan.recording,

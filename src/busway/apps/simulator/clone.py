@@ -228,10 +228,11 @@ class _Watched:
             behaviour = {"kind": "random-walk", "step": _short(self._step), "low": self._low, "high": self._high}
             behaviour["every"] = min(every, SLOWEST)
         wider: dict[str, Any] = {}
-        if self.point.minimum is not None and self._low < self.point.minimum:
-            wider["minimum"] = self._low
-        if self.point.maximum is not None and self._high > self.point.maximum:
-            wider["maximum"] = self._high
+        if not self.point.scale_from:
+            if self.point.minimum is not None and self._low < self.point.minimum:
+                wider["minimum"] = self._low
+            if self.point.maximum is not None and self._high > self.point.maximum:
+                wider["maximum"] = self._high
         return _with(self.point, behaviour=behaviour, **wider)
 
 
@@ -305,10 +306,11 @@ def _valued(point: SimulatedPointSection, form: ValueType[Any], data: bytes) -> 
         value = float("nan")
     changes: dict[str, Any] = {"value": value}
     if isinstance(value, int | float):
-        if point.minimum is not None and value < point.minimum:
-            changes["minimum"] = float(value)
-        if point.maximum is not None and value > point.maximum:
-            changes["maximum"] = float(value)
+        if not point.scale_from:  # which the range counts, and the value does not
+            if point.minimum is not None and value < point.minimum:
+                changes["minimum"] = float(value)
+            if point.maximum is not None and value > point.maximum:
+                changes["maximum"] = float(value)
         if point.enumeration and value not in point.enumeration.values():
             changes["enumeration"] = {**point.enumeration, f"value {value}": value}
     try:

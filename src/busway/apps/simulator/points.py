@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
+from ...config.device_writes import check_scaled
 from ...config.files.points import PointSection
 from ...errors import InvalidRequest
 from ...server.device import Device
@@ -46,6 +47,9 @@ class Points:
         """
         section = self._section(name)
         raw = section.raw(value)
+        scale = self._sections.get(section.scale_from)
+        if scale is not None:
+            check_scaled(self._device, section, value, scale)
         self._device.write(section.place, raw if section.form is None else [raw], section.form)
 
     def update(self) -> AbstractContextManager[None]:

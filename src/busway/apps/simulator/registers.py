@@ -4,7 +4,8 @@ Knows sections of points and runs of items; knows no behaviour and no time.
 
 1. Every value of a behaviour is changed to a value that the registers can hold: for whole numbers it is rounded, and a
    value outside the range of the point or of its type becomes the nearest end of that range. If it is NaN, as from a
-   formula that divides by zero, a float becomes NaN, and a point of another type keeps its value.
+   formula that divides by zero, a float becomes NaN, and a point of another type keeps its value. The range of a point
+   with ``scale_from`` does not count, because a behaviour knows no exponent.
 2. The encoding is prepared once for each point: at each moment a number is packed by one call of a compiled ``struct``.
 """
 
@@ -169,7 +170,8 @@ def _quantiser(section: SimulatedPointSection, form: ValueType[Any]) -> Quantise
     if form.name.startswith("float"):
         return _float_quantiser(section, low, high)
     # The ends of the range in steps of the scale, inwards: 0.25 at a scale of 0.1 is step 3 as a minimum.
-    ends = (section.minimum, section.maximum) if scale > 0 else (section.maximum, section.minimum)
+    minimum, maximum = limits_of(section)
+    ends = (minimum, maximum) if scale > 0 else (maximum, minimum)
     inward_low = low if ends[0] is None else (ends[0] - offset) / scale
     inward_high = high if ends[1] is None else (ends[1] - offset) / scale
     least = max(int(low), math.ceil(inward_low - _ROUNDING))
@@ -194,8 +196,9 @@ def _whole_quantiser(scale: float, offset: float, least: int, most: int) -> Quan
 
 def _float_quantiser(section: SimulatedPointSection, low: float, high: float) -> Quantise:
     scale, offset = _factors(section)
-    minimum = -math.inf if section.minimum is None else section.minimum
-    maximum = math.inf if section.maximum is None else section.maximum
+    least, most = limits_of(section)
+    minimum = -math.inf if least is None else least
+    maximum = math.inf if most is None else most
 
     def quantise(value: float) -> float:
         if value < minimum:
@@ -206,6 +209,11 @@ def _float_quantiser(section: SimulatedPointSection, low: float, high: float) ->
         return low if number < low else high if number > high else number
 
     return quantise
+
+
+def limits_of(section: SimulatedPointSection) -> tuple[float | None, float | None]:
+    """Return the smallest and the largest value that a behaviour may give a point; None for no limit (rule 1)."""
+    return (None, None) if section.scale_from else (section.minimum, section.maximum)
 
 
 def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
@@ -226,13 +234,26 @@ def _range_of_type(form: ValueType[Any]) -> tuple[float, float]:
 
 
 def largest_of(form: PointForm) -> float | None:
-    """Return the value at which a counter in this point starts from 0 again, in its unit of measure.
+    """Return the value at which a counter in this point starts again from `begin_of`, in its unit of measure.
 
-    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers (if
-    the point has no offset). None for bits and floats: never.
+    This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers. None
+    for bits and floats: never.
     """
     if form.form is None or form.form.name.startswith("float"):
         return None
     if not isinstance(form.section.rollover, bool):
         return form.section.rollover
-    return (int(_range_of_type(form.form)[1]) + 1) * abs(form.factors[0])
+    return begin_of(form) + (int(_range_of_type(form.form)[1]) + 1) * abs(form.factors[0])
+
+
+def begin_of(form: PointForm) -> float:
+    """Return the value with which a counter in this point starts again, in its unit of measure.
+
+    This is 0 if the point's ``rollover`` is a number, else the value that 0 in the registers means. If the scale is
+    negative and the type has no negative numbers, it is the value of the largest number in the registers.
+    """
+    if form.form is None or not isinstance(form.section.rollover, bool):
+        return 0.0
+    scale, offset = form.factors
+    low, high = _range_of_type(form.form)
+    return offset if scale > 0 or low < 0 else offset + high * scale

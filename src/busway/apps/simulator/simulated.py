@@ -14,6 +14,7 @@ from typing import Any, Final
 from ...codes import Table
 from ...config.devices import put_value
 from ...config.files.behaviours import described
+from ...config.files.points import PointSection
 from ...config.files.simulation import SimulatedPointSection
 from ...errors import BadReply, InvalidRequest
 from ...server.blocks import BitRun, RegisterRun
@@ -33,6 +34,7 @@ class SimulatedPoint:
         unit: number of the unit, 0…255.
         form: how the point's value is encoded.
         device: the device that has the point.
+        scale: the declaration of the point that ``scale_from`` names; None without one.
 
     Attributes:
         key: ``UNIT/NAME``, the name of the point in the simulation.
@@ -51,6 +53,7 @@ class SimulatedPoint:
     """
 
     __slots__ = (
+        "_scale",
         "changed_at",
         "device",
         "form",
@@ -64,8 +67,9 @@ class SimulatedPoint:
         "unit",
     )
 
-    def __init__(self, unit: int, form: PointForm, device: Device) -> None:
+    def __init__(self, unit: int, form: PointForm, device: Device, scale: PointSection | None = None) -> None:
         place = place_of(form, device)
+        self._scale = scale
         self.unit: int = unit
         self.key: str = f"{unit}/{form.section.name}"
         self.device: Device = device
@@ -211,7 +215,7 @@ class SimulatedPoint:
             InvalidRequest: the value does not fit the type or the range, or is no name of a value.
         """
         try:
-            put_value(self.device, self.section, value)
+            put_value(self.device, self.section, value, self._scale)
         except InvalidRequest as error:
             raise InvalidRequest(f"{self.key}: {error.message}") from None
         self.look()

@@ -102,7 +102,7 @@ def load_state(path: str) -> KeptState | None:
     data = read_safely(place, most=_LARGEST)
     try:
         return _state(json.loads(data))
-    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, RecursionError) as error:
         where = _put_aside(place)
         raise ConfigError(f"the saved values cannot be read, and {where}", file=path) from error
 
@@ -134,5 +134,9 @@ def _state(document: Any) -> KeptState:  # what JSON has
         if isinstance(value, dict) or (behaviour is not None and not isinstance(behaviour, int | float)):
             raise ValueError(key)
         # A group of bits is a tuple; JSON makes it a list, which would be several values.
-        points[key] = KeptPoint(tuple(value) if isinstance(value, list) else value, bool(point["held"]), behaviour)
+        points[key] = KeptPoint(
+            tuple(value) if isinstance(value, list) else value,
+            bool(point["held"]),
+            None if behaviour is None else float(behaviour),
+        )
     return KeptState(time, points)

@@ -229,14 +229,15 @@ class CollectorStream:
             for viewer in ready:
                 if viewer.revision != revision:
                     viewer.seen, viewer.revision, viewer.told = -1, revision, {}
+            tick = values.tick  # before the texts: what a tick meanwhile adds to them is sent again, and not missed
             texts = {seen: await asyncio.to_thread(values.since, seen) for seen in {each.seen for each in ready}}
             now = time.time_ns() // _MILLION
             for viewer in ready:
                 raw = self._raw(viewer) if viewer.shown else {}
-                if viewer.seen < values.tick or raw:
+                if viewer.seen < tick or raw:
                     raw_text = f',"raw":{json.dumps(raw)}' if raw else ""
                     viewer.message = f'{{"now":{now},"revision":{revision},{texts[viewer.seen]}{raw_text}}}'
-                    viewer.seen = values.tick
+                    viewer.seen = tick
                     viewer.is_sending = True
                     viewer.wake.set()
             self._tell_alarms()

@@ -348,11 +348,9 @@ class Api:
     # Traffic.
 
     async def list_traffic(self, query: Annotated[TrafficQuery, Query()]) -> TrafficMessage:
-        """Return the latest Modbus frames, or the latest after a number; and how many frames after it are left out."""
+        """Return the latest Modbus frames, or the latest after a number; and how many after it are kept no longer."""
         tail = self.traffic
         after = 0 if query.after is None else query.after
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]
-        first = frames[0].number if frames else tail.last + 1
-        return TrafficMessage(
-            frames=frames, last=tail.last, lost=max(first - after - 1, 0) if query.after is not None else 0
-        )
+        lost = 0 if query.after is None else max(tail.first - after - 1, 0)
+        return TrafficMessage(frames=frames, last=tail.last, lost=lost)

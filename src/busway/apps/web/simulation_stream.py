@@ -180,9 +180,9 @@ class SimulationViewer:
     def _frames(self) -> dict[str, Any]:
         tail = self._api.traffic
         frames = tail.after(self._seen, FRAMES_AT_ONCE)
-        first = frames[0].number if frames else tail.last + 1
-        self.skipped += first - self._seen - 1
-        self._seen = tail.last
+        if frames:  # what another thread adds meanwhile is sent next
+            self.skipped += frames[0].number - self._seen - 1
+            self._seen = frames[-1].number
         return {"traffic": [tail.shown(one).model_dump(mode="json") for one in frames], "skipped": self.skipped}
 
 

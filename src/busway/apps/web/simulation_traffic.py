@@ -5,8 +5,8 @@ passes everything on to the capture file if there is one.
 
 1. To keep a frame costs 8 µs and the memory for its bytes. To explain it costs ten times as much, so that is done once,
    and only for frames that are shown.
-2. Frames are numbered. A client asks for the frames after a number, and learns how many of them it does not get.
-3. Frames of the client connections of this program with Modbus TCP framing are left out.
+2. Frames are numbered. A client asks for the frames after a number, and learns how many of them are kept no longer.
+3. Frames of the client connections and client links of this program are left out.
 """
 
 import time
@@ -194,17 +194,18 @@ class Traffic:
             return onward if onward is not None else _NOTHING
         return _Connection(self, peer_name(ends.peer), onward)
 
-    def line(self, name: str) -> "LineRecorder":
+    def line(self, name: str, *, is_server: bool = True) -> "LineRecorder":
         """Return the recorder for the frames of a serial line, or of a connection with serial framing.
 
-        Called by `busway.observe.trace` for each such line or connection of this program, of a server or of a client
-        link. Frames of one that is opened after `stop` are passed to the capture file alone.
+        Called by `busway.observe.trace` for each such line or connection of this program. Frames of one of a client
+        link, or of one that is opened after `stop`, are passed to the capture file alone.
 
         Args:
             name: name of the line, shown as the peer of its frames.
+            is_server: whether requests are received here, and replies sent.
         """
-        onward = None if self._before is None else self._before.line(name)
-        if not self._is_on:
+        onward = None if self._before is None else self._before.line(name, is_server=is_server)
+        if not self._is_on or not is_server:
             return onward if onward is not None else _NOTHING
         return _Line(self, name, onward)
 

@@ -14,6 +14,7 @@ import logging
 import types
 from collections.abc import Callable, Coroutine, Generator
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, ClassVar, Self
 
 from ...client.aio import AsyncLink, open_link
@@ -363,9 +364,13 @@ async def _rest(work: Coroutine[Any, Any, None], awaited: Any) -> None:
 @types.coroutine
 def _resumed(work: Coroutine[Any, Any, None], awaited: Any) -> Generator[Any, Any, None]:
     while True:
-        yield awaited
+        go_on = partial(work.send, None)
         try:
-            awaited = work.send(None)
+            yield awaited
+        except BaseException as error:  # a cancellation, above all, is for the work
+            go_on = partial(work.throw, error)
+        try:
+            awaited = go_on()
         except StopIteration:
             return
 

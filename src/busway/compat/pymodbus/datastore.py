@@ -269,7 +269,7 @@ class ModbusServerContext:
 
     Args:
         devices: one context for all units, or a dict of contexts by unit; unit 0 in a dict answers for all units that
-            are not listed.
+            are not listed. Without it no unit has a context, until one is set.
         single: whether ``devices`` is one context; has no effect if it is a dict.
         slaves: the name of ``devices`` in older releases.
     """
@@ -277,7 +277,7 @@ class ModbusServerContext:
     def __init__(self, devices: Any = None, single: bool = True, *, slaves: Any = None) -> None:
         units = slaves if devices is None else devices
         self.single: bool = single and not isinstance(units, dict)
-        self._units: dict[int, Any] = {0: units} if self.single else dict(units or {})
+        self._units: dict[int, Any] = {0: units} if self.single and units is not None else dict(units or {})
 
     def __iter__(self) -> Iterator[tuple[int, Any]]:
         return iter(self._units.items())

@@ -11,10 +11,11 @@ Knows both kinds of objects; knows no connection. `ModbusPDU.to_request` returns
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, TypeVar
 
 from ...client.operations import diagnostic_data, diagnostic_request
 from ...codes import DiagnosticCode
+from ...errors import InvalidRequest
 from ...pdu.bits import as_state, unpack_bits
 from ...pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ...pdu.encapsulated import ReadDeviceIdentification
@@ -35,9 +36,12 @@ from ...pdu.write_items import (
     WriteMultipleRegisters,
     WriteSingleCoil,
     WriteSingleRegister,
+    pack_registers,
 )
 from .constants import DeviceInformation, ModbusStatus
 from .exceptions import ModbusException, ModbusIOException
+
+Value = TypeVar("Value")
 
 UNIT_NAMES = ("device_id", "slave", "unit", "dev_id", "slave_id", "unit_id")
 """The names that releases of pymodbus have for the unit."""
@@ -300,7 +304,7 @@ class WriteSingleCoilRequest(KnownRequest):
         super().__init__(dev_id, transaction_id, address, bits=states, **names)
 
     def to_request(self) -> Request:
-        return WriteSingleCoil.of(self.address, state(self.bits[0]))
+        return WriteSingleCoil.of(self.address, state(first(self.bits)))
 
 
 class WriteMultipleCoilsResponse(KnownResponse):
@@ -332,6 +336,17 @@ class WriteMultipleCoilsRequest(KnownRequest):
 
     def to_request(self) -> Request:
         return WriteMultipleCoils.of(self.address, [state(value) for value in self.bits])
+
+
+def first(values: Sequence[Value]) -> Value:
+    """Return the value that a request for a single coil or register writes: the first of its values.
+
+    Raises:
+        InvalidRequest: there is none.
+    """
+    if not values:
+        raise InvalidRequest("there is no value to write")
+    return values[0]
 
 
 def state(value: object) -> bool:
@@ -431,7 +446,7 @@ class WriteSingleRegisterRequest(KnownRequest):
         super().__init__(dev_id, transaction_id, address, registers=numbers(value), **names)
 
     def to_request(self) -> Request:
-        return WriteSingleRegister(self.address, self.registers[0])
+        return WriteSingleRegister(self.address, first(self.registers))
 
 
 class WriteMultipleRegistersResponse(KnownResponse):
@@ -843,8 +858,7 @@ class DiagnosticBase(KnownRequest):
     def to_request(self) -> Request:
         message = self.message
         if not isinstance(message, bytes):
-            words = [message] if isinstance(message, int) else message
-            message = b"".join(word.to_bytes(2, "big") for word in words)
+            message = pack_registers([message] if isinstance(message, int) else message)
         return diagnostic_request(self.sub_function_code, message)
 
     def response(self, reply: Any, own: dict[int, type[ModbusPDU]]) -> ModbusPDU:

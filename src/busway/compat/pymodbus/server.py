@@ -256,7 +256,7 @@ class ModbusBaseServer:
                 raise TypeError(f"{type(self).__name__}() got an unexpected keyword argument {name!r}")
         silent = ignore_missing_devices or ignore_missing_slaves
         self._server: Server = serve(endpoint, responder=ContextResponder(self.context, identity, silent), **names)
-        self._ended: asyncio.Event = asyncio.Event()
+        self._ended: asyncio.Event = asyncio.Event()  # set by ``shutdown``; each ``serve_forever`` has its own
         self.loop: asyncio.AbstractEventLoop = asyncio.get_running_loop()
         ModbusBaseServer.active_server = self
 
@@ -274,18 +274,22 @@ class ModbusBaseServer:
     async def serve_forever(self, *, background: bool = False) -> None:
         """Serve until ``shutdown`` is called; with ``background``, return as soon as the server listens.
 
+        A server that was shut down can serve again.
+
         Raises:
             RuntimeError: the server is running already.
         """
         if self._server.is_running:
             raise RuntimeError("Can't call serve_forever on an already running server object")
+        ended = self._ended = asyncio.Event()
         await self._server.start()
         if background:
             return
         try:
-            await self._ended.wait()
+            await ended.wait()
         finally:
-            await self._server.stop()
+            if self._ended is ended:  # otherwise it serves again already
+                await self._server.stop()
 
     async def shutdown(self) -> None:
         """Stop the server and wait until it has stopped; a waiting ``serve_forever`` returns then."""
@@ -340,6 +344,8 @@ class ModbusSerialServer(ModbusBaseServer):
             "stop_bits": older.pop("stopbits", 1),
         }
         options = {name: str(value) for name, value in settings.items()}
+        if "port" not in older:
+            raise TypeError(f"{type(self).__name__}() missing 1 required keyword-only argument: 'port'")
         return Endpoint(SERIAL_SCHEMES[framing], path=older.pop("port"), options=options)
 
 

@@ -135,7 +135,7 @@ class CounterSection(BehaviourSection):
     rollover: Annotated[
         Number | None,
         Range(0, math.inf, above=True),
-        "value at which it begins again from 0; None: where a whole-number type ends.",
+        "value at which it begins again from 0; None: where a whole-number type ends, from `offset` of the point.",
     ] = None
 
 

@@ -322,7 +322,10 @@ class PointSection(WholeSection):
     ] = None
     order: Annotated[str, "order of bytes and registers."] = "ABCD"
     # Any: what TOML has, here and in `meta`
-    value: Annotated[Any, "the first value, in the unit of measure; `true` or `false` for bits; left out: zero."] = None
+    value: Annotated[
+        Any,
+        "the first value, in the unit of measure without `scale_from`; `true` or `false` for bits; left out: zero.",
+    ] = None
     unit_of_measure: Annotated[str, 'text: `"m"`, `"°C"`.'] = ""
     scale: Annotated[float, "value = what the registers hold · scale + offset; a number other than 0."] = 1.0
     offset: Annotated[Finite, "see `scale`."] = 0.0
@@ -552,7 +555,7 @@ class PointSection(WholeSection):
         """Return the raw number for a value in the unit of measure, or for the name of a value.
 
         Texts and bits are returned as the registers' type takes them. The power of ten of ``scale_from`` is not
-        applied.
+        applied, and the range of a point with ``scale_from`` is not checked.
 
         Raises:
             InvalidRequest: the value does not fit the type, the scale, the names or the range, or the point is
@@ -563,7 +566,7 @@ class PointSection(WholeSection):
         if point.form is not None:
             point.form.merge(raw, bytes(2 * point.form.registers))
         physical = self.enumeration.get(value, value) if isinstance(value, str) else value
-        if isinstance(physical, int | float) and not isinstance(physical, bool):
+        if isinstance(physical, int | float) and not isinstance(physical, bool) and not self.scale_from:
             self.check_range(physical)
         return raw
 
@@ -584,12 +587,18 @@ class PointSection(WholeSection):
             return None
         return converter(self.conversion, whole=self.is_whole)
 
-    def check_range(self, value: float) -> None:
+    def check_range(self, value: float, exponent: int = 0) -> None:
         """Raise `InvalidRequest` if a value, in the unit of measure, is below ``minimum`` or above ``maximum``, or NaN.
 
         NaN is accepted if the point has neither.
+
+        Args:
+            value: the value without the power of ten of ``scale_from``.
+            exponent: the value of the point that ``scale_from`` names; 0 without one.
         """
         low, high = self.minimum, self.maximum
+        if exponent:
+            value = value * 10.0**exponent if exponent > 0 else value / 10.0**-exponent
         if (low is not None and not value >= low) or (high is not None and not value <= high):
             raise InvalidRequest(f"must be {ranged(low, high)}, not {shown(value)}")
 

@@ -50,7 +50,7 @@ def _echo() -> Fault:
     return Fault(answered=answered)
 
 
-_WHOLE_ECHO = frozenset({5, 6, 22})
+_WHOLE_ECHO = frozenset({5, 6, 21, 22})
 """Codes of functions whose reply repeats the whole request; the reply of 15 and 16 is its first five bytes."""
 
 

@@ -2,14 +2,15 @@
 
 Knows a source with a status and a collector over it; knows no server.
 
-1. A scrape asks the source in its own event loop, for at most `ASK_SECONDS`: if the loop is stuck, the scrape says
-   ``busway_up 0`` and still has the counts of requests.
+1. A scrape asks the source in its own event loop, for at most `ASK_SECONDS`: if the loop is stuck, or the source fails,
+   the scrape says ``busway_up 0`` and still has the counts of requests.
 2. The scraper chooses the format: OpenMetrics or the text format of Prometheus.
 3. Read-only: a client that reaches the address sees numbers and can change nothing.
 """
 
 import asyncio
 import concurrent.futures
+import logging
 from collections.abc import Callable, Iterable
 from http import HTTPStatus
 from types import TracebackType
@@ -26,6 +27,8 @@ from .request_tally import RequestTally
 
 if TYPE_CHECKING:
     from prometheus_client import CollectorRegistry
+
+_log = logging.getLogger("busway.metrics")
 
 ASK_SECONDS: Final = 2.0
 """Most seconds that a scrape waits for the status of its source."""
@@ -143,7 +146,7 @@ class MetricsEndpoint:
         await asyncio.to_thread(self._service.stop)
 
     def _ask(self) -> Any:  # a status, as the source gives it
-        """Return the source's status, asked for in its event loop; None if the loop is closed or too slow to answer."""
+        """Return the source's status, asked for in its event loop; None if it fails, or the loop is closed or slow."""
 
         async def status() -> Any:
             return self._source.status()
@@ -158,6 +161,9 @@ class MetricsEndpoint:
             return future.result(ASK_SECONDS)
         except concurrent.futures.TimeoutError:
             future.cancel()
+            return None
+        except Exception as error:  # of a source that others have written
+            _log.warning("a scrape has no status: %r", error)
             return None
 
     async def __aenter__(self) -> Self:

@@ -177,10 +177,13 @@ class BlockingSerialPort:
                 until = self.drain()
                 _sleep_until(until + self.settings.delay_after_send)
                 self._device.turn_to_receiving()
-        except LinkDown:
+        except BaseException as error:
+            if by_hand:  # at the sending level it would keep all others from sending
+                with contextlib.suppress(OSError):
+                    self._device.turn_to_receiving()
+            if isinstance(error, OSError) and not isinstance(error, LinkDown):
+                raise port_lost(error, port=self.path, sent=True) from error
             raise
-        except OSError as error:
-            raise port_lost(error, port=self.path, sent=True) from error
         return until
 
     def drain(self, timeout: float | None = None) -> float:

@@ -9,6 +9,7 @@ Knows asyncio and `serialx`; knows no Modbus.
 """
 
 import asyncio
+import contextlib
 import time
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Self, cast
@@ -344,8 +345,13 @@ class _SenderByRts:
         self._sending = False
 
     def stop(self) -> None:
+        """Stop sending, because the port is closed; RTS is switched back if a frame was on its way."""
         if self._timer is not None:
             self._timer.cancel()
+        if self._sending:
+            self._sending = False
+            with contextlib.suppress(OSError):  # the port has vanished
+                self._device.turn_to_receiving()
 
 
 def _opening_failed(error: Exception, path: str, settings: SerialSettings) -> Exception:

@@ -164,8 +164,10 @@ class TlsLayer(asyncio.BufferedProtocol):
             return
         self.state = TlsState.UP
         self._collecting = True
-        self._above.connection_made(self)
-        self._collecting = False
+        try:
+            self._above.connection_made(self)
+        finally:
+            self._collecting = False
         if not self._below.is_closing():
             self._deliver()
 

@@ -161,6 +161,26 @@ async def test_a_key_that_was_sent_gives_its_result_after_its_point_has_gone(tmp
             await plant.write("a", 7, key="new")
 
 
+async def test_a_key_whose_use_cannot_be_read_after_its_point_has_gone_is_answered_with_a_refusal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    async with wired(tmp_path) as plant:
+        await plant.write("a", 7, key="k")
+        (tmp_path / "valve.toml").write_text(VALVE.replace("READ", "").replace('"a"', '"c"'))
+        await plant.collector.read_again()
+
+        def broken(result: CommandResult) -> None:
+            raise OSError("the disk is broken")
+
+        with monkeypatch.context() as disk:
+            disk.setattr(plant.commands._journal, "known", broken)
+            result = await plant.write("a", 7, key="k")
+        assert (result.state, "nothing was sent" in result.reason) == (REFUSED, False)
+        assert "there is no point 'a' of valve" in result.reason
+        assert "whether its key was used before cannot be read: the disk is broken" in result.reason
+        assert plant.written() == [(7,)]
+
+
 async def test_a_command_while_its_link_is_begun_anew_keeps_its_key(tmp_path: Path) -> None:
     async with wired(tmp_path) as plant:
         first = await plant.held("b", 1, key="first")

@@ -335,6 +335,21 @@ async def test_too_many_open_commands_of_a_device_are_refused_without_taking_the
         assert (await running.write("mode", 1, key="again")).is_done
 
 
+async def test_too_many_open_commands_of_all_devices_together_are_refused_by_their_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("busway.apps.collector.commands.runner.MOST_OPEN_IN_ALL", 2)
+    async with plant(tmp_path) as running:
+        release = await running.hold()
+        waiting = [asyncio.create_task(running.write("mode", number)) for number in range(2)]
+        await asyncio.sleep(0)
+        refused = await running.write("mode", 1, key="again")
+        assert (refused.state, refused.reason) == (REFUSED, "2 commands of all devices are open; nothing was sent")
+        release.set()
+        assert all(each.is_done for each in await asyncio.gather(*waiting))
+        assert (await running.write("mode", 1, key="again")).is_done
+
+
 async def test_a_link_that_ends_ends_its_commands(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
         await running.hold()

@@ -89,6 +89,18 @@ async def test_an_event_that_is_refused_is_found_and_set_aside_and_all_others_ar
         assert (delivery.status().set_aside, delivery.status().error) == (1, "no stream")
 
 
+async def test_an_event_that_is_refused_and_cannot_be_set_aside_holds_no_other(tmp_path: Path) -> None:
+    (tmp_path / ASIDE).write_text("no folder, so nothing can be written into it")
+    with journalled(tmp_path) as writer:
+        sink = AlarmRecordingSink()
+        sink.refused = ACKNOWLEDGED
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: len(sink.alarms) == 2)
+        assert [each.event for each in sink.alarms] == [RAISED, CLEARED]
+        assert delivery.status().set_aside == 1
+        assert (delivery.status().error or "").startswith("no stream; it cannot be set aside: ")
+
+
 async def test_a_sink_gets_events_of_its_points_only_and_one_that_takes_none_gets_samples(tmp_path: Path) -> None:
     with journalled(tmp_path) as writer:
         other, plain = AlarmRecordingSink(), RecordingSink()

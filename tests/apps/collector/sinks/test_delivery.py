@@ -254,6 +254,26 @@ async def test_a_refused_sample_is_found_set_aside_and_told_and_all_others_arriv
     }
 
 
+async def test_a_refused_sample_that_cannot_be_set_aside_is_counted_once_and_all_others_arrive_once(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    sink = RecordingSink(poison=lambda sample: sample.point == "current")
+    (tmp_path / ASIDE).write_text("no folder, so nothing can be written into it")
+    with filled(tmp_path, 5) as writer:
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: len(sink.taken) == 10 and delivery.status().cursor >= 5)
+        assert len(delivered_once(sink.taken)) == 10
+        assert (delivery.status().set_aside, delivery.status().sent) == (5, 10)
+        assert "a value is refused; it cannot be set aside: " in (delivery.status().error or "")
+        assert caplog.text.count("cannot be set aside, and is only counted: ") == 1
+        (tmp_path / ASIDE).unlink()
+        commit_reads(writer, 5, 1)
+        await run_until(delivery, lambda: delivery.status().set_aside == 6)
+    assert delivery.status().error == "a value is refused"
+    (line,) = (tmp_path / ASIDE / "sink.jsonl").read_text().splitlines()
+    assert json.loads(line)["time"] == at(5)
+
+
 async def test_a_sink_that_has_refused_a_sample_is_said_to_be_down_only_while_it_is(
     tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:

@@ -263,6 +263,19 @@ async def test_lines_arrive_over_http_and_a_server_that_was_busy_gets_all(lines:
     assert lines.lines[0].startswith("samples,device=meter-7,point=voltage value=230.0,reason=0i ")
 
 
+async def test_a_server_that_does_not_answer_in_time_is_told_by_the_kind_of_the_error() -> None:
+    httpx = pytest.importorskip("httpx")
+
+    def stays_silent(request: object) -> None:
+        raise httpx.ReadTimeout("")
+
+    sink = InfluxSink("http://127.0.0.1:1/write")
+    sink._client = httpx.AsyncClient(transport=httpx.MockTransport(stays_silent))
+    with pytest.raises(SinkDown, match=r"the server cannot be reached: ReadTimeout$"):
+        await sink.send([sample("a", 1.5)])
+    await sink.close()
+
+
 def test_prometheus_gets_last_values_of_listed_points_that_are_neither_bad_nor_stale() -> None:
     pytest.importorskip("prometheus_client")
     values = LastValues()

@@ -85,6 +85,28 @@ def test_a_backup_of_a_segment_that_has_no_tables_yet_is_whole(tmp_path: Path) -
     assert len(Store(tmp_path / "again").read()) == 9
 
 
+def test_a_backup_does_not_list_a_segment_that_is_not_made_yet_and_can_be_restored(tmp_path: Path) -> None:
+    steps: list[str] = []
+    copied: list[int] = []
+
+    def back_up_before_the_second_is_made(step: str) -> None:
+        steps.append(step)
+        if step == "segment-listed" and steps.count(step) == 2:
+            copied.append(back_up(tmp_path / "data", tmp_path / "copy"))
+
+    with StoreWriter(tmp_path / "data", now=NOON, step=back_up_before_the_second_is_made) as writer:
+        writer.commit([meter_read(1, 1)], [], at(1))
+        writer.roll()
+        writer.commit([meter_read(2, 2)], [], at(2))
+    assert copied == [1]
+    assert check_store_files(tmp_path / "copy") == []
+    assert restore(tmp_path / "copy", tmp_path / "again") == 1
+    assert len(Store(tmp_path / "again").read()) == 3
+    with StoreWriter(tmp_path / "again", now=at(3)) as again:
+        again.commit([meter_read(4, 4)], [], at(4))
+    assert check_store_files(tmp_path / "again") == []
+
+
 @pytest.mark.parametrize("meanwhile", ["sealed", "new point"])
 def test_what_happens_while_a_backup_is_made_takes_nothing_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, meanwhile: str

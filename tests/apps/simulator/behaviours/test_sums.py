@@ -16,6 +16,7 @@ def test_a_steady_counter_is_start_and_rate_times_time() -> None:
 def test_a_counter_begins_again_at_its_rollover() -> None:
     assert [SteadyCounter(3.0, 10.0, 0.0).value(float(time)) for time in range(5)] == [0, 3, 6, 9, 2]
     assert SteadyCounter(-1.0, 10.0, 0.0).value(1.0) == 9.0
+    assert [SteadyCounter(3.0, 10.0, 8.0, -5.0).value(float(time)) for time in range(3)] == [8, -4, -1]
 
 
 def test_a_counter_goes_on_from_what_it_was_set_to() -> None:
@@ -56,6 +57,9 @@ def test_a_counter_of_an_expression_rolls_over_too() -> None:
     counter = Counter(lambda time: 7.0, 10.0, 0.0)
     counter.observe(0.0)
     assert [counter.value(float(time)) for time in range(4)] == [0, 7, 4, 1]
+    counter = Counter(lambda time: 7.0, 10.0, 0.0, -5.0)
+    counter.observe(0.0)
+    assert [counter.value(float(time)) for time in range(3)] == [0, 7, -1]
 
 
 def test_a_lag_makes_63_percent_of_its_way_in_its_time_constant() -> None:

@@ -116,7 +116,7 @@ class RaisedAlarm:
         state: its state, neither normal nor pending.
         since: nanoseconds since 1970 UTC at which it was raised.
         value: the value with which it was raised.
-        acknowledged_by, acknowledged_at: who acknowledged it, and when, nanoseconds since 1970 UTC; None if it is not acknowledged.
+        acknowledged_by, acknowledged_at: who acknowledged it, and when, nanoseconds since 1970 UTC; None if not yet.
         cleared_at: when the value came back, nanoseconds since 1970 UTC; None while it has not.
     """
 

@@ -59,6 +59,7 @@ PROGRAM: Final = WriterRights()
 MOST_OPEN: Final = 16
 """Most commands of one device that may wait or run; further ones are refused."""
 MOST_OPEN_IN_ALL: Final = 1000
+"""Most commands of all devices together that may wait or run; further ones are refused."""
 MOST_ARMED: Final = 256
 ARMED_SECONDS: Final = 60.0
 """Seconds within which an armed command must be confirmed."""
@@ -276,7 +277,6 @@ class CommandRunner:
         Raises:
             InvalidRequest: an argument is out of its limits, or there is no such point and the key is new. Nothing was
                 sent or recorded.
-            OSError: there is no such point, and the journal cannot be read to look up the key. Nothing was sent.
         """
         now = self._now()
         if key is not None and isinstance(key, str) and key.startswith(MADE):
@@ -294,8 +294,11 @@ class CommandRunner:
             self._targets.target(device, point)
         except NotPolledNow as error:
             return await self._refused_now(command, error.message)
-        except NoSuchPoint:  # now; a command with this key may have been sent before
-            known = await self._known(command)
+        except NoSuchPoint as error:  # now; a command with this key may have been sent before
+            try:
+                known = await self._known(command)
+            except OSError as problem:
+                return self._refused_unread(command, error.message, problem)
             if known is None:
                 raise
             return known
@@ -435,10 +438,12 @@ class CommandRunner:
         if joined is not None:
             return joined
         lock, waiting = self._devices.get(command.device, (asyncio.Lock(), 0))
-        if self._closed or waiting >= MOST_OPEN or len(self._running) >= MOST_OPEN_IN_ALL:
-            if self._closed:
-                return self.refused(self._result(command), "the collector ends; this command was not taken")
+        if self._closed:
+            return self.refused(self._result(command), "the collector ends; this command was not taken")
+        if waiting >= MOST_OPEN:
             return await self._refused_now(command, f"{waiting} commands of {command.device} are open")
+        if len(self._running) >= MOST_OPEN_IN_ALL:
+            return await self._refused_now(command, f"{len(self._running)} commands of all devices are open")
         self._devices[command.device] = lock, waiting + 1
         task = asyncio.create_task(self._take(command, lock, permission), name=f"busway command {command.key}")
         self._running[command.key] = _Running(command, task)
@@ -534,9 +539,13 @@ class CommandRunner:
         try:
             known = await self._known(command)
         except OSError as error:
-            why = f"{why}, and whether its key was used before cannot be read: {error}"
-            return self.refused(self._result(command), why)
+            return self._refused_unread(command, why, error)
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
+
+    def _refused_unread(self, command: PointCommand, why: str, error: OSError) -> CommandResult:
+        """Refuse a command whose key cannot be looked up; what is said leaves open whether it was sent before."""
+        why = f"{why}, and whether its key was used before cannot be read: {error}"
+        return self.refused(self._result(command), why)
 
     async def _known(self, command: PointCommand) -> CommandResult | None:
         """Return the result for a command whose key was used before; None for a new key, or one made by the collector.

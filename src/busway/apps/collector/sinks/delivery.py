@@ -10,7 +10,8 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
    with the one that this sink got before, and always sent if its reason has changed. What the sink got before is in
    the manifest with the cursor: after a crash the same samples are sent again, wherever batches are cut then.
 5. Samples and events of alarms that the receiver refuses are found by halving the batch, and set aside in a file, up to
-   `ASIDE_LIMIT` bytes; then they are only counted. All others are sent.
+   `ASIDE_LIMIT` bytes; then, and while the file cannot be written (a full disk), they are only counted. All others are
+   sent.
 6. Samples from before the wall clock was set wait until their times are corrected, so that the receiver gets them once,
    with the right time. After `CLOCK_WAIT` seconds they are sent as they are, and not again.
 7. A sink that shows current values stays connected while nothing is to be sent, and is told which points exist. After a
@@ -163,6 +164,7 @@ class Delivery:
         self._sent = self._aside = 0
         self._down_error: str | None = None
         self._refusal: str | None = None
+        self._only_counts = False  # what is refused could not be set aside
         self._store_error: str | None = None
         self._unkept: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
         self._is_open = False
@@ -420,11 +422,15 @@ class Delivery:
                 await self._send(samples[:middle])
                 await self._send(samples[middle:])
                 return
-            if self._aside == 0:
-                _log.error("sink %s refused a sample, which is set aside: %s", self.name, error)
-            self._refusal = str(error)
-            self._aside += 1
-            await asyncio.to_thread(self._set_aside, samples[0], str(error))
+            sample = samples[0]
+            line = {
+                "device": sample.device,
+                "point": sample.point,
+                "time": sample.time,
+                "value": sample.value,
+                "reason": reason_text(sample.reason),
+            }
+            await self._set_aside("a sample", line, error)
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
         """Send alarm events to the sink; those that it refuses for good are found by halving and set aside.
@@ -439,23 +445,29 @@ class Delivery:
                 await self._send_alarms(sink, alarms[:middle])
                 await self._send_alarms(sink, alarms[middle:])
                 return
-            if self._aside == 0:
-                _log.error("sink %s refused an event of an alarm, which is set aside: %s", self.name, error)
-            self._refusal = str(error)
-            self._aside += 1
-            await asyncio.to_thread(self._write_aside, {**alarm_document(alarms[0]).content, "error": str(error)})
+            await self._set_aside("an event of an alarm", alarm_document(alarms[0]).content, error)
 
-    def _set_aside(self, sample: CommittedSample, error: str) -> None:
-        self._write_aside(
-            {
-                "device": sample.device,
-                "point": sample.point,
-                "time": sample.time,
-                "value": sample.value,
-                "reason": reason_text(sample.reason),
-                "error": error,
-            }
-        )
+    async def _set_aside(self, what: str, line: Mapping[str, Any], error: SinkRefused) -> None:  # what JSON has
+        """Count a refused sample or event of an alarm, and set it aside in the file, if that can be written (rule 5).
+
+        Args:
+            what: what it is, for the log.
+            line: what the file gets, beside the error.
+            error: why it is refused.
+        """
+        if self._aside == 0:
+            _log.error("sink %s refused %s, which is set aside: %s", self.name, what, error)
+        self._aside += 1
+        self._refusal = str(error)
+        try:
+            await asyncio.to_thread(self._write_aside, {**line, "error": str(error)})
+        except OSError as problem:
+            if not self._only_counts:
+                _log.error("sink %s: what it refuses cannot be set aside, and is only counted: %s", self.name, problem)
+            self._only_counts = True
+            self._refusal = f"{error}; it cannot be set aside: {problem}"
+        else:
+            self._only_counts = False
 
     def _write_aside(self, line: dict[str, Any]) -> None:  # what JSON has
         folder = self._folder / ASIDE

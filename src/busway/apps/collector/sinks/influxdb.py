@@ -97,7 +97,7 @@ class InfluxSink:
         try:
             answer = await self._client.post(self._url, content="\n".join(lines).encode())
         except httpx.HTTPError as error:
-            raise SinkDown(f"the server cannot be reached: {error or type(error).__name__}") from error
+            raise SinkDown(f"the server cannot be reached: {str(error) or type(error).__name__}") from error
         if not answer.is_success:
             kind = SinkRefused if answer.status_code in _REFUSED else SinkDown
             raise kind(f"the server answered {answer.status_code}: {self._secrets.hide(answer.text)[:200]}")

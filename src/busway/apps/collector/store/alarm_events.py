@@ -56,22 +56,22 @@ def alarm_events(rows: Iterable[AlarmRow], manifest: Manifest) -> list[AlarmEven
 
     Rows of points that are not in the manifest are left out.
     """
+    return [event for _, event in _with_events(rows, manifest)]
+
+
+def _with_events(rows: Iterable[AlarmRow], manifest: Manifest) -> Iterator[tuple[AlarmRow, AlarmEvent]]:
+    """Yield each database row with its `AlarmEvent`, but those of points that are not in the manifest."""
     points = {point.id: point for point in manifest.points()}
-    return [
-        AlarmEvent(
-            points[row.point].device,
-            points[row.point].point,
-            row.limit,
-            AlarmEventKind(row.event),
-            row.at,
-            None if row.value is None else sample_value(row.value, 0, points[row.point].is_state),
-            row.by,
-            bool(row.needs),
-            row.text,
+    for row in rows:
+        point = points.get(row.point)
+        if point is None:
+            continue
+        value = None if row.value is None else sample_value(row.value, 0, point.is_state)
+        kind = AlarmEventKind(row.event)
+        yield (
+            row,
+            AlarmEvent(point.device, point.point, row.limit, kind, row.at, value, row.by, bool(row.needs), row.text),
         )
-        for row in rows
-        if row.point in points
-    ]
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
@@ -90,25 +90,25 @@ def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) 
     old = {place for place, at in _known_times(rows) if at < before or place < excess}
     if not old:
         return 0
-    needed = _places_of_active(alarm_events(rows, manifest))
-    gone = [row for place, row in enumerate(rows) if place in old and place not in needed]
+    needed = _rows_of_active(_with_events(rows, manifest))
+    gone = [row for place, row in enumerate(rows) if place in old and row not in needed]
     manifest.forget_alarms(gone)
     return len(gone)
 
 
-def _places_of_active(journal: Sequence[AlarmEvent]) -> set[int]:
-    """Return the positions in ``journal`` of the events that explain the alarms active or not acknowledged at its end.
+def _rows_of_active(journal: Iterable[tuple[AlarmRow, AlarmEvent]]) -> set[AlarmRow]:
+    """Return the rows of the events that explain the alarms active or not acknowledged at the end of ``journal``.
 
     For each of these alarms they are its last raising and its own later events.
     """
     alarms: dict[AlarmKey, RaisedAlarm] = {}
-    places: dict[AlarmKey, list[int]] = {}
-    for place, event in enumerate(journal):
+    rows: dict[AlarmKey, list[AlarmRow]] = {}
+    for row, event in journal:
         fold_event(alarms, event)
         if event.kind is AlarmEventKind.RAISED:
-            places[event.key] = []
-        places.setdefault(event.key, []).append(place)
-    return {place for key in alarms for place in places[key]}
+            rows[event.key] = []
+        rows.setdefault(event.key, []).append(row)
+    return {row for key in alarms for row in rows[key]}
 
 
 def _known_times(rows: Sequence[AlarmRow]) -> Iterator[tuple[int, int]]:

@@ -3,7 +3,8 @@
 Knows files and what the manifest says of them; changes nothing in the store that it copies.
 
 1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. SQLite copies the
-   manifest, then the segments, so that the open one has every commit up to a moment; then sealed parts are copied.
+   manifest, then the segments, so that the open one has every commit up to a moment; then sealed parts are copied. A
+   segment whose file the writer has not made yet, so that it has no commits, is not listed in the copy.
    After them the points are copied anew, so that every copied sample has its point, and the reserved commit numbers, so
    that a commit after the restore has a number that no copied commit has. If a part was removed meanwhile, all starts
    again.
@@ -78,11 +79,12 @@ def _copied(folder: Path, target: Path) -> int | None:
     """Copy the manifest of a store, the files with samples that it lists, and what a collector keeps beside them.
 
     Returns:
-        The number of listed files with samples; None if one was sealed or deleted before it was copied.
+        The number of files with samples in the copy; None if one was sealed or deleted before it was copied.
     """
     _copy_database(folder / MANIFEST, target / MANIFEST)
     with closing(Manifest(target)) as manifest:
         parts = manifest.parts()
+    unmade: list[StorePart] = []
     for part in sorted(parts, key=lambda part: part.kind == "sealed"):
         source, copy = folder / SEGMENTS / part.file, target / SEGMENTS / part.file
         try:
@@ -95,13 +97,16 @@ def _copied(folder: Path, target: Path) -> int | None:
         except FileNotFoundError:
             if part.kind != "open" or not _is_listed(folder, part):
                 return None
+            unmade.append(part)
+    with closing(Manifest(target)) as manifest:
+        manifest.drop_parts(unmade, before=0)
     with closing(sqlite3.connect(target / MANIFEST)) as written:
         copy_points(folder / MANIFEST, written)
     sync_file(target / MANIFEST)
     for name in (COMMANDS, OWNERSHIP):
         if (folder / name).exists():
             _copy_database(folder / name, target / name)
-    return len(parts)
+    return len(parts) - len(unmade)
 
 
 def _is_listed(folder: Path, part: StorePart) -> bool:

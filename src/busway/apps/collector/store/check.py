@@ -1,7 +1,6 @@
 """Checks the files of a store for damage, also while the store is being written.
 
-Knows files and what the manifest says of them; changes nothing and takes no lock. A check reads the parts and the
-journal of commands, not the record of ownership of a fleet.
+Knows files and what the manifest says of them; changes nothing and takes no lock.
 """
 
 import sqlite3
@@ -11,7 +10,7 @@ from pathlib import Path
 from typing import Final
 
 from ....values.counts import counted
-from .folder import COMMANDS, SEGMENTS, UNFINISHED, holder_of
+from .folder import COMMANDS, OWNERSHIP, SEGMENTS, UNFINISHED, holder_of
 from .manifest import Manifest, StorePart
 from .sealing import arrow, can_seal
 from .segment import facts_of, is_unmade, open_for_reading
@@ -20,10 +19,11 @@ _TRIES: Final = 10
 
 
 def check_store_files(folder: Path) -> list[str]:
-    """Check the files with samples and the journal of commands, and return the problems found, one sentence each.
+    """Check the files beside a store's manifest, and return the problems found, one sentence each.
 
-    An empty list if there are no problems. The check changes nothing, and works while the store is being written. A
-    sealed file that cannot be checked, because pyarrow is not installed, is a problem too.
+    They are the files with samples, the journal of commands, and the record of ownership of a fleet. An empty list if
+    there are no problems. The check changes nothing, and works while the store is being written. A sealed file that
+    cannot be checked, because pyarrow is not installed, is a problem too.
 
     Raises:
         ConfigError: there is no store, or its manifest cannot be read.
@@ -47,7 +47,8 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
                 continue  # listed, and not made yet
             if not tolerant and not any(each.file == part.file for each in manifest.parts()):
                 raise FileNotFoundError(part.file)
-            yield f"{part.file} is listed, but the file is not there"
+            lost = ": it is lost, or a collector was killed before it made it" if part.kind == "open" else ""
+            yield f"{part.file} is listed, but the file is not there{lost}"
             continue
         if part.kind == "sealed":
             yield from _problems_of_sealed(path, part, manifest)
@@ -57,8 +58,9 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
             other = seen.setdefault(part.first_commit, part.file)
             if other != part.file:
                 yield f"{part.file} and {other} have the same commits"
-    if (folder / COMMANDS).exists():
-        yield from _problems_of_commands(folder / COMMANDS)
+    for name in (COMMANDS, OWNERSHIP):
+        if (folder / name).exists():
+            yield from _problems_of_record(folder / name)
     listed = {part.file for part in manifest.parts()} | {part.file for part in parts} | set(manifest.files_to_unlink())
     for path in sorted((folder / SEGMENTS).iterdir()):
         name = path.name.removesuffix("-wal").removesuffix("-shm")
@@ -68,7 +70,7 @@ def _problems(folder: Path, manifest: Manifest, *, tolerant: bool = False) -> It
             yield f"{path.name} is in the folder, but not listed"
 
 
-def _problems_of_commands(path: Path) -> Iterator[str]:
+def _problems_of_record(path: Path) -> Iterator[str]:
     try:
         with closing(open_for_reading(path)) as database:
             for (sentence,) in database.execute("PRAGMA quick_check(5)"):

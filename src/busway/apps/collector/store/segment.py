@@ -324,7 +324,7 @@ def _stored_number(value: float) -> object:
 
 
 def open_for_reading(path: Path) -> sqlite3.Connection:
-    """Open a segment file, or the journal of commands, for reading; the caller closes the connection.
+    """Open a segment file, or another SQLite file of a store, for reading; the caller closes the connection.
 
     Raises:
         FileNotFoundError: there is no such file.

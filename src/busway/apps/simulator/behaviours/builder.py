@@ -37,7 +37,8 @@ class Surroundings:
         seed: the seed of the simulation.
         start: the point's first value, in its unit of measure.
         low, high: smallest and largest value of the point; None for no limit.
-        rollover: the value at which a counter of the point's type starts from 0 again; None for never.
+        begin, rollover: the value with which a counter of the point's type starts again, and the value at which it does
+            so; None for never.
         expressions: the parsed expressions of the section, by key of the section.
         recording: the recording of a replay; None for other behaviours.
         source: takes the name of a point and returns a function that reads the point's present value.
@@ -48,6 +49,7 @@ class Surroundings:
     start: float
     low: float | None
     high: float | None
+    begin: float
     rollover: float | None
     expressions: dict[str, Expression]
     recording: Recording | None
@@ -89,10 +91,10 @@ def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour
 
 
 def _counter(section: CounterSection, around: Surroundings) -> Behaviour:
-    rollover = around.rollover if section.rollover is None else section.rollover
+    begin, rollover = (around.begin, around.rollover) if section.rollover is None else (0.0, section.rollover)
     if not isinstance(section.rate, str):
-        return SteadyCounter(section.rate, rollover, around.start)
-    return Counter(around.expressions["rate"].bind(around.source), rollover, around.start)
+        return SteadyCounter(section.rate, rollover, around.start, begin)
+    return Counter(around.expressions["rate"].bind(around.source), rollover, around.start, begin)
 
 
 def _lag(section: LagSection, around: Surroundings) -> Behaviour:

@@ -18,22 +18,24 @@ class SteadyCounter:
 
     Args:
         rate: change of the value per second.
-        rollover: the value at which the counter starts from 0 again; None for never.
+        rollover: the value at which the counter starts from ``begin`` again; None for never.
         start: the value at time 0.
+        begin: the value with which it starts again.
     """
 
-    __slots__ = ("_rate", "_rollover", "_since", "_start")
+    __slots__ = ("_begin", "_rate", "_rollover", "_since", "_start")
 
-    def __init__(self, rate: float, rollover: float | None, start: float) -> None:
+    def __init__(self, rate: float, rollover: float | None, start: float, begin: float = 0.0) -> None:
         self._rate = rate
         self._rollover = rollover
+        self._begin = begin
         self._start = start
         self._since = 0.0
 
     def value(self, time: float) -> float:
         """Return the value of the counter at a time, in seconds of the simulation."""
         value = self._start + self._rate * max(time - self._since, 0.0)
-        return value if self._rollover is None else value % self._rollover
+        return value if self._rollover is None else _rolled_over(value, self._begin, self._rollover)
 
     def resume(self, time: float, value: float) -> None:
         """Let the counter continue from a value at a time, in seconds of the simulation."""
@@ -50,15 +52,17 @@ class Counter:
 
     Args:
         rate: the formula, which returns the change of the value per second at a time.
-        rollover: the value at which the counter starts from 0 again; None for never.
+        rollover: the value at which the counter starts from ``begin`` again; None for never.
         start: the value at time 0.
+        begin: the value with which it starts again.
     """
 
-    __slots__ = ("_rate", "_rollover", "_seen", "_time", "_value")
+    __slots__ = ("_begin", "_rate", "_rollover", "_seen", "_time", "_value")
 
-    def __init__(self, rate: Bound, rollover: float | None, start: float) -> None:
+    def __init__(self, rate: Bound, rollover: float | None, start: float, begin: float = 0.0) -> None:
         self._rate = rate
         self._rollover = rollover
+        self._begin = begin
         self._value = start
         self._time = 0.0
         self._seen = 0.0
@@ -70,7 +74,7 @@ class Counter:
         computed. If that call was for a later time, the value is returned unchanged.
         """
         value = self._value + self._seen * max(time - self._time, 0.0)
-        self._value = value if self._rollover is None else value % self._rollover
+        self._value = value if self._rollover is None else _rolled_over(value, self._begin, self._rollover)
         self._time = max(time, self._time)
         return self._value
 
@@ -87,6 +91,11 @@ class Counter:
     def state(self, time: float) -> float | None:
         """Return the current value of the counter, to continue from after a restart; ``time`` is ignored."""
         return self._value
+
+
+def _rolled_over(value: float, begin: float, rollover: float) -> float:
+    """Return what a counter shows that has counted to a value, and starts from ``begin`` again at ``rollover``."""
+    return begin + (value - begin) % (rollover - begin)
 
 
 class SteadyLag:

@@ -102,7 +102,8 @@ class Authority:
             days, starts_in: as for `client`.
 
         Raises:
-            ConfigError: there is no host, an element is no host name or address, or the name is too long.
+            ConfigError: there is no host, an element is no host name or address, the name is too long, or the
+                certificate would expire before it becomes valid.
         """
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -126,7 +127,7 @@ class Authority:
             starts_in: days until the certificate becomes valid; 0 or negative: it is valid now.
 
         Raises:
-            ConfigError: name or role has a wrong length.
+            ConfigError: name or role has a wrong length, or the certificate would expire before it becomes valid.
         """
         return self.client_with(name, [] if role is None else [encode_role(role)], days=days, starts_in=starts_in)
 
@@ -221,6 +222,8 @@ def _build(
     now = datetime.datetime.now(datetime.UTC)
     not_after = now + datetime.timedelta(days=days)
     not_before = min(now - _BACKDATED, not_after - _BACKDATED) + datetime.timedelta(days=starts_in)
+    if not_before > not_after:
+        raise ConfigError(f"a certificate that expires in {days:g} days cannot begin later", key="starts_in")
     signer = key if issuer is None else issuer.key
     builder = (
         x509.CertificateBuilder()
