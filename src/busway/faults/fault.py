@@ -57,7 +57,8 @@ class Contact:
         opened: when the connection was opened.
         others: number of other connections of the server that were open then.
         last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
-            What was received and sent while all faults were off can be missing. For a reply that the device itself has
+            What was received and sent while all faults were off can be missing; when the first fault is switched on,
+            ``last_received`` becomes that time. For a reply that the device itself has
             sent, without a fault, ``last_sent`` is the time of the request.
         carriers: the kinds of transport that the connection belongs to.
     """
@@ -412,7 +413,7 @@ class AppliedFault:
         return replace(exchange, random=self._random)
 
     def count(self, seen: Exchange) -> None:
-        """Count a request in ``struck``; once, also if several functions of the fault have changed its answer.
+        """Add 1 to ``struck`` for a request, once even if several functions of the fault have changed its answer.
 
         Args:
             seen: the request, as `strikes` returned it.
@@ -553,7 +554,7 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """Return the earliest time, in seconds, at which a fault may close an idle connection; None for never.
+        """Return the earliest time, in seconds, at which a fault can close an idle connection; None for never.
 
         Faults that are on at ``now`` count, with a time that can be before ``now``; and those that their schedule makes
         active later, with the time at which they become active.

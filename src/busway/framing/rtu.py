@@ -398,7 +398,10 @@ class RtuReceiver:
     # Decisions at a silence (rules 2, 4 and 5).
 
     def _after_silence(self, found: list[Received]) -> None:
-        """Decide whether unfinished bytes are frames or damaged, after a silence of t3.5 (rules 2, 4 and 5)."""
+        """Add the frames among the undecided bytes to ``found``, after a silence of t3.5 (rules 2, 4, 5 of this file).
+
+        If bytes remain that can still become a frame, they stay undecided; otherwise the damaged bytes are added too.
+        """
         self._skipping = False
         while self._at < len(self._buffer):
             self._follow(found)
