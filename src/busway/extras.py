@@ -58,8 +58,8 @@ def require(package: str, purpose: str, *, key: str | None = None) -> None:
 def missing_extra(error: ImportError) -> MissingExtra | None:
     """Return a `MissingExtra` if ``error`` is the failed import of an optional package; None otherwise.
 
-    A package is found by its top-level name, which must be a key of `EXTRA_OF`: ``nats`` for ``nats.js``. The message
-    of the new error says that "this command" needs the package. The new error is returned, not raised.
+    The package must be a key of `EXTRA_OF`; the import of a module in it, or of a package around it, counts too. The
+    message of the new error says that "this command" needs the package. The new error is returned, not raised.
     """
     name = f"{error.name or ''}."
     for package, extra in EXTRA_OF.items():

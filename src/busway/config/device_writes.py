@@ -86,9 +86,15 @@ def check_scaled(device: Device, point: PointSection, value: float, scale: Point
 
 
 def _exponent(scale: PointSection, data: bytes) -> int:
-    """Return the exponent that the registers of a point hold which others name in ``scale_from``.
+    """Return the exponent, -10…10, in the registers of a point that others name in ``scale_from``.
 
-    Raises `InvalidRequest` if they hold no exponent -10…10, and `BadReply` if they hold no number.
+    Args:
+        scale: the point.
+        data: its registers, big-endian.
+
+    Raises:
+        InvalidRequest: the number is not -10…10.
+        BadReply: the registers hold no number.
     """
     assert scale.form is not None  # it holds whole numbers
     exponent: int = scale.form.decode(data)[0]
@@ -132,7 +138,7 @@ class _Limits:
                 raise Refusal(reason=f"{point.name}: {error.message}") from error
 
     def _after(self, point: PointSection, change: Change) -> bytes:
-        """Return the registers of a point as they would be after a write, of all, some or none of them."""
+        """Return the registers of a point, big-endian, as they would be after a write of all, some or none of them."""
         start = point.place.offset
         data = bytearray(self._device.peek(point.table, start, point.size) or b"")
         low, high = max(start, change.address), min(start + point.size, change.address + change.count)

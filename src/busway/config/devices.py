@@ -59,8 +59,8 @@ def put_value(
         device: the device.
         point: the point.
         value: the value, without the power of ten of ``scale_from``.
-        scale: the point that ``scale_from`` names, whose exponent counts for the range of the value. With None, a point
-            with ``scale_from`` may have a value outside its range.
+        scale: the point that ``scale_from`` names, whose exponent counts for the range of the value. With None, the
+            range of a point with ``scale_from`` is not checked.
 
     Raises:
         InvalidRequest: the value does not fit the point.

@@ -10,7 +10,8 @@ Tests and the simulator use these objects.
    probability and schedule, and can be switched at any time from any thread.
 3. Which faults apply to a request is decided once, before any of them acts. A fault counts a request as struck only if
    it has changed the answer: the fault "at most 50 registers" does not count a request for 2.
-4. Random choices depend on the seed alone: equal requests meet equal faults.
+4. Random choices depend only on the seed, on the order in which faults were added, and on the requests before: the same
+   sequence of requests meets the same faults.
 """
 
 import threading
@@ -56,7 +57,8 @@ class Contact:
         opened: when the connection was opened.
         others: number of other connections of the server that were open then.
         last_received, last_sent: time of the last complete request and of the last sent bytes; None before the first.
-            What was received and sent while all faults were off can be missing. For a reply that the device itself has
+            What was received and sent while all faults were off can be missing; when the first fault is switched on,
+            ``last_received`` becomes that time. For a reply that the device itself has
             sent, without a fault, ``last_sent`` is the time of the request.
         carriers: the kinds of transport that the connection belongs to.
     """
@@ -350,7 +352,7 @@ class AppliedFault:
 
     @property
     def name(self) -> str:
-        """Name of the fault profile that the fault was created from."""
+        """Name of the fault profile that the fault was created from; empty for a fault without a profile."""
         return self.fault.name
 
     def on(self) -> None:
@@ -411,7 +413,7 @@ class AppliedFault:
         return replace(exchange, random=self._random)
 
     def count(self, seen: Exchange) -> None:
-        """Count a request in ``struck``; once, also if several functions of the fault have changed its answer.
+        """Add 1 to ``struck`` for a request, once even if several functions of the fault have changed its answer.
 
         Args:
             seen: the request, as `strikes` returned it.
@@ -425,7 +427,8 @@ class Faults:
     """All faults of one server, in the order in which they act. All methods may be called from any thread.
 
     Args:
-        seed: seed of random choices; with equal seeds, equal requests meet equal faults.
+        seed: seed of random choices; with an equal seed, and equal faults added in the same order, an equal sequence of
+            requests meets the same faults.
 
     Attributes:
         generation: a number that grows whenever a fault is added, removed or switched.
@@ -551,7 +554,7 @@ class Faults:
         return found
 
     def closes_at(self, contact: Contact, now: float) -> float | None:
-        """Return the earliest time, in seconds, at which a fault may close an idle connection; None for never.
+        """Return the earliest time, in seconds, at which a fault can close an idle connection; None for never.
 
         Faults that are on at ``now`` count, with a time that can be before ``now``; and those that their schedule makes
         active later, with the time at which they become active.

@@ -162,7 +162,7 @@ class FaultyConversation:
     def deadline(self, now: float) -> float | None:
         """Return the time, in seconds, at which `tick` has something to do next; None for never.
 
-        `tick` then has bytes to send, or must close the connection.
+        `tick` then has bytes to send, closes the connection, or finds that a fault which can close it became active.
         """
         closes_at = self._faults.closes_at(self.contact, now)
         due = self._outbox[0].when if self._outbox else None

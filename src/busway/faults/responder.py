@@ -83,7 +83,8 @@ class FaultyResponder:
 
         Returns the wrapped responder's outcome, or raises its `Refusal`, if no fault applies to the request and no
         earlier reply on the connection is delayed. Otherwise the tap sends the reply, and the session is told that
-        there is none: this method returns `SILENCE`, or the session gets `SILENCE` later.
+        there is none: this method returns `SILENCE`. If the wrapped responder answers later, it returns `LATER` or an
+        awaitable, and the session gets `SILENCE` when that has answered.
         """
         faulty = self._tap.find(context.listener, context.peer)
         if faulty is None or self._is_aside:
@@ -114,7 +115,10 @@ class _Turn:
         self._struck = struck
 
     def say(self, context: RequestContext, answer: bytes, outcome: Message | None) -> None:
-        """Plan the bytes to send for a reply PDU (empty for no reply), and report the outcome to the observers."""
+        """Plan the bytes to send for a reply PDU (empty for no reply), and report the outcome to the observers.
+
+        They get ``outcome``, or `SILENCE` if it is None or no frame is going to be sent.
+        """
         faulty = self._faulty
         is_sent = faulty.conversation.answered(self._exchange, self._struck, answer, faulty.clock.now())
         context.end(outcome if is_sent and outcome is not None else SILENCE)

@@ -57,7 +57,8 @@ class FaultSwitchboard:
     """The faults of one server, which can be added, switched and removed by name.
 
     Args:
-        seed: seed of random choices: with equal seeds, equal requests meet equal faults.
+        seed: seed of random choices: with an equal seed, and equal faults added in the same order, an equal sequence of
+            requests meets the same faults.
         clock: clock of delays and schedules; None for the clock of the event loop.
         fault_profiles: the fault profiles to choose from.
 

@@ -26,7 +26,7 @@ def _moved_by_one_byte(state: int) -> int:
 
 
 BYTE_TABLE: Final = [_moved_by_one_byte(byte) for byte in range(256)]
-"""The register after one byte: ``state >> 8 ^ BYTE_TABLE[(state ^ byte) & 0xFF]``."""
+"""Table for the CRC register after one more byte, which is ``state >> 8 ^ BYTE_TABLE[(state ^ byte) & 0xFF]``."""
 
 
 def _zero_byte(state: int) -> int:

@@ -45,7 +45,8 @@ class Due:
         unit: the unit that is to answer.
         function: the function code of the request, 1…127.
         size: length of the reply's PDU in bytes; `UNKNOWN_LENGTH` if the request does not tell it.
-        until: time at which the reply is no longer expected, in seconds of the receiver's clock.
+        until: time after which the reply is no longer expected, in seconds of the receiver's clock; infinity for a
+            master, whose driver ends the wait.
     """
 
     unit: int

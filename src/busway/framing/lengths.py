@@ -51,7 +51,9 @@ class FrameLengths:
     """Lengths of all RTU frames of a table of functions; `length` returns that of one frame.
 
     Attributes:
-        requests, replies: lists of the length rules (rule 2 of this file); the index is the function byte 0…255.
+        requests, replies: lists of the length rules; the index is the function byte 0…255. A rule above 0 is the length
+            of the frame; below 0, its negative is the offset of the byte count in the frame; 0: the function is
+            unknown; `ASK`: see ``asked_requests``.
         shapes: for each function byte 0…255, the rules of its reply and of its request in the form of `shape_of`;
             equal ones once, and rules of unknown functions and `ASK` are left out.
         asked_requests, asked_replies: objects that compute the length of a frame whose function byte has the rule
@@ -108,9 +110,10 @@ class AskedLengths:
     def length(self, data: bytearray, at: int, end: int) -> int:
         """Return the length in bytes of the whole frame whose PDU, not whose unit, starts at ``at``.
 
-        It is `NEED_MORE` or `UNKNOWN_LENGTH` as in `FrameLengths.length`. The length follows from the first three bytes
-        of the PDU and is cached under them. Only for identification objects (function 43) more bytes are needed. For
-        these the length rule is cached instead, so that noise which looks like such a reply costs little.
+        Only ``data[at:end]`` is looked at. `NEED_MORE` if these bytes are too few to tell; `UNKNOWN_LENGTH` if the
+        bytes of such a frame never tell it. The length follows from the first three bytes of the PDU and is cached
+        under them. Only for identification objects (function 43) more bytes are needed. For these the length rule is
+        cached instead, so that noise which looks like such a reply costs little.
         """
         shown = bytes(data[at:end])
         if len(shown) < _DECIDING:
@@ -154,9 +157,10 @@ def shape_of(rule: int) -> tuple[int, int] | None:
 
 
 def _flatten(functions: FunctionTable, code: int, length: LengthRule) -> int:
-    """Return the length rule of a function code as one number (rule 2 of this file).
+    """Return the length rule of a function code as one number, found by calling ``length`` for sample messages.
 
-    It is found by calling ``length`` for longer and longer sample messages.
+    Above 0 it is the length of the whole frame; below 0, its negative is the offset of the byte count in the frame; 0:
+    the function is unknown, or its messages never tell their length; `ASK`: the length depends on more bytes.
 
     Args:
         functions: the table of functions.

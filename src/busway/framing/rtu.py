@@ -117,8 +117,8 @@ class RtuReceiver:
                 and for the reply that a master expects, until `flush`.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
             echo: whether this station receives what it sends.
-            started: when the port was opened, so that nothing is sent before t3.5 has passed (state "initial" of
-                §2.5.1.1); None where the line is known to be idle.
+            started: when the port was opened, in seconds, so that nothing is sent before t3.5 has passed (state
+                "initial" of §2.5.1.1); None where the line is known to be idle.
 
         Raises:
             ValueError: a ``gap_limit`` below t3.5.
@@ -326,7 +326,7 @@ class RtuReceiver:
     def _follow(self, found: list[Received]) -> None:
         """Add each frame that is complete by length and CRC to ``found``.
 
-        Of more undecided bytes than a frame has, the first are dropped: no frame begins there.
+        Of more undecided bytes than a frame has, the first are moved to the lost bytes: no frame begins there.
         """
         server = self.conversation.role is LineRole.SERVER
         while self._at < len(self._buffer):
@@ -398,7 +398,10 @@ class RtuReceiver:
     # Decisions at a silence (rules 2, 4 and 5).
 
     def _after_silence(self, found: list[Received]) -> None:
-        """Decide whether unfinished bytes are frames or damaged, after a silence of t3.5 (rules 2, 4 and 5)."""
+        """Add the frames among the undecided bytes to ``found``, after a silence of t3.5 (rules 2, 4, 5 of this file).
+
+        If bytes remain that can still become a frame, they stay undecided; otherwise the damaged bytes are added too.
+        """
         self._skipping = False
         while self._at < len(self._buffer):
             self._follow(found)

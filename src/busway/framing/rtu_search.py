@@ -35,7 +35,8 @@ def find_reply(
 ) -> Place:
     """Find the first position from ``start`` where the expected reply, or its exception reply, begins or can begin.
 
-    Returns the position, and the end of the frame there; instead of the end `WAITS` or `DEAD`, as `Place` says.
+    Returns the position and the end of the frame there. Instead of the end, it returns `WAITS` if the frame is
+    unfinished, and `DEAD` if none is found; then the position is the end of ``buffer``.
 
     Args:
         buffer: bytes received from the line.
@@ -81,8 +82,9 @@ def find_reply(
 def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
     """Find the first position from ``start`` where a request or reply of any unit begins or can begin.
 
-    Only functions whose length is fixed or told by a byte count are looked for. Returns the position, and the end of
-    the frame there; instead of the end `WAITS` or `DEAD`, as `Place` says.
+    Only functions whose length is fixed or told by a byte count are looked for. Returns the position and the end of the
+    frame there. Instead of the end, it returns `WAITS` if the frame is unfinished, and `DEAD` if none is found; then
+    the position is the end of ``buffer``.
 
     Args:
         buffer: bytes received from the line.

@@ -92,7 +92,8 @@ class StrictRtuReceiver:
             units: the own units of a server; a container whose content changes is allowed.
             reply_window: seconds for which a server or observer expects the reply to a request to another unit.
             echo: whether this station receives what it sends.
-            started: when the port was opened: the state is "initial" until t3.5 of silence. None: the line is idle.
+            started: when the port was opened, in seconds: the state is "initial" until t3.5 of silence has passed.
+                None: the line is idle.
         """
         self.conversation: Conversation = Conversation(role, units, reply_window)
         self.echo: EchoFilter = EchoFilter(echo)

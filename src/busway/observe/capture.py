@@ -2,8 +2,9 @@
 
 Knows how Wireshark dissects each kind of packet; knows no driver. Drivers pass in what they received and sent.
 
-1. TCP: each receive and send is one TCP segment with the true addresses and ports. Wireshark decodes port 502 by
-   default, and others by its preference (``tshark -o mbtcp.tcp.port:502,5020``).
+1. TCP: each receive and send is one TCP segment (several above 32 768 bytes), UDP: each datagram is one; with the true
+   addresses and ports. Wireshark decodes port 502 by default, and others by its preference
+   (``tshark -o mbtcp.tcp.port:502,5020``).
 2. Serial lines: each frame is a packet that Wireshark decodes as Modbus RTU. The master has the address 0.0.0.0,
    unit 7 has 0.0.0.7, so that replies are matched with their requests. Where requests and replies look alike (05, 06,
    08, 22), Wireshark tells them apart with ``mbrtu.tcp.port:1``: port 1 means the units.
@@ -59,18 +60,17 @@ def is_capture(head: bytes) -> bool:
 
 
 class Capture:
-    """A capture file for Wireshark; a context manager that closes it.
+    """A capture file for Wireshark; a context manager that closes it. Its methods may be called from several threads.
 
-    Connections and serial lines write into it through recorders, which `connection`, `stream` and `line` return.
-
-    Its methods may be called from several threads.
+    Connections and serial lines write into the file through recorders, which `connection`, `stream` and `line` return.
+    If the file cannot be written, no method raises: `failure` then has the reason, and later packets are dropped.
 
     Attributes:
         failure: why nothing more is written: the error of the file, or ``closed``; empty while packets are written.
     """
 
     def __init__(self, stream: BinaryIO, *, clock: Callable[[], float] = time.time) -> None:
-        """Begin a capture file in the binary ``stream``, which `close` closes.
+        """Write the beginning of a capture file into ``stream``. `close` closes the stream.
 
         Args:
             stream: the file to write, opened in binary mode.
@@ -99,14 +99,21 @@ class Capture:
         return self._writer.packets
 
     def stream(self, local: object, peer: object) -> "StreamCapture":
-        """Return a recorder for a TCP connection between addresses from ``getsockname`` and ``getpeername``.
+        """Return a recorder for one TCP connection.
 
-        Each call begins a connection with new sequence numbers.
+        In the file, each recorder is a connection of its own: its sequence numbers begin with 1 in both directions.
+
+        Args:
+            local, peer: socket addresses from ``getsockname`` and ``getpeername``; anything else, such as None, is
+                written as 0.0.0.0:0.
         """
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
     def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
-        """Return a recorder for a TCP or UDP connection between two socket addresses."""
+        """Return a recorder for a TCP connection, or for the datagrams between two UDP addresses.
+
+        An address that is None in ``ends`` is written as 0.0.0.0:0.
+        """
         return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
@@ -135,9 +142,9 @@ class Capture:
         return LineCapture(self, self._guarded(interface))
 
     def close(self) -> None:
-        """Write the incomplete frames that serial lines have received, and close the file; later packets are dropped.
+        """Write the received bytes of unfinished frames of serial lines, and close the file. Later packets are dropped.
 
-        May be called twice.
+        Does not raise if the file cannot be written. May be called twice.
         """
         TRACE.settle()
         with self._lock:
@@ -206,7 +213,7 @@ class StreamCapture:
         self._received = self._sent = 1  # sequence numbers behind a handshake that was not seen
 
     def received(self, data: bytes) -> None:
-        """Record bytes that the connection received: write them to the capture file as TCP packets."""
+        """Write bytes that the connection received to the capture file, as TCP packets with the current time."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._peer, self._local, piece, self._received, self._sent)
@@ -214,7 +221,7 @@ class StreamCapture:
             self._capture.ip_packet(packet, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Record bytes that the connection sent: write them to the capture file as TCP packets."""
+        """Write bytes that the connection sent to the capture file, as TCP packets with the current time."""
         for at in range(0, len(data), LARGEST_SEGMENT):
             piece = data[at : at + LARGEST_SEGMENT]
             packet = tcp_packet(self._local, self._peer, piece, self._sent, self._received)
@@ -232,11 +239,11 @@ class DatagramCapture:
         self._ends = ends
 
     def received(self, data: bytes) -> None:
-        """Record a received datagram: write it to the capture file."""
+        """Write a received datagram to the capture file, with the current time."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
-        """Record a sent datagram: write it to the capture file."""
+        """Write a sent datagram to the capture file, with the current time."""
         self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
 
 
@@ -257,13 +264,13 @@ class LineCapture:
         direction: Direction | None = None,
         is_outgoing: bool = False,
     ) -> None:
-        """Record a frame, or damaged bytes, of the serial line: write them to the capture file as one packet.
+        """Write a frame, or damaged bytes, of the serial line to the capture file as one packet.
 
         Args:
             found: the frame or damaged bytes.
-            at: seconds since 1970 at which they began; None for now.
-            direction: request or reply; None for the direction that the receiver has found.
-            is_outgoing: whether this program sent them.
+            at: time in seconds since 1970 at which the frame or the damaged bytes began; None for now.
+            direction: request or reply; None for the direction in ``found``. Without effect for damaged bytes.
+            is_outgoing: whether this program sent the bytes.
         """
         flow = Flow.OUTGOING if is_outgoing else Flow.INCOMING
         if isinstance(found, Damaged):

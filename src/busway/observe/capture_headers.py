@@ -92,7 +92,10 @@ def udp_packet(source: Node, destination: Node, payload: bytes) -> bytes:
 def _ip_packet(
     source: Node, destination: Node, protocol: int, header: bytes, checksum_at: int, payload: bytes
 ) -> bytes:
-    """Return an IP packet, with the checksum of the TCP or UDP header inside it filled in."""
+    """Return an IP packet with a TCP or UDP header and its payload, both checksums filled in; IPv6 if an end has IPv6.
+
+    ``checksum_at`` is the offset of the checksum in ``header``, in bytes.
+    """
     size = len(header) + len(payload)
     pseudo = source.address.packed + destination.address.packed + struct.pack(">II", size, protocol)
     total = checksum(pseudo + header + payload) or 0xFFFF
@@ -120,9 +123,9 @@ def line_pdu(dissector: str, source: Node, destination: Node, frame: bytes, *, i
 
     Args:
         dissector: Wireshark's name of the dissector that is to decode the frame, such as ``mbrtu``.
-        source, destination: addresses that stand for master and unit.
+        source, destination: IPv4 addresses and ports that stand for master and unit.
         frame: the bytes of the frame.
-        info: text for the list of packets, for frames of which the dissector shows nothing.
+        info: text for Wireshark's list of packets, for frames of which the dissector shows nothing; empty for none.
     """
     tags = _tag(_DISSECTOR, dissector.encode("ascii"))
     tags += _tag(_IPV4_SOURCE, source.address.packed) + _tag(_IPV4_DESTINATION, destination.address.packed)

@@ -49,11 +49,11 @@ class Dissection:
 
     Attributes:
         framing: framing around the PDU.
-        direction: request, reply, or ``EITHER`` if the bytes can be both.
+        direction: request or reply; ``EITHER`` if the bytes are valid as a request and as a reply.
         title: framing, addressing, function and direction in words.
         parts: all fields; offsets count from the first byte of the frame, in ASCII from its first character.
         problems: what is wrong, one sentence each; empty for a valid frame.
-        answers: whether the frame answers the request that was dissected before it.
+        answers: whether the frame is a valid reply to the last request that the `Dissector` has explained.
     """
 
     framing: Framing
@@ -72,7 +72,7 @@ class _Frame:
         framing: the framing; `Framing.PDU` for none.
         pdu: function code and data; empty if the frame is too short to have them.
         head, tail: the fields before and after the PDU.
-        unit, transaction: None where the framing has none.
+        unit, transaction: the identifiers as numbers; None where the framing has none, or the frame is too short.
         pdu_at: offset of the PDU in the frame, in bytes, in ASCII in characters.
     """
 
@@ -97,11 +97,11 @@ class _Frame:
 
 @dataclass(frozen=True, slots=True)
 class _Asked:
-    """The request that was explained last; its reply is recognised with it."""
+    """The last request that was explained and has no reply yet; a reply is recognised by comparison with it."""
 
     request: Request
     code: int
-    """Function code of the request, also if the function is unknown."""
+    """First byte of the request's PDU, its function code."""
     unit: int | None
     transaction: int | None
 
@@ -134,11 +134,14 @@ class Dissector:
         self._asked: _Asked | None = None
 
     def dissect(self, data: bytes) -> list[Dissection]:
-        """Return the explained frames in ``data``: one, or several MBAP frames in a row."""
+        """Return the explained frames in ``data``: several if it consists of MBAP frames in a row, else exactly one.
+
+        The list is never empty: bytes that are no valid frame are one `Dissection` with ``problems``.
+        """
         return list(self.dissections(data))
 
     def dissections(self, data: bytes) -> Iterator[Dissection]:
-        """Yield the frames of `dissect` one by one, so that only one frame of a long stream is in memory."""
+        """Yield what `dissect` returns, one by one, so that only one explained frame of a long stream is in memory."""
         at, is_stream = 0, self._is_stream(data)
         while True:
             end = _end_of_mbap(data, at) if is_stream else len(data)
@@ -152,8 +155,8 @@ class Dissector:
     def _is_stream(self, data: bytes) -> bool:
         """Whether the bytes are to be cut into MBAP frames.
 
-        If no framing is given, they must begin with a whole MBAP frame of a known function, another MBAP header must
-        follow it, and they must not end in a valid CRC.
+        If the framing is given, True for MBAP and False for others. Else True if the bytes begin with a whole MBAP
+        frame of a known function, another MBAP header follows it, and the bytes are no RTU frame with a valid CRC.
         """
         if self._framing is not None:
             return self._framing is Framing.MBAP
@@ -317,7 +320,8 @@ def _cut_rtu(data: bytes) -> _Frame:
 def _cut_ascii(data: bytes) -> _Frame:
     """Split an ASCII frame (``:``, pairs of characters, CR LF) into its parts.
 
-    CR LF may be missing, as copies of frames often lose the end.
+    A missing CR LF is no problem, as copies of frames often lose the end. The PDU is empty if a character is no
+    hexadecimal digit, their number is odd, or they are fewer than three bytes.
     """
     body = data[1:] if data.startswith(b":") else data
     text = body.rstrip(b"\r\n")

@@ -8,7 +8,7 @@ them:
 2. Head, body, time and number of connections are limited. One connection too many closes the oldest one that has not
    sent its whole request; if all have, the new connection is answered 503. A peer that sends or reads slowly delays no
    other peer.
-3. The last descriptors of the process are never kept: they are for Modbus.
+3. The last descriptors of the process are for Modbus: an HTTP connection that gets one of them is closed at once.
 """
 
 import contextlib
@@ -43,7 +43,8 @@ class HttpLimits:
     Attributes:
         request_seconds: seconds from the accepted connection to the last byte of the request.
         seconds: seconds from the accepted connection to the last byte of the response.
-        connections: number of connections open at once.
+        connections: number of connections open at once. Until the connections closed for new ones have ended, there
+            may be up to twice as many.
     """
 
     request_seconds: float = 5.0
@@ -57,8 +58,8 @@ class HttpService(ThreadingMixIn, TCPServer):
     Args:
         bound: a bound stream socket; the service closes it.
         answer: returns the response to a request; called in the connection's thread, which it may block for a limited
-            time. An `HttpError` that it raises is sent as the response.
-        admit: called with each accepted socket; False closes the connection unread.
+            time. An `HttpError` that it raises is sent as the response; any other exception is logged and answered 500.
+        admit: called with each accepted socket; if it returns False, the connection is closed unread.
         limits: limits of connections; None for the defaults of `HttpLimits`.
         name: name of the thread that accepts.
     """
@@ -124,9 +125,9 @@ class HttpService(ThreadingMixIn, TCPServer):
     def verify_request(self, request: Any, client_address: Any) -> bool:
         """Whether an accepted HTTP connection may stay; if not, the standard library closes it.
 
-        It may not if ``admit`` refuses it, or if it has one of the reserved descriptors. Beyond the limit of
-        connections the oldest one without a whole request is closed in its favour; if there is none, or at twice the
-        limit, the new one is answered 503 and may not stay.
+        False if ``admit`` refuses the connection, or if it has one of the reserved descriptors. At the limit of
+        connections, the oldest one without a whole request is closed to make room; if there is none, or at twice the
+        limit, the new connection is answered 503, and the result is False.
         """
         if is_reserved(request.fileno()) or not self._admit(request):
             return False

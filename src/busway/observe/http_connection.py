@@ -116,9 +116,10 @@ class _Head:
 
 
 def drain(accepted: socket.socket, last: bytes = b"") -> None:
-    """Send the last bytes of a response, then discard received bytes: otherwise closing would reset the connection.
+    """Send ``last``, then discard bytes that were received and not read: else closing would reset the connection.
 
-    It does not wait: bytes that the socket does not take at once are not sent. Errors of the socket are ignored.
+    Does not wait: bytes that the socket does not take at once are not sent, and at most 16 KiB are discarded. Errors of
+    the socket are ignored.
     """
     with contextlib.suppress(OSError):
         accepted.setblocking(False)

@@ -14,7 +14,7 @@ BODY_LIMIT: Final = 4096
 
 
 class HttpError(Exception):
-    """Error that the HTTP service answers with a status code and a sentence.
+    """Error that a resource raises to make the HTTP service answer with a status code and a sentence.
 
     Args:
         status: HTTP status code, such as 404.

@@ -135,9 +135,9 @@ class LineStatistics:
         frames: number of good frames.
         frame_bytes: number of bytes in them.
         broadcasts: number of frames for unit 0.
-        damaged: number of disturbances, by reason.
-        damaged_bytes: number of bytes in disturbances.
-        busy: seconds that frames and disturbances lasted; 0 over a network.
+        damaged: number of times that damaged bytes were heard, by reason.
+        damaged_bytes: number of damaged bytes.
+        busy: seconds that frames and damaged bytes lasted; 0 over a network.
         units: the statistics of each unit, by number.
     """
 
@@ -198,12 +198,18 @@ class Pairing:
         return events
 
     def tick(self, now: float) -> list[Heard]:
-        """Return the event of a missing reply, if waiting for it has ended by ``now`` (seconds); else an empty list."""
+        """Return the event `Kind.UNANSWERED` if ``reply_window`` after the last request is over; else an empty list.
+
+        ``now`` is the time in seconds by the clock of the frames.
+        """
         deadline = self.deadline()
         return [] if deadline is None or now < deadline else [self._unanswered(deadline)]
 
     def deadline(self) -> float | None:
-        """Return the time at which the last request counts as unanswered; None if no reply is awaited."""
+        """Return the time in seconds, by the clock of the frames, at which the last request counts as unanswered.
+
+        None if no reply is awaited.
+        """
         return None if self._asked is None else self._asked.ended + self.reply_window
 
     # Inside.
@@ -273,7 +279,7 @@ class Pairing:
         return Heard(Kind.DAMAGED, damaged=found, gap=gap)
 
     def _unanswered(self, until: float) -> Heard:
-        """Count the last request as unanswered until the time ``until``, and return that event."""
+        """Count the last request as unanswered, and return the event; waiting ended at the time ``until`` (seconds)."""
         asked, damage = self._asked, self._damage
         assert asked is not None
         unit = self.statistics.unit(asked.unit)
@@ -285,5 +291,5 @@ class Pairing:
 
 
 def _answers(reply: SerialFrame, asked: SerialFrame) -> bool:
-    """Whether unit and function of a reply are those of the request that awaits it."""
+    """Whether a reply, or an exception reply, has the unit and the function of a request."""
     return reply.unit == asked.unit and reply.pdu[0] & 0x7F == asked.pdu[0]

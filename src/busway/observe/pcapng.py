@@ -15,7 +15,7 @@ from ..version import __version__
 
 _SECTION, _INTERFACE, _PACKET = 0x0A0D0D0A, 1, 6
 SECTION_HEADER: Final = struct.pack("<I", _SECTION)
-"""First bytes of each pcapng file in little-endian order."""
+"""First four bytes of each pcapng file, the same in both byte orders."""
 _BYTE_ORDER: Final = 0x1A2B3C4D
 _UNKNOWN_LENGTH: Final = -1
 _END_OF_OPTIONS: Final = 0
@@ -44,7 +44,9 @@ class Flow(IntEnum):
 
 
 class PcapngWriter:
-    """Writes a capture file in pcapng format into a binary stream of the caller. Errors of the stream are `OSError`.
+    """Writes a capture file in pcapng format into a binary stream of the caller; creating it writes the file's header.
+
+    Errors of the stream, such as `OSError`, are passed on to the caller.
 
     Args:
         stream: the file, opened in binary mode; it is never closed here.
@@ -64,7 +66,7 @@ class PcapngWriter:
         self._write(_SECTION, struct.pack("<IHHq", _BYTE_ORDER, 1, 0, _UNKNOWN_LENGTH), options)
 
     def add_interface(self, link_type: LinkType, name: str, description: str = "") -> int:
-        """Add an interface to the capture file; returns its number for `add_packet`."""
+        """Add an interface to the capture file. Returns its number for `add_packet`, counted from 0."""
         options = _text(_NAME, name) + _text(_DESCRIPTION, description)
         options += _option(_TIME_RESOLUTION, bytes((_MICROSECONDS,)))
         self._write(_INTERFACE, struct.pack("<HHI", link_type, 0, 0), options)

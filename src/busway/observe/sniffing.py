@@ -43,10 +43,10 @@ class Ear(Protocol):
     """Interface of a source of a serial line's bytes: a port, or a device server that forwards the line's bytes."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return received bytes, after waiting for up to ``timeout`` seconds, and how many of them are damaged.
+        """Return received bytes as soon as there are some, and how many of them the port marked as damaged.
 
-        Empty if none came in time; a timeout of None waits for ever. Raises `LinkDown` if the port has vanished or the
-        connection has ended.
+        No bytes if none came within ``timeout`` seconds; None waits for ever. Raises `LinkDown` if the port has
+        vanished or the connection has ended.
         """
 
     def close(self) -> None:
@@ -57,7 +57,7 @@ class SocketEar:
     """Source of a serial line's bytes: a TCP connection to a device server that forwards them."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Connect to the device server that forwards the line's bytes. Raises `LinkDown`."""
+        """Connect to the device server that forwards the line's bytes. Raises `LinkDown` if that fails."""
         self._name = endpoint.url
         address = endpoint.host, endpoint.port or 0
         try:
@@ -67,9 +67,10 @@ class SocketEar:
             raise link_down(error, endpoint=self._name) from error
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return received bytes, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
+        """Return received bytes as soon as there are some, and 0: TCP marks no bytes as damaged.
 
-        Empty if none came in time. Raises `LinkDown` if the connection has ended.
+        No bytes if none came within ``timeout`` seconds; None waits for ever. Raises `LinkDown` if the connection has
+        ended.
         """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
@@ -91,7 +92,7 @@ class DatagramEar:
     """Source of a serial line's bytes: a local UDP port to which a device server sends them, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
-        """Bind the local UDP port at which a device server's datagrams arrive. Raises `LinkDown`."""
+        """Bind the local UDP port at which a device server's datagrams arrive. Raises `LinkDown` if that fails."""
         self._name = endpoint.url
         try:
             places = socket.getaddrinfo(
@@ -114,9 +115,10 @@ class DatagramEar:
         return int(self._socket.getsockname()[1])
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
-        """Return the next datagram, after waiting for up to ``timeout`` seconds (None: for ever), and 0 damaged bytes.
+        """Return the next datagram as soon as it has come, and 0: UDP marks no bytes as damaged.
 
-        Empty if none came in time. Raises `LinkDown` if the system reports an error.
+        No bytes if none came within ``timeout`` seconds; None waits for ever. Raises `LinkDown` if the system reports
+        an error.
         """
         try:
             self._socket.settimeout(None if timeout is None else max(timeout, 0.000_001))
@@ -343,7 +345,7 @@ class Listening:
     def _try_again(self, now: float, until: float) -> bool:
         """Open the vanished port again if the next attempt is due, else wait up to a fifth of a second.
 
-        Returns whether it is open.
+        Returns whether the port is open. `ConfigError` if it is in use in this process or refuses its settings.
         """
         pause = min(self._try_at, until, now + _LONGEST_WAIT) - now
         if pause > 0:

@@ -24,10 +24,13 @@ _log = logging.getLogger("busway.trace")
 
 
 class TraceLevel(IntEnum):
-    """How much of the traffic the log shows: nothing (CAPTURE and OFF), messages, frames or bytes."""
+    """How much of the traffic the log shows: nothing (CAPTURE and OFF), messages, frames or bytes.
+
+    Each level shows also what the levels below it show.
+    """
 
     CAPTURE = -1
-    """No log lines; the traffic is recorded in a capture file."""
+    """No log lines, only a capture file. At the levels above OFF, a capture file is written besides the log lines."""
     OFF = 0
     MESSAGE = 1
     FRAME = 2
@@ -147,7 +150,7 @@ class StreamTrace:
         self._outgoing = MbapReceiver()
 
     def received(self, data: bytes) -> None:
-        """Log bytes that the connection received."""
+        """Log bytes that the connection received, at the present level, and write them to the capture file, if any."""
         if self._capture is not None:
             self._capture.received(data)
         if TRACE.level < TraceLevel.MESSAGE:
@@ -158,7 +161,7 @@ class StreamTrace:
             self._show("<", frame, is_request=self._is_server)
 
     def sent(self, data: bytes) -> None:
-        """Log bytes that the connection sent."""
+        """Log bytes that the connection sent, at the present level, and write them to the capture file, if any."""
         if self._capture is not None:
             self._capture.sent(data)
         if TRACE.level < TraceLevel.MESSAGE:

@@ -240,9 +240,9 @@ def _init_source(cls: Any, names: tuple[str, ...]) -> str:
 
 
 def _length_test(layout: Layout) -> list[str]:
-    """Return lines that check the byte count of a message with ``size`` bytes that is built.
+    """Return the source lines of a constructor that check the byte count; there, ``size`` is the length of the PDU.
 
-    No lines if there is no byte count, or if the limits of a tail of bytes imply its own.
+    No lines if the message has no byte count, or if the limits of its tail keep the byte count within its limits.
     """
     if layout.length_at is None:
         return []

@@ -53,7 +53,7 @@ class FixedField:
 
 @dataclass(frozen=True, slots=True)
 class RestLength:
-    """A message field with the number of bytes after it in the PDU; computed when encoding, checked when decoding.
+    """A message field with the number of bytes after it in the PDU: computed in encoding, checked in both directions.
 
     It is no attribute of the message.
 

@@ -120,6 +120,9 @@ class FunctionTable:
         It becomes an `OpaqueReply` if the function or sub-function is not in the table. Whether it is the reply to a
         particular request is not checked (`Request.accept` does).
 
+        Args:
+            pdu: at most 253 bytes, function code first.
+
         Raises:
             MalformedPdu: there are no bytes, or they are no valid reply of the function.
         """

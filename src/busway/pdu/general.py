@@ -36,7 +36,7 @@ def decode_exception(pdu: bytes) -> ExceptionResponse:
     and exception code (Application Protocol V1.1b3 §6.21).
 
     Raises:
-        MalformedPdu: the bytes are no exception reply.
+        MalformedPdu: the bytes are no exception reply: not two bytes, or the first is below 0x80.
     """
     if len(pdu) == 3 and pdu[0] == FunctionCode.ENCAPSULATED_INTERFACE | 0x80 and pdu[1] in tuple(MeiType):
         pdu = pdu[:1] + pdu[2:]

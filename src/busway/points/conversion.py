@@ -118,7 +118,8 @@ class Conversion:
     def raw(self, value: float, *, whole: bool, exponent: int = 0) -> float:
         """Return the raw number to write for a value of the point. Limits and ``clamp`` are not applied.
 
-        Without a conversion (not `changes`, and ``exponent`` 0) the value is returned unchecked.
+        Without a conversion (not `changes`, and ``exponent`` 0) the value is returned unchecked. Where raw numbers are
+        floats, so are NaN and infinity.
 
         Args:
             value: the value in the unit of measure.
@@ -172,7 +173,10 @@ def is_float32(value: float) -> bool:
 
 
 def exact(number: float) -> Fraction:
-    """Return a float as the exact decimal fraction that its text shows: 1/10 for 0.1."""
+    """Return a number as the exact decimal fraction that its text shows: 1/10 for 0.1.
+
+    `ValueError` for NaN and infinity.
+    """
     return Fraction(number) if isinstance(number, int) else Fraction(repr(float(number)))
 
 

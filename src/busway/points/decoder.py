@@ -289,7 +289,10 @@ class _Source:
         return tests
 
     def _converted(self, place: int, point: Point, raw: str, tests: list[tuple[str, Reason]]) -> list[str]:
-        """Return the code that converts the raw number of a point, unless one of the tests finds that it has none."""
+        """Return the code that sets the value of a point: converted from the raw number, or None if a test is true.
+
+        With None, the code sets the reason of that test. It tests for a missing exponent and for validity too.
+        """
         word, conversion = "if", point.conversion
         if point.type == "bit" or not point.is_number:
             return [f"v{place} = {raw}"]
@@ -339,7 +342,7 @@ class _Source:
 
 
 def _noted(flaws: dict[int, int] | None, place: int, reason: int) -> dict[int, int]:
-    """Set the reason of the point at position ``place`` in ``flaws`` (None: a new dictionary), and return it."""
+    """Set ``flaws[place]``, the reason of the point at that position, and return ``flaws``; None: a new dictionary."""
     if flaws is None:
         return {place: reason}
     flaws[place] = reason
@@ -381,7 +384,10 @@ def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) 
 
 
 def _invalid_of(point: Point) -> list[float]:
-    """Return the raw numbers that mean "no value" for a point, as the decoder of its value type returns them."""
+    """Return the raw numbers that mean "no value" for a point, in the form in which its numbers are unpacked.
+
+    A float is rounded to the type's precision, a bit pattern of a signed type becomes a negative number.
+    """
     form = point.form
     assert form is not None
     name = form.name
@@ -403,7 +409,7 @@ def _invalid_of(point: Point) -> list[float]:
 def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
     """Return a function that decodes one point by its value type; a number is not converted yet.
 
-    It takes the bytes of the point, and returns what they hold and the reason why there is none (0 if there is).
+    The function takes the bytes of the point, and returns its value and 0, or None and the reason for no value.
     """
     form = point.form
     assert form is not None

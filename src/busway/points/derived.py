@@ -40,7 +40,8 @@ class Accumulator:
     def take(self, value: float) -> float:
         """Add the increase of the counter since its last reading to the total, and return the total.
 
-        The first reading is the first total.
+        The first reading is the first total. A counter that fell by more than half of ``rollover`` has restarted at 0
+        there; one that fell by less was reset, and its reading is added as it is.
 
         Args:
             value: the present reading of the counter, in the unit of measure.
@@ -102,7 +103,7 @@ class Derivation:
         return not self.accumulators and not self._computed
 
     def inputs(self) -> frozenset[str]:
-        """Return the names of the points that the formulas use."""
+        """Return the names of the points that the formulas use, other computed points included."""
         return frozenset(name for _, expression, _ in self._computed for name in expression.names)
 
     def apply(self, latest: Mapping[str, Reading], time: float = 0.0) -> dict[str, Reading]:

@@ -108,7 +108,8 @@ class Expression:
         """Return a function that evaluates the formula at a time in seconds; it returns NaN where there is no value.
 
         Args:
-            source: called once for each name of a point; returns a function that reads the point's present value.
+            source: called with each point's name, at once and as often as the name occurs in the formula; returns a
+                function that reads the point's present value.
         """
         compute = _compiled(self._tree, source)
 
@@ -129,10 +130,13 @@ class Expression:
         return ast.unparse(_Renaming(rename).visit(ast.parse(self.text.strip(), mode="eval").body))
 
     def result(self, values: dict[str, Number]) -> Number:
-        """Return the value of the formula for given values of its points and ``t`` = 0; a whole result is an ``int``.
+        """Return the value of the formula for given values of its points and ``t`` = 0.
+
+        Its type is that of Python's arithmetic: ``2 + 2`` is an ``int``, ``4 / 2`` a ``float``, ``2 < 3`` a ``bool``;
+        powers are always ``float``.
 
         Args:
-            values: the number of each of ``names``.
+            values: the number of each point in ``names``, by name.
 
         Raises:
             ConfigError: the formula has no value, or an input or the result is an integer of more than `WHOLE_BITS`
@@ -241,9 +245,10 @@ def _arguments(name: str, given: list[ast.expr]) -> list[ast.expr]:
 
 
 def _dotted(node: ast.expr) -> str | None:
-    """Return the point that a part of a formula names; None if the part is no name of a point.
+    """Return the name that a part of a formula consists of; None if the part is no name.
 
-    ``tank.level`` names the point "tank.level", ``point("tank level")`` the point "tank level".
+    ``tank.level`` gives "tank.level", ``point("tank level")`` gives "tank level". The caller tells the names of points
+    from ``t`` and ``pi``.
     """
     match node:
         case ast.Name():

@@ -129,14 +129,17 @@ class Point:
         return self.form.merge(raw, held or bytes(2 * self.form.registers))
 
     def raw(self, value: Any, exponent: int = 0) -> Any:
-        """Return the raw number to write for a value in the unit of measure; texts and tuples are returned unchanged.
+        """Return the raw number to write for a value in the unit of measure.
+
+        If values of the point's type are no numbers but texts, for example, the value is returned unchanged.
 
         Args:
             value: the value, the name of a value, or the names of the flags to set; a bool for a switch.
             exponent: the value of the point that ``scale_from`` names; 0 without one.
 
         Raises:
-            InvalidRequest: the value does not fit the scale or the names, or the point is computed.
+            InvalidRequest: the value does not fit the scale or the names, is no bool where the point is one bit, or the
+                point is computed.
         """
         if self.formula:
             raise InvalidRequest(f"{self.name} is computed and holds nothing")
@@ -158,7 +161,10 @@ class Point:
         return value_of(self.conversion, raw, whole=self.is_whole)
 
     def _number_of(self, value: Any) -> Any:
-        """Return the number for the name of a value, or for names of flags; any other value is returned unchanged."""
+        """Return the number for the name of a value, or for names of flags; any other value is returned unchanged.
+
+        Raises `InvalidRequest` for an unknown name, and, if values have names, for a number without a name.
+        """
         conversion = self.conversion
         if conversion.names:
             if isinstance(value, str):
@@ -187,7 +193,7 @@ class Point:
     def label(self, value: Any) -> str:
         """Return the name of a value of the point, or the names of the flags set in it, joined by ``, ``.
 
-        Empty if the value has no name, and for every value that is no ``int``.
+        Empty if the value has no name or no flag is set, and for a bool and every value that is no ``int``.
         """
         conversion = self.conversion
         if isinstance(value, bool) or not isinstance(value, int):

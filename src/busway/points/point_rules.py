@@ -251,7 +251,7 @@ def _decimal_sum(one: float, other: float) -> float:
 
 
 def ranged(low: float | None, high: float | None) -> str:
-    """Return a range of numbers in words: ``0…100``, ``at least 0``, ``at most 100``."""
+    """Return a range of numbers in words: ``0…100``, ``at least 0``, ``at most 100``. One end can be None, not both."""
     if low is None:
         return f"at most {high:g}"
     return f"at least {low:g}" if high is None else f"{low:g}…{high:g}"

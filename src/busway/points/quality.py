@@ -34,8 +34,8 @@ class Quality(IntEnum):
 class Reason(IntEnum):
     """Why a point's value is not good or is missing; NONE is the reason of a good value.
 
-    Reasons 1 to 15 make a value uncertain, reasons from 16 on make it bad. Reasons for exception codes are plain ints
-    from 256 on, made by `exception_reason`.
+    `reason_text` returns each reason in words. Reasons 1 to 15 make a value uncertain, reasons from 16 on make it bad.
+    Reasons for exception codes are plain ints from 256 on, made by `exception_reason`.
     """
 
     NONE = 0

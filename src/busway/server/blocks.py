@@ -197,7 +197,7 @@ class BitRun:
                 splice_bits(self.data, position, count, data)
 
     def exchange(self, position: int, count: int, data: bytes) -> bytes:
-        """Replace ``count`` bits from ``position`` on, and return the old ones packed.
+        """Replace ``count`` bits from ``position`` on by the packed bits ``data``, and return the old ones packed.
 
         No other thread can change them in between.
         """

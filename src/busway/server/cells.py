@@ -24,7 +24,7 @@ class Cells:
     """A user's declaration of a table's items or a file's records: initial values by address, or just their number.
 
     Args:
-        first: address of the first item, 0-based.
+        first: address of the first item, 0-based; 0 if ``values`` is a mapping and there is no ``count``.
         count: number of items from ``first`` on; None for as many as ``values`` has.
         values: the initial values: a sequence, from ``first`` on; or a mapping of an address to its value, or to a list
             of values from that address on. With a mapping and no ``count``, exactly the addresses in the mapping exist.
@@ -46,7 +46,7 @@ declare a table without items.
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """Initial values of a table's items at consecutive addresses."""
+    """Initial values of a table's items at consecutive addresses; ``first`` is the address of the first value."""
 
     first: int
     values: list[int]

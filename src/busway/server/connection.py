@@ -184,10 +184,10 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._management.charge(self, session)
 
     def eof_received(self) -> bool:
-        """Close the connection after the replies still owed: the client has closed its sending side.
+        """Handle that the client has closed its sending side. Returns whether the connection stays open for now.
 
-        Returns True if the connection stays open for now: received requests wait for their turn, or, with the option
-        ``answer_half_closed``, replies are owed. After False, asyncio closes it.
+        It does while received requests wait for their turn, and, with the option ``answer_half_closed``, until the late
+        replies are sent. Otherwise asyncio closes it, and late replies are lost.
         """
         session = self.session
         if session is not None and session.rest:
@@ -329,7 +329,8 @@ class ServerConnection(asyncio.BufferedProtocol):
     def go_on(self) -> None:
         """Read from the client again after a pause, unless there is another reason for a pause.
 
-        Queued requests come first.
+        Requests that were put off are queued for a turn first. If the client has closed its sending side meanwhile, the
+        connection is closed as by `eof_received`.
         """
         if self._is_stuck or self._is_queued or self._transport.is_closing():
             return
@@ -406,7 +407,10 @@ class ServerConnection(asyncio.BufferedProtocol):
     # Inside.
 
     def _limit_receiving(self) -> None:
-        """If the host has a request rate, receive at most about a second's worth of requests at once."""
+        """If the listener has a request rate, receive at most about the requests of one second at once.
+
+        At least one request of any length. Without effect for a priority host.
+        """
         rates = self._management.rates
         if rates is not None and not self.is_priority:
             self._is_rated = True

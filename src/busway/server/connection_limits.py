@@ -90,7 +90,10 @@ class PoolLimits:
 
     @classmethod
     def of(cls, parameters: ListenerParameters) -> "PoolLimits":
-        """Return the limits of connection slots that a listener's options set."""
+        """Return the limits of connection slots that a listener's options set.
+
+        Without the option ``max_priority_per_host``, a host may use half of the priority slots, at least one.
+        """
         return cls(
             priority=parameters.max_priority_connections,
             other=parameters.max_connections,
@@ -113,7 +116,10 @@ class Admission(Generic[One]):
 
 
 class Pools(Generic[One]):
-    """All connection slots of a listener, or of several listeners that share them: the two pools and who is in them."""
+    """All connection slots of a listener, or of several listeners that share them: the two pools and their connections.
+
+    ``len()`` is the number of connections in both pools.
+    """
 
     def __init__(self, limits: PoolLimits) -> None:
         self.limits = limits
@@ -199,9 +205,9 @@ class Pools(Generic[One]):
         return None
 
     def _longest_unused(self) -> One | None:
-        """Return the connection without priority that was unused longest, or the oldest if all are busy.
+        """Return the connection of the other pool that is not busy and was unused longest; if all are busy, the oldest.
 
-        None if all connections in the pool are of priority hosts.
+        Connections of priority hosts are left out; None if there are no others.
         """
         found = self._first_idle()
         if found is None:

@@ -242,7 +242,10 @@ class ConnectionManagement:
         self.listener_context.say(logging.WARNING, connection.host, "%s: closed: %s", connection.peer, reason)
 
     def end_unauthorized(self) -> int:
-        """Abort connections and handshakes of hosts that may no longer connect; returns their number."""
+        """Abort connections and TLS handshakes of hosts that may no longer connect. Returns how many were aborted.
+
+        Each is counted and logged.
+        """
         ended = [one for one in self._connections if not self.listener_context.may_stay(one)]
         for connection in ended:
             connection.abort()
@@ -346,7 +349,7 @@ class ConnectionManagement:
         return [self.listener_context.connected_peer_status(one, now) for one in self._connections]
 
     def listener_status(self) -> ListenerStatus:
-        """Return the status of the listener: its indicators, counters and limits."""
+        """Return the status of the listener: indicators, counters, numbers of connections by pool, and TLS status."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
         pools = [one.pool for one in self._connections]

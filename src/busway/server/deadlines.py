@@ -80,10 +80,10 @@ class Deadlines(Generic[One]):
     # What happens.
 
     def frame_begun(self, one: One, now: float, *, anew: bool) -> float | None:
-        """Start the timeout of a frame that was received in part. Returns when it runs out; None if there is none.
+        """Start the timeout of a frame that was received in part, at ``now`` (seconds).
 
-        ``anew``: True for a frame that began just now; False if it may have begun earlier: a running timeout then
-        stays.
+        Returns the time at which to call `due`; None if no timeout of the listener applies to the frame. ``anew``: True
+        for a frame that began just now; False if it may have begun earlier: a running timeout then stays.
         """
         since = self._begun[one] = now if anew else self._begun.get(one, now)
         return self._frame_deadline(one, since)
@@ -104,7 +104,7 @@ class Deadlines(Generic[One]):
         self._stuck.pop(one, None)
 
     def hold(self, one: One, until: float) -> float:
-        """Record that reading from a connection is paused until the time ``until``; returns that time."""
+        """Record that reading from a connection is paused until the time ``until`` (seconds). Returns ``until``."""
         self._held[one] = until
         return until
 

@@ -160,7 +160,8 @@ class Device:
                 register as ``4x101.3``.
             type: a type of `busway.values`; None for the items themselves (``int`` for registers, ``bool`` for bits).
             order: byte and register order.
-            count: number of values, 1 or more; None for one value, returned alone and not in a list.
+            count: number of values, 1 or more; for one bit of a register, the same bit of so many registers. None for
+                one value, returned alone and not in a list.
 
         Returns:
             The value; a list of them if ``count`` is given.
@@ -342,7 +343,7 @@ class Device:
     def set_exception_status(self, status: ExceptionStatus) -> None:
         """Replace the status bits of function 07: a number 0…255, or a function that returns it at each request.
 
-        Raises `ConfigError` for a number outside 0…255.
+        Raises `ConfigError` for anything else.
         """
         self._exception_status = status_source(status)
 
@@ -410,7 +411,10 @@ class Device:
         return None if run is None else run.get(address - run.first, count)
 
     def peek_file(self, file: int, record: int, count: int) -> bytes | None:
-        """Return the current records of a file, without calling a hook; None unless all exist."""
+        """Return the current records of a file as big-endian bytes; None unless all exist, or if the file is damaged.
+
+        ``record`` is the number of the first record.
+        """
         found = self.files.get(file)
         try:
             run = None if found is None else found.accessed(record, count, writes=False)
@@ -570,7 +574,10 @@ def _moment(when: str) -> When:
 
 
 def _hooked_range(address: int | None, count: int | None) -> tuple[int, int]:
-    """Return the address range of a table that a hook is registered for: first address, and the one after the last."""
+    """Return the address range of a table that a hook is registered for: first address, and the one after the last.
+
+    Without an address, the whole table. Raises `ConfigError` for a range that is not within a table.
+    """
     if address is None:
         if count is not None:
             raise ConfigError("a count of items needs their first address", key="address")

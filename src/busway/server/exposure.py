@@ -15,9 +15,14 @@ _log = logging.getLogger("busway.server")
 
 
 def warn_of_exposure(bound: Sequence[str], *, authorized: bool) -> None:
-    """Log a warning for each listener that other hosts can reach.
+    """Log which listeners other hosts can reach, in at most two warnings.
 
-    ``bound`` has the URLs of the bound listeners; ``authorized`` says whether a policy checks requests.
+    One names the listeners on all addresses of this host; the other, without a policy, all that are not on a loopback
+    address, because every host may write there. Serial ports are left out.
+
+    Args:
+        bound: URLs of the bound listeners.
+        authorized: whether a policy checks requests.
     """
     network = [url for url in bound if not url.split("://", 1)[1].startswith("/")]
     everywhere = [url for url in network if is_everywhere(url)]

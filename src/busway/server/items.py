@@ -11,7 +11,10 @@ from ..pdu.write_items import pack_registers
 
 
 def unpacked(data: bytes, count: int, *, bits: bool) -> list[int]:
-    """Return items in wire order as values: registers as ``int``, bits as ``bool``."""
+    """Return items in wire order as values: registers as ``int``, bits as ``bool``.
+
+    ``count`` is the number of bits; for registers it is ignored, and all of ``data`` are returned.
+    """
     return list(unpack_bits(data, count)) if bits else unpack_registers(data)
 
 

@@ -326,7 +326,10 @@ class SerialListener:
             self._traced().sent(emission.frame)
 
     def transmit(self, data: bytes) -> None:
-        """Send raw bytes on the serial line now; the caller has to keep the silence before them."""
+        """Send raw bytes on the serial line now; the caller has to keep the silence before them.
+
+        The bytes are lost if the port is not open.
+        """
         connection = self._connection
         if connection is None:
             return

@@ -58,9 +58,8 @@ class ListenerSettings:
     ) -> "LineFraming":
         """Return the RTU or ASCII framing of one port or connection of a server.
 
-        Raises `ConfigError` for wrong options.
-
-        ``started`` is when the port was opened, in the clock of its frames; None if the line is known to be idle.
+        ``started`` is the time in seconds at which the port was opened, by the clock of its frames; None if the line is
+        known to be idle. Raises `ConfigError` for wrong options.
         """
         from ..framing.frame_direction import LineRole
         from ..session.line_framing import line_framing

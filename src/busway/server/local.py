@@ -34,8 +34,12 @@ class DeviceResponder:
         unlisted: how a request to a unit that does not exist is answered: with 0B, or not at all.
         functions: the table of functions, with the user's own if there are any.
 
+    Raises:
+        ConfigError: no units, a wrong unit or device, or the unit policy ``ANY`` with several devices.
+
     Attributes:
-        generation: a number that changes when a device changes what it offers.
+        functions: the table of functions.
+        generation: a number that changes when the hooks or the offered functions of a device change.
     """
 
     def __init__(
@@ -82,9 +86,9 @@ class DeviceResponder:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the device that answers for ``unit``, with the units it is configured as.
+        """Return the device that answers for ``unit``, 0…255, with the units it is configured as.
 
-        None if no device answers.
+        None if no device answers for ``unit``.
         """
         return self._served.get(unit)
 
@@ -95,8 +99,9 @@ class DeviceResponder:
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Execute a request on the device of its unit, and return the reply.
 
-        `SILENCE` if no reply is sent: to a unit that does not exist, with the option ``unlisted`` so set, and to a
-        broadcast that the same device has executed already. A unit that does not exist is answered 0B otherwise.
+        Exception replies: 0B for a unit that does not exist, 01 for a function that the device does not offer, and the
+        code of a `MalformedRequest`. `SILENCE`, so that no reply is sent, for a unit that does not exist with
+        ``UnlistedUnit.SILENCE``, and for a broadcast that the same device has executed already as another unit.
 
         Raises:
             Refusal: the device or a hook refuses the request; the caller answers with its exception code.
@@ -121,7 +126,10 @@ class DeviceResponder:
 
 
 def _replaced(device: Device, request: Request) -> Replaced:
-    """Return the values that a write will replace, for each range it writes. Call with the device's lock held."""
+    """Return the values that a write will replace, as bytes for each range that it writes; None for an absent range.
+
+    The caller holds the device's lock.
+    """
     if isinstance(request, WriteFileRecord):
         return tuple(device.peek_file(group.file, group.record, group.count) for group in request.groups)
     return tuple(device.peek(span.table, span.address, span.count) for span in request.spans() if span.writes)

@@ -80,7 +80,7 @@ class Opening:
         returned.
 
         Raises:
-            OSError: a socket cannot be opened or bound, or the host is not known.
+            OSError: a socket cannot be opened or bound, or the host is not known; not for an optional listener.
             ConfigError: an option cannot be applied, or a certificate file cannot be used.
         """
         limits = settings.limits
@@ -145,7 +145,7 @@ class Opening:
 
 
 def serial_units(responder: Responder, endpoint: Endpoint) -> SerialUnits:
-    """Return the units that a responder answers for on a serial line. Raises `ConfigError` if there are none.
+    """Return the units that a responder answers for on a serial line. Raises `ConfigError` if it has none of 1…247.
 
     ``endpoint`` is the listener's, for the error.
     """

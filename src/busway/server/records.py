@@ -70,7 +70,7 @@ class RegisterQueue:
         self.push(*values)
 
     def push(self, *values: int) -> None:
-        """Append registers to the queue. Raises `InvalidRequest` for a value outside 0…65535."""
+        """Append registers to the queue. Raises `InvalidRequest` for a value outside 0…65535; then none is appended."""
         pack_registers(values)
         with self._lock:
             self._values.extend(values)

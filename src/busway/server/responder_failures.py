@@ -19,7 +19,7 @@ _log = logging.getLogger("busway.server")
 
 
 def report_failures(peer: str, failures: Iterable[ResponderFailure]) -> None:
-    """Log the exceptions that responders raised instead of answering."""
+    """Log the exceptions that responders raised instead of answering; ``peer`` names the client in the log."""
     for failure in failures:
         _log.error(
             "%s: unit %s, function %s: the responder failed and the client was answered 04",

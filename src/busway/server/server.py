@@ -201,10 +201,11 @@ class Server:
             raise failures[0]
 
     def end_unauthorized(self) -> int:
-        """Check each connected host with ``authorize`` again, and abort the connections of the hosts that it refuses.
+        """Check again whether each connected host may connect, and abort the connections of hosts that may not.
 
-        Call it after address lists have changed. Replies that were not sent yet are lost; executed writes stay
-        executed. Peers over UDP lose their slot, and their next datagram is refused.
+        The checks are ``authorize`` as it was at the start, and the listener's own ``access``. Call this after their
+        address lists have changed. Replies that were not sent yet are lost; executed writes stay executed. Peers over
+        UDP lose their slot, and their next datagram is refused.
 
         Returns:
             How many connections, TLS handshakes and peers were ended.

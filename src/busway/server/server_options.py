@@ -33,7 +33,8 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
 def _strict(place: Place) -> Place:
     """Return one listener with the preset ``strict`` applied.
 
-    The preset is added to its URL for TLS, RTU and ASCII; the limits of a `Listener` get ``single_adu_segments``.
+    The preset is added to its URL for TLS, RTU and ASCII, unless the URL names a preset; the limits of a `Listener`, if
+    it has its own, get ``single_adu_segments``.
     """
     listener = place if isinstance(place, Listener) else Listener(place)
     endpoint = parse_endpoint(listener.endpoint)

@@ -58,7 +58,10 @@ def block_stores(block: SingleBlock, lock: threading.RLock) -> Mapping[Table, It
 
 
 def as_table(table: Table | str) -> Table:
-    """Return the table with a name such as ``holding_registers``. Raises `ConfigError` for an unknown name."""
+    """Return the table with a name such as ``holding_registers``; a `Table` is returned unchanged.
+
+    Raises `ConfigError` for an unknown name.
+    """
     try:
         return Table(table)
     except ValueError as error:

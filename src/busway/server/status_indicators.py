@@ -42,9 +42,11 @@ class Diagnosis:
 
     Attributes:
         is_open: whether the listener can be reached.
-        traffic: time of the last received or sent frame, by the clock of the ``now`` of `indicators`.
-        communication_fault: time of the last damaged frame.
-        internal_fault: when a responder last failed, or the system had no resources for a new connection.
+        traffic: time of the last received or sent frame, in seconds by the clock of ``now`` of `indicators`; minus
+            infinity before the first.
+        communication_fault: time of the last damaged frame, by the same clock; minus infinity before the first.
+        internal_fault: time at which a responder last failed, or the system had no resources for a new connection;
+            minus infinity before the first.
     """
 
     __slots__ = ("communication_fault", "internal_fault", "is_open", "traffic")

@@ -21,6 +21,10 @@ class ItemStore:
     Args:
         runs: in ascending order, no two adjacent.
         read_only: ranges (first address, address after the last) that Modbus cannot write, ascending.
+
+    Attributes:
+        runs, read_only: as given.
+        count: number of items in all runs.
     """
 
     __slots__ = ("_firsts", "count", "read_only", "runs")

@@ -186,9 +186,10 @@ class TlsHandshakeAcceptor:
         layer.connection_made(transport)
 
     def _agreed(self, layer: TlsLayer) -> asyncio.BufferedProtocol | None:
-        """Check the client's certificate once its handshake is complete, and give the client a connection slot.
+        """Check the client's certificate once its handshake is complete.
 
-        Returns the asyncio protocol of its connection; None if the client is refused.
+        Returns the asyncio protocol of the connection, which then asks for a connection slot; None if the client is
+        refused.
         """
         tls = layer.get_extra_info("ssl_object")
         certificate = tls.getpeercert(binary_form=True)

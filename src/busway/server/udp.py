@@ -110,7 +110,7 @@ class UdpListener:
         return [self.listener_context.connected_peer_status(peer, now) for peer in self._peers.values()]
 
     def listener_status(self) -> ListenerStatus:
-        """Return the status of this listener: its slots and counters."""
+        """Return the status of this listener: whether it is open, indicators, used slots and counters."""
         return self.listener_context.status(self._pools.count)
 
     def add_living(self, counters: ServerCounters) -> None:

@@ -1,6 +1,7 @@
 """The application's view of a table or file: items by address, usable from any thread.
 
-Knows stores and groups; knows no hook and no request: the application's own accesses call no hook.
+Knows a table's memory (`ItemStore`) and groups of changes (`Device.update`); knows no hook and no request: the
+application's own accesses call no hook.
 """
 
 from collections.abc import Iterator, Sequence
@@ -87,9 +88,9 @@ class TableView:
         self.write_wire(address, len(values), packed(values, bits=self._bits))
 
     def read_wire(self, address: int, count: int) -> bytes:
-        """Read ``count`` items as bytes in wire order: registers big-endian, bits packed from the lowest bit.
+        """Read ``count`` items from ``address`` on as bytes: registers big-endian, bits packed from the lowest bit.
 
-        Raises `IndexError` if one does not exist.
+        Raises `IndexError` if an item does not exist. A count of 0 gives no bytes.
         """
         if not count:
             return b""
@@ -97,9 +98,9 @@ class TableView:
         return self._groups.get(run, address - run.first, count)
 
     def write_wire(self, address: int, count: int, data: bytes) -> None:
-        """Replace ``count`` items by bytes in wire order: registers big-endian, bits packed from the lowest bit.
+        """Replace ``count`` items from ``address`` on by bytes: registers big-endian, bits packed from the lowest bit.
 
-        Raises `IndexError` if one does not exist.
+        Raises `IndexError` if an item does not exist; then nothing changes. A count of 0 does nothing.
         """
         if count:
             run = self._run(address, count)

@@ -9,8 +9,9 @@ the errors that end a request are in `retries`.
 2. A reply is recognised by its transaction identifier and the seven bytes after it: protocol, length, unit, function,
    byte count. On any other reply the session splits the batch (`PipelinedBatch.apart`) and matches each request by
    itself.
-3. As long as a batch is not split, no request sent after it has ended. At most 16 requests are in flight, so the 65 536
-   identifiers cannot come round to one of the batch, and later requests are not compared with it.
+3. As long as a batch is not split, no request that was sent after it has an outcome. At most 16 requests are in flight,
+   so the 65 536 identifiers cannot come round to one of the batch, and new identifiers are not compared with those of
+   the batch.
 """
 
 import math
@@ -41,9 +42,9 @@ class CallOptions(TypedDict, total=False):
     Without ``timeout``, ``retries`` or ``deadline`` the option of the link applies; so it does if one of them is None,
     or ``timeout`` or ``deadline`` is 0.
 
-    timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of reads, 0…100. deadline: seconds
-    for the whole call, time in the queue included. idempotent: True if executing the write twice does no harm, so that
-    it is repeated like a read; False if left out.
+    timeout: seconds per attempt, above 0 and at most 3600. retries: further attempts of each read, 0…100, and of each
+    write if ``idempotent``. deadline: seconds for the whole call, time in the queue included. idempotent: True if
+    executing the write twice does no harm, so that it is repeated like a read; False if left out.
     """
 
     timeout: float | None
@@ -68,7 +69,7 @@ class Call:
         outcomes: for each request its reply or error; None while it has neither.
         open: how many requests have no outcome yet.
         ended: whether the call is finished or cancelled.
-        submitted: when the call was made, in the clock of ``now``.
+        submitted: when the call was queued, or sent without queueing, in the clock of ``now``; 0 before that.
         owner: an object that the driver stores here to find its caller again.
         next: position of the first request that was never sent; the number of requests if all were sent.
         again: positions of requests that were sent and have to be sent once more.
@@ -77,8 +78,8 @@ class Call:
             waited.
         repeated: by position, number of repetitions of a read that do not count as retries, because the reply was not
             used: it could have been a late one.
-        places: how much of the queue's limit the call uses: 1 for an application's call, whatever its requests; 1 for
-            each request if a gateway makes the call for a client.
+        places: how much of the queue's limit the call uses while it is queued: 1 for an application's call, whatever
+            its requests; 1 for each request that waits to be sent if a gateway makes the call for a client.
     """
 
     # Attributes that most calls never set are class attributes: building a call then takes 0.5 µs, instead of
@@ -232,7 +233,7 @@ class EncodedRequest:
         tail: the ADU of the request without its transaction identifier.
         head: the seven bytes that follow the transaction identifier in the expected reply; empty if they do not suffice
             to recognise the reply.
-        reply_size: bytes of the ADU of the expected reply.
+        reply_size: bytes of the ADU of the expected reply; used only if ``head`` is not empty.
         take: function that builds the reply message from the data bytes; used only if ``head`` is not empty.
         others: by unit, the `EncodedRequest` of the same request for each unit it was sent to; None if there is only
             one unit.
@@ -353,16 +354,17 @@ class BatchPlan:
             self._pack, self._unpack_from = out.pack, back.unpack_from
 
     def encode(self, transactions: Sequence[int]) -> bytes:
-        """Return the joined frames of all requests, with these transaction identifiers. Requires ``fits``."""
+        """Return the joined frames of all requests; ``transactions`` has an identifier for each. Requires ``fits``."""
         fields = self._fields.copy()  # another thread may use the same plan
         fields[0::2] = transactions
         return self._pack(*fields)
 
     def replies(self, transactions: tuple[int, ...], buffer: bytes, at: int) -> list[Message] | None:
-        """Return all replies if ``buffer`` holds exactly the expected ones from offset ``at`` on, in order; else None.
+        """Return the replies to all requests, if the expected ones stand in ``buffer`` from offset ``at`` on, in order.
 
-        ``buffer`` must have at least ``reply_size`` bytes after ``at``. A reply is a message; for requests that a
-        gateway forwards it is only the data bytes.
+        None if one is missing or differs in its first nine bytes. ``buffer`` must have at least ``reply_size`` bytes
+        after ``at``; more may follow. A reply is a message; for requests that a gateway forwards it is only the data
+        bytes.
         """
         fields = self._unpack_from(buffer, at)
         if fields[0::3] != transactions or fields[1::3] != self.heads:
@@ -386,8 +388,8 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
 def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
     """Return the plan for sending ``count`` consecutive requests to one unit together.
 
-    ``first`` is the position of the first of these requests in ``requests``. The plan is kept with that request: the
-    next call with equal requests returns it again.
+    ``first`` is the position of the first of these requests in ``requests``. The plan is kept with that request object:
+    the next call with it and equal following requests returns the same plan. The caller must check ``fits`` of the plan.
     """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])

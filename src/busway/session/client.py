@@ -5,8 +5,8 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
 
 1. At most ``max_transactions`` requests are in flight; the rest waits in a bounded queue, in the order of `queue`.
 2. A reply belongs to the request in flight whose transaction identifier it carries, and must fit that request in unit,
-   function, length and echo. A reply that fits no request in flight is dropped and counted; it is never given to
-   another request.
+   function, length and echo; otherwise the request ends with `BadReply`. A reply with another identifier is dropped and
+   counted, unless ``transaction_policy`` accepts it (rule 5).
 3. The identifier of a request that timed out or was cancelled is remembered, and not used again on this connection (of
    more than 4096 the oldest is forgotten). Its late reply is dropped, and shows how slow the device is.
 4. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
@@ -349,9 +349,9 @@ class TcpClientSession:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
-        """Return up to ``at_most`` requests of a call as one pipelined batch: a list with the joined frames.
+        """Send up to ``at_most`` requests of a call as one pipelined batch, and return a list with the joined frames.
 
-        The list is empty if they cannot be batched.
+        The list is empty if they cannot be batched; then nothing has changed, and they have to be sent singly.
         """
         requests = len(call.requests)
         if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
@@ -360,9 +360,10 @@ class TcpClientSession:
         return [] if together is None else [together]
 
     def _send_batch(self, call: Call, count: int, now: float) -> bytes | None:
-        """Return the joined frames of the next ``count`` requests as a pipelined batch; None if they cannot be batched.
+        """Make the next ``count`` requests of a call a pipelined batch in flight, and return their joined frames.
 
-        There is no batch while single requests are in flight: their replies would come between and split it.
+        None if they cannot be batched; then nothing is in flight. There is no batch while single requests are in
+        flight: their replies would come between and split it.
         """
         if count < 2 or self._pending:
             return None
@@ -745,7 +746,8 @@ class TcpClientSession:
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
         """Return the request in flight that accepts a reply with another transaction identifier; None if none does.
 
-        The option ``transaction_policy`` must allow that, and there must be only one request in flight.
+        It must be the only one in flight. With ``transaction_policy`` strict it accepts no such reply; with automatic
+        the reply must fit it in unit and content; with ignore it need not.
         """
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:

@@ -99,14 +99,18 @@ class ConnectionLife:
     def failed(self, now: float, failure: LinkDown) -> None:
         """Record that an attempt to connect failed.
 
-        Every call that waits in the queue ends with ``failure`` as its error.
+        Every call that waits in the queue ends with a copy of ``failure`` as its error; a write that was sent before
+        ends as `WriteOutcomeUnknown`.
         """
         self.failure = failure
         self._move(ConnectionEvent.FAILED, now, failure.message)
         self._conversation.unreachable(now, failure)
 
     def interrupted(self, now: float) -> None:
-        """Record that an attempt to connect was cancelled. Unlike after `failed`, waiting calls keep waiting."""
+        """Record that an attempt to connect was cancelled; the pause before the next attempt is as after a failed one.
+
+        Unlike after `failed`, waiting calls keep waiting, and new ones are not refused.
+        """
         self._move(ConnectionEvent.FAILED, now, "interrupted")
 
     # While it is open.
@@ -182,13 +186,13 @@ class ConnectionLife:
         self.reconnect.begin_again()
 
     def ended(self, now: float) -> None:
-        """Fail all waiting calls, because the link was closed for good."""
+        """Fail all waiting calls with `LinkDown` of the kind ``closed``, because the link was closed for good."""
         self._conversation.unreachable(now, LinkDown("the link was closed", kind="closed"))
 
     # What calls are told.
 
     def refusal(self, now: float, unit: int | None = None) -> LinkDown | None:
-        """Return the error for a new call if the link is closed or pauses after a failed attempt; None otherwise.
+        """Return the error for a new call if the link is closed, or pauses because of ``failure``; None otherwise.
 
         ``unit`` is the unit that the call asks, for the error. A pause that is over ends here, as in `may_dial`.
         """

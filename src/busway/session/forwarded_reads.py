@@ -103,8 +103,8 @@ class ForwardPlans:
     def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
         """Store how a read is forwarded; ``plan`` None means that it takes the generic path.
 
-        ``key`` is the ten bytes after the transaction identifier. Where 4096 reads are stored already, they are
-        forgotten first.
+        ``key`` is the ten bytes after the transaction identifier. If 4096 reads of this kind (with a plan, or without)
+        are stored already, they are forgotten first.
         """
         if plan is None:
             if len(self.others) >= _PLAN_LIMIT:
@@ -296,7 +296,7 @@ class ForwardedReads:
                 self._ready += [transaction + plan.head + one for transaction, plan, one in reads]
 
     def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
-        """Answer one read with the decoded reply of its upstream unit; `send` transmits it."""
+        """Answer one read with the decoded reply of its upstream unit; `send` transmits it. Nothing after `close`."""
         self.answer((transaction,), (plan,), (reply.data,))
 
     def refuse(self, transaction: bytes, plan: ForwardPlan, code: int) -> None:
@@ -308,7 +308,7 @@ class ForwardedReads:
             self._ready.append(transaction + plan.refusal(code))
 
     def send(self) -> None:
-        """Transmit to the client all replies that are ready, together."""
+        """Transmit to the client all replies that are ready, together. After `close` they are dropped."""
         ready = self._ready
         if ready:
             self._ready = []

@@ -61,7 +61,8 @@ class ClientRights(Protocol):
     def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
         """Return a function that answers all requests of the class ``kind`` to a unit from their bytes.
 
-        None if the policy must decide about each request; then all of them take the generic path.
+        None if the policy must decide about each request, or the device has no such function; then all of them take the
+        generic path.
         """
 
     def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
@@ -91,7 +92,10 @@ class RequestObserver(Protocol):
     """Observer of requests and their outcomes, without influence on them. Seconds count from a request's arrival."""
 
     def answered(self, client: ClientIdentity, replies: Sequence[bytes], seconds: float) -> None:
-        """Called with replies of the fast path, as Modbus TCP frames, and the seconds that they took in sum."""
+        """Called with replies of the fast path, as Modbus TCP frames, also if the client uses another framing.
+
+        ``seconds``: for forwarded reads the sum of their times; otherwise the time that computing all of them took.
+        """
 
     def unanswered(self, client: ClientIdentity, requests: int) -> None:
         """Called when a client disconnected before its forwarded reads were answered; ``requests`` is their number."""
@@ -101,13 +105,18 @@ class RequestObserver(Protocol):
     ) -> None:
         """Called with the outcome of a request that the fast path did not answer.
 
-        The outcome is a reply, `SILENCE` if there is none, or None if the client disconnected before it.
+        The outcome is a reply, `SILENCE` if there is none, or None if the client disconnected before it. Not called for
+        requests that were not decoded: with function 0, for a unit in listen-only mode, or refused with 06 because too
+        many were in progress.
         """
 
 
 @dataclass(frozen=True, slots=True)
 class ResponderFailure:
-    """An exception raised by a responder other than `Refusal`; the client was answered 04."""
+    """An exception other than `Refusal` that decoding, authorizing or answering a request raised.
+
+    The client was answered 04, unless the request is one that gets no reply.
+    """
 
     context: RequestContext
     error: Exception
@@ -167,8 +176,9 @@ class RequestPipeline:
     def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> Outcome:
         """Decode a request that the fast path did not answer, authorize it, and return the outcome of the responder.
 
-        It is an exception reply if the request is not permitted or the responder raises `Refusal`. Any other exception
-        is added to ``failures``, and the outcome is exception reply 04. For a unit in listen-only mode it is `SILENCE`.
+        It is an exception reply if the request is not permitted or the responder raises `Refusal`; 01 for function 0.
+        Any other exception is added to ``failures``, and the outcome is exception reply 04. For a unit in listen-only
+        mode it is `SILENCE`, and only function 08 is executed; also for the request that sets this mode.
         """
         function = context.function
         was_listen_only = context.diagnostics.listen_only
@@ -250,7 +260,8 @@ class FastPath:
     def bind(self, unit: int, function: int) -> Answer | None:
         """Find the function that answers one function code of a unit from bytes; store and return it.
 
-        None, which is stored too, if such requests must take the generic path.
+        None, which is stored too, if such requests must take the generic path. If 4096 are stored already, they are
+        forgotten first.
         """
         answer = self._bound(unit, function)
         if len(self.functions) >= _MOST_FUNCTIONS:

@@ -7,7 +7,8 @@ Knows callers, units and the order among them; knows no clock and no bytes.
 2. Of one caller, writes go before reads to other units, but never past its own earlier requests to the same unit.
 3. A unit that must not be asked now (``eligible`` returns False) delays its own requests only.
 4. The queue is bounded; a call that does not fit is refused before anything was sent.
-5. For a caller that acts for many (a client of a gateway), the units it asks can be served in turn (``units_in_turn``).
+5. For a caller that acts for many (a client of a gateway), the units it asks can be served in turn (``units_in_turn``),
+   as long as none of its waiting calls is a write.
 6. Where several requests may be sent at once, a caller may send up to ``burst`` of them in its turn, because requests
    that leave together are answered together. It does not wait until so many can be sent: if only one can, it is one.
 7. The priority hosts of a gateway go first (`Call.is_priority`). When each waiting priority host has had a turn, one
@@ -123,7 +124,8 @@ class RequestQueue:
         waiting: the sum of `Call.places` of the queued calls, to which ``limit`` applies.
         burst: requests of one caller that may be sent before the next caller's turn, if that many may be sent at once.
         begun: calls with both sent and waiting requests; kept only if ``burst`` is above 1.
-        units_in_turn: whether the units of a caller are served in turn, instead of its requests in their order.
+        units_in_turn: whether the units of a caller are served in turn, instead of its requests in their order. Holds
+            for callers that have no call in the queue yet when it is set.
     """
 
     __slots__ = (
@@ -219,6 +221,7 @@ class RequestQueue:
 
         A sole caller may send ``room``. With several callers it is 1; if ``burst`` is above 1, it is ``burst`` or an
         equal part of ``room``, whichever is more. So the result can be above ``room``, which the sender must respect.
+        At least one call must be queued.
         """
         callers = len(self._callers)
         if callers == 1:
@@ -240,9 +243,10 @@ class RequestQueue:
             self.waiting -= freed
 
     def pick_same(self, eligible: Eligible | None = None) -> Call | None:
-        """Return a further call of the caller that `pick` chose last, which may send more requests in its turn.
+        """Return the next call of the caller that `pick` chose last, which may send more requests in its turn.
 
-        None if that caller has no call left for which ``eligible`` returns True.
+        It can be the call that `pick` returned. None if that caller has no call left for which ``eligible`` returns
+        True. If units are served in turn, the unit of the call goes to the end of their order.
         """
         caller = self._last
         if caller is None or not caller.calls:

@@ -174,7 +174,7 @@ class RequestContext:
 
         ``values`` has one element for each range to be written, in the order of `Request.spans` (for file records, for
         each group). Raises `Refusal` where a rule forbids the write because of these values; then the write is not
-        executed.
+        executed. Does nothing without an authorizer.
         """
         judged = self.judged
         if judged is not None:
@@ -201,7 +201,7 @@ class RequestContext:
 
     @property
     def replied(self) -> bool:
-        """Whether a late reply is no longer accepted: one was given, or the request has ended without one."""
+        """Whether the request has its reply, or has ended without one: then a late reply is ignored."""
         return self._finish is None
 
     def reply(self, reply: Message | Deferral) -> None:
@@ -249,9 +249,10 @@ class ForwardingTarget(Protocol):
     def ask(self, asker: Any, tags: Sequence[Any], asked: Sequence[Any]) -> None:  # Any: of `Forwarding`, or of reads
         """Forward the requests in ``asked``; the results are reported to ``asker``.
 
-        For each request a method of ``asker`` is called, possibly before this method returns: ``answer`` with data,
-        ``reply`` with a message, or ``refuse`` with an exception code. It gets the request, and the element of ``tags``
-        at the same position, by which ``asker`` knows the request.
+        For each request a method of ``asker`` is called, possibly before this method returns: ``answer`` with data (of
+        several requests at once), ``reply`` with a message, or ``refuse`` with an exception code. It gets the request,
+        and the element of ``tags`` at the same position, by which ``asker`` knows the request. After these calls
+        ``send`` of ``asker`` is called.
         """
 
 

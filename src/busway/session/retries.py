@@ -26,7 +26,10 @@ class ClientCounters:
     """Counters of a link since its creation.
 
     Attributes:
-        exceptions: replies that are exception replies; they do not count in ``replies``.
+        requests: requests sent, with every repetition, and on a serial line every marker request.
+        replies: valid replies in time that are no exception replies.
+        exceptions: exception replies in time.
+        timeouts: requests that got no reply in time; cancelled ones count only on a serial line.
         retries: requests queued to be sent again.
         bad_replies: replies to a request that break the protocol or do not fit the request.
         late_replies: replies that came after the timeout of their request.
@@ -34,11 +37,14 @@ class ClientCounters:
         tolerated_replies: replies accepted although their transaction identifier was wrong (option
             ``transaction_policy``).
         foreign_protocol: TCP frames with a protocol identifier other than 0.
+        damaged_frames: frames on a serial line that were damaged.
         overruns: damaged frames with a character overrun.
         markers: marker requests sent (`busway.session.late_replies`).
         suspended: calls and queued requests that failed because the circuit breaker of their unit was open.
         cancelled: calls that were cancelled before they had all outcomes.
         overloaded: calls that were refused because the queue was full.
+        connections: connections, or openings of the serial port, that succeeded.
+        lost_connections: those that ended other than by being closed as unused.
         recycled: connections that the link itself gave up, to open another.
     """
 
@@ -149,8 +155,9 @@ class CallTracker:
     ) -> None:
         """End all requests of a call that are not in flight, each with an error of its own, created by ``reason``.
 
-        The call leaves the queue. Outcomes that it has already stay. ``in_flight`` holds (``id`` of the call, position)
-        of the requests in flight; those go on.
+        A write that was sent before ends as `WriteOutcomeUnknown`, with that error as its cause. The call leaves the
+        queue. Outcomes that it has already stay. ``in_flight`` holds (``id`` of the call, position) of the requests in
+        flight; those go on.
         """
         self.queue.remove(call)
         for position, outcome in enumerate(call.outcomes):
@@ -203,12 +210,15 @@ class CallTracker:
         in_flight: set[tuple[int, int]],
         reason: Callable[[Call], NoReply | None] = lambda call: None,
     ) -> None:
-        """End the calls in the queue whose deadline has passed.
+        """End the calls in the queue whose deadline has passed: their requests fail with `NoReply`.
+
+        A write that was sent before ends as `WriteOutcomeUnknown`.
 
         Args:
             now: the time.
             in_flight: (``id`` of the call, position) of the requests in flight; these are not ended here.
-            reason: called for requests that were never sent; returns the error, or None for the usual one.
+            reason: called with the call for each request that was never sent; returns the error, or None for the usual
+                one.
         """
         if not self.deadlines:
             return

@@ -6,8 +6,9 @@ RTU and ASCII differ only in the framing that is passed in.
 1. States: idle → waiting for a reply (unicast) or for the turnaround (broadcast) → idle. One request is in flight.
 2. A reply of another unit keeps the timer running. So does a damaged frame: it is counted, and the request may be
    repeated as after a timeout.
-3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, and nothing to
-   the same unit before that much time has passed since the timeout. Frames received until then are late and dropped.
+3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, or before
+   ``drain_limit`` is over. The unit that did not answer gets no request for ``quiet_window`` after the timeout, unless
+   its late reply comes before. Frames received while the line is drained are late and dropped.
 4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
    sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.
@@ -74,7 +75,9 @@ class _RequestInFlight:
     """The request whose reply the master awaits.
 
     Attributes:
-        call: the call of the request; None if the call was cancelled, and for a marker request.
+        call: the call of the request; None if the call was cancelled or its deadline is over, and for a marker request.
+        request, position: the request, and its position in the call.
+        unit, frame: the unit asked, and the bytes sent.
         marker: the marker request that this is; None for a request of a call.
         begun, sent: when its first byte left and when its last byte leaves, in the clock of ``now``.
         expires: when it times out; for a broadcast, when the turnaround delay is over.
@@ -109,8 +112,8 @@ class SerialClientSession:
         counters: counters of the link.
         finished: calls whose requests all have an outcome; the driver empties the list.
         recycle: why the driver must close the connection and open another; empty if it need not.
-        valid_reply: whether the port, since it was opened, has brought a reply in time that answers a request; the
-            driver sets it to False after a timeout, to see whether another comes.
+        valid_reply: whether the port, since it was opened, has brought a reply in time to a request, even a broken one;
+            the driver sets it to False after a timeout, to see whether another comes.
         state: state of the master.
         breakers: the circuit breakers of the units.
         doubts: the late replies that units may still send.

@@ -93,7 +93,8 @@ class SerialServerSession:
         deferred: replies that the driver has to await; the driver empties the list.
         failures: failures of the responder to log; the driver empties the list.
         requests: requests for own units so far, broadcasts included.
-        foreign: frames on the line so far that were requests to other units, or replies of other stations.
+        foreign: frames on the line so far that were requests to other units, or replies of other stations; after
+            `take_no_more` all requests.
         damaged_frames: damaged frames so far.
         abandoned: answers that were not sent because another frame was received first (rule 4).
     """
@@ -179,8 +180,8 @@ class SerialServerSession:
     def answer_known(self, data: bytes, now: float) -> list[bytes] | None:
         """Return the reply frames to bytes from a network, if these are nothing but RTU frames with known reads.
 
-        Known are reads that the fast path has stored. ``now`` is when the bytes were read. Otherwise return None: then
-        nothing was done, and the bytes have to be passed to `receive`.
+        Otherwise, or while a request waits for its reply, return None: then nothing was done, and the bytes have to be
+        passed to `receive`. Known reads are those that the fast path has stored. ``now`` is when the bytes were read.
         """
         if len(data) % _READ_SIZE or not self._takes_more or self._waiting is not None:
             return None

@@ -11,8 +11,8 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
    transaction of its request, and only while the connection lasts.
 5. Every request that gets no answer is counted.
 6. Known reads that the responder forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
-7. With a ``share``, one call of `receive` processes at most that many requests; known reads do not count. The bytes
-   after them wait in ``rest`` until the driver calls `go_on`.
+7. With a ``share``, one call of `receive` processes at most that many requests. Known reads do not count, and a run of
+   forwarded reads is never divided. The bytes after them wait in ``rest`` until the driver calls `go_on`.
 8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. In
    the second loop a known read takes half as many instructions again (67 instead of 45).
 """
@@ -162,10 +162,11 @@ class TcpServerSession:
         return waiting if self._reads is None else waiting + self._reads.waiting
 
     def receive(self, buffer: bytes | bytearray, size: int) -> list[bytes]:
-        """Process the first ``size`` bytes of ``buffer``. Returns the reply frames to send, in order.
+        """Process the first ``size`` bytes of ``buffer``. Returns the reply frames that are ready, in order.
 
-        The beginning of an incomplete frame is kept for the next call. Once ``broken`` is set, bytes are ignored and an
-        empty list is returned.
+        Later replies are passed to ``deliver``. The beginning of an incomplete frame is kept for the next call;
+        requests beyond the share are kept in ``rest``. Once ``broken`` is set, bytes are ignored and an empty list is
+        returned.
         """
         if self.broken:
             return []
@@ -316,9 +317,9 @@ class TcpServerSession:
         self.rest += bytes(memoryview(buffer)[:size])
 
     def go_on(self) -> list[bytes]:
-        """Process the bytes in ``rest``, up to the session's share of requests.
+        """Process the bytes in ``rest``, up to the session's share of requests; the others stay in ``rest``.
 
-        Returns the reply frames to send, in order.
+        Returns the reply frames that are ready, in order.
         """
         rest, self.rest = self.rest, b""
         return self.receive(rest, len(rest))

@@ -84,9 +84,9 @@ class Breakers:
     def asked(self, unit: int, now: float, timeout: float, usual: float = 0.0) -> float:
         """Record that a request is sent to a unit, and return the timeout to use, in seconds.
 
-        It is ``timeout`` while the circuit breaker is closed. Otherwise the request is the probe: the state becomes
-        PROBING, and the timeout, at most ``timeout``, follows from ``usual``, the seconds that the unit usually takes
-        to answer (0 if unknown).
+        It is ``timeout`` while the circuit breaker is closed. Otherwise the request is the probe, and the state becomes
+        PROBING. The timeout is then twice ``usual``, but at least ``probe_timeout`` of the parameters, and never more
+        than ``timeout``. ``usual`` is the seconds that the unit usually takes to answer; 0 if unknown.
         """
         breaker = self._units.get(unit)
         if breaker is None or breaker.state is BreakerState.CLOSED:

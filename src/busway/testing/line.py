@@ -118,7 +118,7 @@ class PacedLine:
             plugged in again, unless `replug` gets a new name.
         settings: baud rate and character format, which determine the length of a character.
         character_time: seconds that one character takes.
-        overruns: number of characters that were lost because no program read them.
+        overruns: number of characters that were lost because no program read them, since the beginning or `forget`.
     """
 
     def __init__(
@@ -253,7 +253,7 @@ class PacedLine:
         return self.paths[port]
 
     def wait_quiet(self, silence: float | None = None, timeout: float = 10.0) -> None:
-        """Wait until the line has been silent for a time.
+        """Wait until the line has been silent for a time. Silence before the call counts.
 
         Args:
             silence: seconds of silence; 3.5 characters if None.
@@ -400,7 +400,10 @@ class PacedLine:
 
 
 def _transit_time() -> float:
-    """Measure the seconds from a write at one end of a pseudo-terminal until a program at the other end wakes up."""
+    """Measure the seconds from a write at one end of a pseudo-terminal until a program at the other end wakes up.
+
+    Returns the shortest of `TRANSIT_SAMPLES` measurements, at most `LONGEST_TRANSIT`.
+    """
     pty = _Pty.opened()
     taken = []
     asleep = threading.Semaphore(0)

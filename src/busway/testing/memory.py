@@ -78,14 +78,14 @@ class MemoryTransport(asyncio.Transport):
         self._pair.something_left()
 
     def close(self) -> None:
-        """Close this end of the connection in memory after all written bytes have arrived."""
+        """Close the connection in memory: it ends at both ends once all bytes written at this end have arrived."""
         if not self._closing:
             self._closing = True
             assert self._pair is not None
             self._pair.something_left()
 
     def abort(self) -> None:
-        """Close this end of the connection in memory; segments from it that are still on their way are dropped."""
+        """Close the connection in memory; segments from this end that are still on their way are dropped."""
         self.in_transit.clear()
         self.close()
 
@@ -126,12 +126,15 @@ class MemoryTransport(asyncio.Transport):
     # What the pair asks.
 
     def join(self, pair: "MemoryPair", protocol: asyncio.BaseProtocol) -> None:
-        """Make this transport one end of the connection ``pair``."""
+        """Make this transport one end of the connection ``pair``; ``protocol`` gets the bytes that arrive here."""
         self._pair = pair
         self._protocol = protocol
 
     def due(self, now: float) -> bytes:
-        """Remove and return the next segment that has reached the other end at ``now`` (seconds); empty if none has."""
+        """Remove and return the next segment that has reached the other end at ``now`` (seconds); empty if none has.
+
+        With ``merge`` of the `Passage`, all segments that have reached it, as one.
+        """
         if not self.in_transit or self.in_transit[0][0] > now:
             return b""
         data = self.in_transit.popleft()[1]

@@ -165,7 +165,7 @@ class FaultyServer:
     async def until(self, condition: Callable[[], bool]) -> None:
         """Wait in the server's event loop until ``condition`` returns True.
 
-        The condition is called at once, and again whenever the server's state changes.
+        The condition is called at once, and again whenever a request was received or a connection opened or closed.
 
         Raises:
             TimeoutError: the condition did not return True within `LONGEST_WAIT` seconds.
@@ -178,7 +178,7 @@ class FaultyServer:
     def wait_until(self, condition: Callable[[], bool]) -> None:
         """Block, in any thread but the server's, until ``condition`` returns True.
 
-        The condition is called at once, and again whenever the server's state changes.
+        The condition is called at once, and again whenever a request was received or a connection opened or closed.
 
         Raises:
             TimeoutError: the condition did not return True within `LONGEST_WAIT` seconds.
@@ -201,7 +201,7 @@ class FaultyServer:
         self._change()
 
     def _change(self) -> None:
-        """Wake all callers of `wait_until` and `until`, because the server's state has changed."""
+        """Let `wait_until` and `until` call their conditions again: a request was received or a connection changed."""
         self._changed_here.set()
         with self._changed:
             self._changed.notify_all()

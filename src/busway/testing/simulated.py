@@ -60,7 +60,8 @@ def simulated_device(
             address on. The device has exactly these items. Or the path of a simulation file (``.toml``), the path of a
             register map (``.csv``), or ``"device:meter"``. Values that a file keeps over restarts are neither restored
             nor saved.
-        unit: the unit of values and of a map, 0…255; None for unit 1, which then answers for all units.
+        unit: the unit of values or of a register map, 0…255; None for unit 1, which then answers for all units. A
+            simulation file names its units itself: any other value than None is a `ConfigError` then.
         url: where to listen, instead of on the listeners that a file has; a free port of 127.0.0.1 by default.
         seed: seed of noise and random values; None for that of the file, or 0.
         speed: seconds that pass for the device in one real second.

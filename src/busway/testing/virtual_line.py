@@ -1,7 +1,8 @@
 """A simulated serial bus without real time: ports, characters with durations, collisions and cut wires.
 
-Knows character times and which port hears which; knows no clock, no thread and no device: the time is an argument of
-every call, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real ports.
+Knows character times and which port hears which; knows no clock, no thread and no device: a call that needs the time
+gets it as an argument, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real
+ports.
 
 1. A character is received when its last bit has passed, by every other port, and by its sender if that has an echo.
 2. Two ports that send at once damage each other's characters. A port receives nothing while it sends (a driver that
@@ -62,14 +63,14 @@ class Transmission:
 
 
 class VirtualLine:
-    """A simulated serial bus with the given number of ports; the caller passes the time to every method.
+    """A simulated serial bus with the given number of ports; methods that send or advance get the time as an argument.
 
     Attributes:
         ports: its ports, by number.
         settings: baud rate and character format of all ports.
         character_time: seconds that one character takes.
         tap: the recorded characters: every one that has passed, the oldest first; the last 200 000 by default.
-        now: the time up to which the line has been advanced, in seconds.
+        now: the time up to which the line has been advanced, in seconds; minus infinity before the first `advance`.
         collisions: number of characters that were damaged because two ports sent at once.
         noise: probability that a character is damaged on its way, 0…1. May be changed at any time.
     """
@@ -222,8 +223,8 @@ class VirtualPort:
         number: its number on the line.
         echo: whether it receives what it sends.
         talking: whether it has characters to send.
-        free_at: time at which the last character written will have passed, in seconds.
-        passed_at: time at which its last character passed, in seconds.
+        free_at: time at which the last character written will have passed, in seconds; minus infinity before the first.
+        passed_at: time at which its last character passed, in seconds; minus infinity before the first.
     """
 
     __slots__ = (

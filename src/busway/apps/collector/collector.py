@@ -110,7 +110,7 @@ class Collector:
             right: in the event loop, with the correction of all times given so far, before the store is corrected.
             Callers add theirs.
         values: the last stored sample of each point.
-        alarms: the alarms of the points; exists from when the block was entered.
+        alarms: the alarms of the points; there is no such attribute before the block is entered.
     """
 
     alarms: CollectorAlarms
@@ -317,7 +317,7 @@ class Collector:
 
     @property
     def commands(self) -> CommandRunner:
-        """The part of the collector that executes commands: it writes values to points on demand."""
+        """The part of the collector that executes commands, which write values to points."""
         assert self._commands is not None, "the collector does not run"
         return self._commands
 
@@ -336,9 +336,10 @@ class Collector:
     # What programs use.
 
     async def samples(self, devices: Iterable[str] | None = None) -> AsyncIterator[SampleBatch]:
-        """Yield the samples that are stored from the first iteration on: one batch for each read, once it is stored.
+        """Yield the samples that are stored from the first iteration on, in batches: one for each read, once stored.
 
-        Ends when the collector stops. A program that is too slow misses the oldest batches (`readers_lost`).
+        The samples of computed points are batches of their own. Ends when the collector stops. A program that is too
+        slow misses the oldest batches (`readers_lost`).
 
         Args:
             devices: names of the devices; None for all.
@@ -553,7 +554,7 @@ class Collector:
             write may have been sent and it is not known whether the device executed it.
 
         Raises:
-            InvalidRequest: there is no such point, or an argument is not valid. Nothing was sent.
+            InvalidRequest: an argument is not valid, or there is no such point and the key is new. Nothing was sent.
         """
         return await self.commands.write(device, point, value, by=by, origin=origin, expires=expires, key=key)
 
@@ -592,7 +593,7 @@ class Collector:
     async def reload(
         self, configuration: CollectorConfiguration, *, by: str = "this program", origin: str = "program"
     ) -> list[str]:
-        """Use another configuration from now on; links that are the same in both go on polling (rule 2).
+        """Use another configuration from now on; links that it does not change go on polling (rule 2).
 
         Args:
             configuration: the new configuration.
@@ -600,7 +601,8 @@ class Collector:
             origin: where the change comes from, for the audit log.
 
         Returns:
-            What changed, each as a sentence.
+            What changed, each as a sentence; also each key that takes effect only at the next start. If nothing
+            changed, one sentence that says so.
 
         Raises:
             ConfigError: the store is another one or cannot be written, the port of a page for Prometheus is in use,
@@ -624,6 +626,9 @@ class Collector:
     ) -> list[str]:
         """Replace the text of the configuration file and use it from now on; if the text is wrong, nothing changes.
 
+        If a port or the store becomes unusable between check and use, the file has the new text, and the old
+        configuration stays in use.
+
         Args:
             text: the new text of the whole file.
             by: who changes the configuration, for the audit log.
@@ -632,7 +637,7 @@ class Collector:
                 check.
 
         Returns:
-            What changed, each as a sentence.
+            What changed, as `reload` returns it.
 
         Raises:
             FileError: the text is wrong; ``problems`` has all errors, each with file, line and key.
@@ -642,9 +647,10 @@ class Collector:
         return await self._reloading.replace(text, by, origin, revision)
 
     async def _apply(self, configuration: CollectorConfiguration) -> list[str]:
-        """Put another configuration into use, and return what changed, each as a sentence.
+        """Put another configuration into use, and return what changed, each as a sentence; empty if nothing did.
 
-        In this order: links that change are stopped, points are renamed for all later samples, and links are started.
+        In this order: links that change are stopped; points are renamed for all later samples; the limits of the store,
+        sinks, pages, inputs and alarms change; links are started; the maintenance of devices that are gone ends.
         """
         assert self._committer is not None
         self.configuration = configuration
@@ -673,7 +679,7 @@ class Collector:
         return done
 
     def _keep(self, retention: Retention) -> list[str]:
-        """Use other limits of the store from now on; return one sentence in a list, or [] if nothing changed."""
+        """Use other limits of age and size for the store; return one sentence in a list, or [] if nothing changed."""
         assert self._committer is not None
         assert self._journal is not None
         writer = self._committer.writer

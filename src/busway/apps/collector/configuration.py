@@ -286,7 +286,10 @@ def _check_places(
     devices: Mapping[str, CollectedDevice],
     report: ConfigurationReport,
 ) -> None:
-    """Report to ``report`` devices and points that a sink would send under one topic: it replaces some characters."""
+    """Report to ``report`` devices or points that a sink would send under one topic.
+
+    Different names can become one topic because a sink replaces some characters in them.
+    """
     for index, section in enumerate(file.sink):
         if section.name in sinks:
             sink, options = sinks[section.name]
@@ -365,7 +368,10 @@ class _Profiles:
         return self._read[key]
 
     def _needs_unit(self, section: CollectedDeviceSection) -> bool:
-        """Whether a device profile's contents depend on the unit number, so that each unit needs its own copy."""
+        """Whether a device profile's contents depend on the unit number, so that each unit needs its own copy.
+
+        False if the profile cannot be read.
+        """
         if section.profile not in self._by_unit:
             try:
                 text = read_profile(self._file(section.profile))
@@ -393,7 +399,10 @@ def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source,
 
 
 def _rules_of(unit: UnitSection) -> ReadRules:
-    """Return the rules for reading a unit; all addresses of a table that its profile declares count as readable."""
+    """Return the rules for reading a unit.
+
+    If they have no readable ranges for a table, all addresses of it that the profile declares count as readable.
+    """
     rules = unit.read.rules()
     readable = dict(rules.readable)
     for table in Table:
@@ -492,7 +501,7 @@ def _cost(settings: LinkSettings, line_baud: int | None, pause: float) -> tuple[
     Args:
         settings: the settings of the link.
         line_baud: speed in bit/s of the line behind a gateway; None for no such line.
-        pause: seconds that the device needs between two requests.
+        pause: seconds that the device needs between two requests; it counts only on a serial port of this machine.
     """
     if line_baud is not None:
         return baud_cost(line_baud), True

@@ -198,5 +198,5 @@ class ConnectedSystems:
         return () if self._thread is None else self._thread.statuses()
 
     def input_statuses(self) -> Sequence[InputStatus]:
-        """Return the status of each server that commands come from."""
+        """Return the status of each input of commands: of the connection to each server that commands come from."""
         return [receiver.status() for receiver, _ in self._receiving.values()]

@@ -83,8 +83,8 @@ class DerivedPoints:
             at: when the read ended, seconds of the monotonic clock.
 
         Returns:
-            The samples, with the states of the counters among them; and whether the size of a group has changed, so
-            that `absent` returns other points.
+            A pair: the samples, with the states of the counters among them; and whether the size of a group of variable
+            size has changed, so that `absent` may return other points.
         """
         found = {
             name: Reading(value, reason)
@@ -138,7 +138,7 @@ class DerivedPoints:
         Args:
             time: time of the samples, nanoseconds since 1970 UTC.
             half_width: half the length of the last transaction, nanoseconds.
-            at: the same time, seconds of the monotonic clock.
+            at: when the last transaction ended, seconds of the monotonic clock; it decides which inputs are held.
             usual: the reason of a sample that nothing else is wrong with: `Reason.CLOCK` while the clock is not right.
         """
         touched, self._touched = self._touched, set()
@@ -152,7 +152,9 @@ class DerivedPoints:
         )
 
     def _held(self, at: float) -> dict[str, Reading]:
-        """Return readings with the reason `Reason.HELD` for good inputs that were not read when they were due (rule 4).
+        """Return readings of held inputs, by name: good inputs that were not read when they were due (rule 4).
+
+        Each has its last value and the reason `Reason.HELD`.
 
         Args:
             at: seconds of the monotonic clock.

@@ -18,9 +18,10 @@ class CollectedDeviceStatus:
         state: ``polled``, ``silent``, ``maintenance``, ``not asked yet``, or ``nothing to read`` (no readable point).
         reads: number of reads in polling rounds since the device is polled, failed ones included.
         failures: number of these reads that failed.
-        rounds: number of polling rounds completed.
+        rounds: number of polling rounds completed; a round whose last reads got no answer does not count.
         skipped: number of due times at which no round was made, because the one before still waited.
-        worst_wait: the longest time in seconds by which a round ended later than its own reads alone need.
+        worst_wait: the longest time in seconds from the due time of a round to its end, without the time of its own
+            reads.
         last_error: the last error of a read, also if the device answers again; empty if there was none.
         learnt: facts learnt about the device, as sentences.
         unread: points that no allowed read can fetch, each with its reason, as sentences.

@@ -105,7 +105,10 @@ class DeviceKnowledge:
         return any(one.table is table and one.start < end and start < one.end for one in self.holes)
 
     def knows(self, hole: LearntHole) -> bool:
-        """Whether the device is already known to refuse this range, or a larger one around it."""
+        """Whether this range, or a larger one around it, is known as refused; for a border, whether it is known.
+
+        The exception code and ``pinned`` are not compared.
+        """
         return any(
             one.table is hole.table
             and one.start <= hole.start
@@ -199,7 +202,7 @@ class Knowledge:
         return replace(known, place=place or known.place)
 
     def set(self, name: str, known: DeviceKnowledge) -> None:
-        """Replace the facts learnt about one device."""
+        """Replace all facts learnt about one device, or add those of a new device."""
         self._devices[name] = known
 
     def pin(self, name: str) -> bool:

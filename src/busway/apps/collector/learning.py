@@ -74,7 +74,8 @@ class CostLearner:
 
     Attributes:
         reads: number of reads learnt from.
-        widths: the different widths of these reads, registers or bits.
+        widths: the different widths of these reads: numbers of registers or of bits. A read of 16 registers and one of
+            16 bits count as one width.
     """
 
     def __init__(self, assumed: ReadCost, *, fixed: bool = True) -> None:
@@ -89,7 +90,7 @@ class CostLearner:
         self.widths: set[int] = set()
 
     def observe(self, table: Table, width: int, seconds: float, *, probes: bool = False) -> None:
-        """Learn from a read that succeeded at its first attempt.
+        """Learn what reads cost from one read that succeeded at its first attempt.
 
         Args:
             table: the table that was read.
@@ -112,7 +113,11 @@ class CostLearner:
             self._last_slope = self._slope()
 
     def end_probes(self) -> None:
-        """Correct the learnt seconds per register by the test reads since the last call; does nothing if ``fixed``."""
+        """Correct the learnt seconds per register by the test reads since the last call.
+
+        They stay as they are if the seconds per register are ``fixed``, or if fewer than `WIDTHS` widths were read by
+        `READS_OF_A_WIDTH` or more of these test reads.
+        """
         if not self._fixed:
             found = _slope_of(self._probed, WIDTHS, READS_OF_A_WIDTH)
             self._last_slope = self._last_slope if found is None else found
@@ -125,7 +130,11 @@ class CostLearner:
 
     @property
     def cost(self) -> ReadCost:
-        """How many seconds reads of the device take, as learnt so far; the assumed cost before the first read."""
+        """How many seconds reads of the device take, as learnt so far; the assumed cost before the first read.
+
+        From the first read on the base is learnt. The seconds per register are the assumed ones if they are ``fixed``,
+        or as long as they are not learnt yet (rule 2).
+        """
         if not self._seen:
             return self._assumed
         if not self._fixed:
@@ -139,9 +148,10 @@ class CostLearner:
         return self._assumed.with_base(max(base, 1e-6))
 
     def _network_cost(self, slope: float) -> ReadCost:
-        """Return the cost of reads for ``slope`` seconds per register.
+        """Return the cost of reads, with ``slope`` as the seconds per register unless the base would be too small.
 
-        The base is at least the part `LEAST_BASE` of the quickest read.
+        The base is at least `LEAST_BASE` of the quickest read's time. If ``slope`` leaves less, the base is that, and
+        the seconds per register are computed again from the reads. A bit costs a sixteenth of a register.
         """
         least = LEAST_BASE * min(seconds for _, seconds in self._seen)
         base = median(seconds - slope * width for width, seconds in self._seen)
@@ -150,7 +160,11 @@ class CostLearner:
         return ReadCost(max(base, least, 1e-6), slope, slope / BITS_OF_A_REGISTER)
 
     def _slope(self) -> float | None:
-        """Return the learnt seconds per register (rule 2); None if reads of too few widths were ever observed."""
+        """Return the learnt seconds per register (rule 2).
+
+        They are computed from the last `MEMORY` reads if these have enough widths; otherwise they are as learnt before.
+        None if they were never learnt.
+        """
         widths, reads = (WIDTHS, READS_OF_A_WIDTH) if self._last_slope is None else (2, READS_TO_CORRECT)
         found = _slope_of(self._seen, widths, reads)
         return self._last_slope if found is None else found
@@ -159,7 +173,8 @@ class CostLearner:
 def _slope_of(seen: Iterable[tuple[float, float]], widths: int, reads: int) -> float | None:
     """Return the seconds per register: the median slope over all pairs of widths, at least `NETWORK_REGISTER`.
 
-    None if fewer than ``widths`` widths have at least ``reads`` reads.
+    The time of a width is the lower quartile of its reads' times. None if fewer than ``widths`` widths have at least
+    ``reads`` reads each.
 
     Args:
         seen: width in registers and seconds of each read.
@@ -183,9 +198,10 @@ def _slope_of(seen: Iterable[tuple[float, float]], widths: int, reads: int) -> f
 def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead]:
     """Return test reads of different widths, narrowest first, that measure what reads of a device cost.
 
-    These are one read of each width in ``reads``, a read of about half of the widest one, and a read of its narrowest
-    item. The last two are left out if they would split an atomic group. All lie within ranges that a plan reads. Empty
-    if ``reads`` is empty.
+    These are one read of each width in ``reads``, a read of the first half of the widest read's items, and a read of
+    its narrowest item. Each of the last two is left out if one of its items belongs to an atomic group. If these have
+    fewer than `WIDTHS` widths, and the widest read has a hole, there is one more: it ends halfway in the first hole.
+    All lie within ranges of ``reads``, and no two have the same width. Empty if ``reads`` is empty.
 
     Args:
         reads: the reads of a device's plans.
@@ -211,11 +227,11 @@ def probes_for(reads: Sequence[PlannedRead], cost: ReadCost) -> list[PlannedRead
 
 
 def read_of(table: Table, items: Sequence[Any], cost: ReadCost) -> PlannedRead:  # Any: the caller's kind of ReadItem
-    """Return the narrowest read that covers some items of a table.
+    """Return the narrowest read that covers some items of a table, with everything between them; no limit is checked.
 
     Args:
         table: the table.
-        items: the items, one or more.
+        items: the items (`ReadItem`) of this table, one or more.
         cost: the cost of reads, for the expected duration of the new read.
     """
     start = min(one.start for one in items)
@@ -236,7 +252,7 @@ class ReadOutcome(Enum):
 
 
 def outcome_of(code: int | None, *, silent: bool = False) -> ReadOutcome:
-    """Return the kind of result of a failed read.
+    """Return what a failed read says about the range that was read: a `ReadOutcome`, never ``SUCCESS``.
 
     Args:
         code: the exception code of the reply; None if there was no exception.
@@ -266,8 +282,8 @@ class _Purpose(Enum):
     """What a test read is to find out.
 
     ``CONTROL``: whether the device answers at all. ``ITEM``: whether one item is refused alone. ``HALF``: whether half
-    of a refused read is refused. ``GAP``: whether the hole between two halves is refused. ``WIDTH``: whether a width
-    between an accepted and a refused one is accepted.
+    of a refused read is refused. ``GAP``: whether a read across the cut between two accepted halves is refused.
+    ``WIDTH``: whether a width between an accepted and a refused one is accepted.
     """
 
     CONTROL = "control"  # whether the device answers at all
@@ -296,11 +312,11 @@ class _Question:
 
 @dataclass(slots=True)
 class _Wait:
-    """How many refusals of a read are ignored before test reads look for the reason again.
+    """How many refusals of a read are ignored, after test reads found no reason, before they look for it again.
 
     Attributes:
         left: number of refusals still to be ignored.
-        next: how many refusals are ignored after the next test that finds no reason.
+        next: how many refusals are ignored the next time that test reads find no reason.
     """
 
     left: int = 0
@@ -318,8 +334,8 @@ class MapLearner:
 
     Attributes:
         knowledge: the facts known now, including those known at the beginning.
-        asked: number of test reads that had a result.
-        inconclusive: number of refusals that could not be explained, because all test reads succeeded.
+        asked: number of test reads that had a result, silence included.
+        inconclusive: number of refused reads that could not be explained, because all test reads succeeded.
     """
 
     def __init__(self, knowledge: DeviceKnowledge, cost: ReadCost) -> None:
@@ -350,9 +366,11 @@ class MapLearner:
         return self._questions[0].read if self._questions else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Learn from the result of an ordinary read; after a refusal or repeated silence, `question` has test reads.
+        """Learn from the result of an ordinary read; after a failure, `question` may have test reads.
 
-        A failure while other test reads are to be sent is ignored.
+        It has some after a refusal, and after `SILENCES` silences in a row of one read. It has none if the read has no
+        items, or for silence if no narrower read is known. Failures are ignored while earlier test reads are still to
+        be sent; so are, for a number of times, refusals of a read for which test reads found no reason.
 
         Args:
             read: the read.
@@ -379,6 +397,9 @@ class MapLearner:
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
         """Learn from the result of the test read that `question` returns. To be called only while `is_asking`.
+
+        If test reads examine a silence, a test read without a reply stays the next one; `SILENCES` silences of it in a
+        row count as a refusal.
 
         Args:
             outcome: the result of the read.
@@ -423,7 +444,7 @@ class MapLearner:
     def _give_up(self) -> None:
         """Record that a refused read cannot be explained, because all its parts succeed; ignore its next refusals.
 
-        Each time twice as many are ignored, up to `MOST_IGNORED`.
+        The first time 4 are ignored, then each time twice as many, up to `MOST_IGNORED`.
         """
         self.inconclusive += 1
         assert self._cause is not None
@@ -445,7 +466,10 @@ class MapLearner:
         self._questions.append(_Question(_Purpose.CONTROL, control))
 
     def _split(self, read: PlannedRead) -> None:
-        """Queue test reads of the two halves of a refused read, or of its only item."""
+        """Queue test reads of the two halves of a refused read, before all others; or a test read of its only item.
+
+        Items that one read must fetch together (`_bundles`) count as one item.
+        """
         bundles = _bundles(read.items)
         if len(bundles) == 1:
             self._questions.append(_Question(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
@@ -533,7 +557,10 @@ class MapLearner:
         self._ask_width(self._cause)
 
     def _ask_width(self, read: PlannedRead) -> None:
-        """Queue a test read of about the width halfway between the widest accepted and the narrowest refused one."""
+        """Queue a test read of about the width halfway between the widest accepted and the narrowest refused one.
+
+        It is a part of ``read``. None is queued if no part has a width between the two, or if one is queued already.
+        """
         limit = self.knowledge.limit(read.table.holds_bits)
         if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
             return
@@ -554,7 +581,7 @@ class MapLearner:
 
 
 def _bundles(items: Sequence[Any]) -> list[list[Any]]:
-    """Return items by start, in groups that one read must fetch together: atomic groups, and items that overlap."""
+    """Return items, sorted by start, in lists that one read must fetch together: atomic groups, overlapping items."""
     found: list[list[Any]] = []
     end = -1
     for one in sorted(items, key=lambda each: (each.start, -each.width)):
@@ -568,7 +595,10 @@ def _bundles(items: Sequence[Any]) -> list[list[Any]]:
 
 
 def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
-    """Yield, for both sides of each possible cut of a read in two, the items and the width of a read of these items."""
+    """Yield both parts of each possible cut of a read in two: the items of the part, and the width of a read of them.
+
+    Items that one read must fetch together (`_bundles`) are never cut.
+    """
     bundles = _bundles(read.items)
     for at in range(1, len(bundles)):
         for part in (bundles[:at], bundles[at:]):
@@ -577,7 +607,7 @@ def _runs(read: PlannedRead) -> Iterator[tuple[list[Any], int]]:
 
 
 def with_knowledge(rules: ReadRules, knowledge: DeviceKnowledge) -> ReadRules:
-    """Return rules for reading a device with the learnt holes, borders and largest reads added to the given rules."""
+    """Return a copy of rules for reading a device, narrowed by the learnt holes, borders and largest reads."""
     forbidden = {table: list(spans) for table, spans in rules.forbidden.items()}
     borders = {table: set(places) for table, places in rules.borders.items()}
     for hole in knowledge.holes:

@@ -1,4 +1,4 @@
-"""A link that asks for permission before it sends requests, for collectors that share links with other collectors."""
+"""A link that asks a function for permission before it sends requests, for collectors of a fleet, which share links."""
 
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -140,8 +140,9 @@ def plan_reads(
             ``one_point``.
 
     Returns:
-        Reads that fetch every wanted item, apart from those in ``unreadable``. Each item is listed in one read, the
-        first that covers it; an atomic group is in one read as a whole.
+        Reads that fetch every wanted item, apart from those in ``unreadable``. Each item that is fetched is listed in
+        one read, the first that covers it; an atomic group is in one read as a whole. If the rules say ``one_point``,
+        each wanted item or group has a read of its own, which lists no items of ``others``.
     """
     due = _by_table(wanted)
     idle = _by_table(others)
@@ -166,7 +167,8 @@ def undeclared(read: PlannedRead, known: Iterable[ReadItem], rules: ReadRules) -
 
     Args:
         read: the read.
-        known: all items of the device, in any order; items of other tables are ignored.
+        known: all items of the device, in any order. Items of other tables are ignored, and computed points too, which
+            have no registers.
         rules: the readable ranges and exact blocks of the device.
     """
     declared = [
@@ -284,9 +286,12 @@ class _Borders:
         self._borders = sorted(rules.borders.get(table, ()))
 
     def place_of(self, block: _Block) -> tuple[_Place | None, str]:
-        """Return the range to read for a block of items and an empty text; or None and why no read may fetch the block.
+        """Return the range to read for some items and an empty text; or None, and why no read may fetch the items.
 
-        The range is that of the block, or the exact block of the device that the block lies in.
+        The range is that of the items, or the exact block of the device's rules that they lie in.
+
+        Args:
+            block: items that one read must fetch together.
         """
         start, end, items = block
         found: ItemRange | None = None

@@ -30,7 +30,7 @@ NEAR: Final = 1.02
 CHECKED_EVERY: Final = 16
 """Number of successful reads between two checks whether new plans would be faster."""
 MOST_PLANS: Final = 32
-"""Most plans of a device that are kept. There are few sets of poll classes that are due together."""
+"""Most plans of a device that are kept; when there are so many, all are dropped before the next is made."""
 PROBES: Final = 4
 """Number of test reads of each width that measure the cost of reads, at the beginning and again (`PROBED_AGAIN`)."""
 PROBED_AGAIN: Final = 1024
@@ -125,7 +125,10 @@ class PlanBook:
 
     @property
     def knowledge(self) -> DeviceKnowledge:
-        """What was learnt about the device, to be saved: refused ranges, largest reads, and the cost if known."""
+        """What is known about the device, to be saved: refused ranges, largest reads and the cost of reads.
+
+        The cost is the one learnt now if it counts as known (`CostLearner.is_settled`); else the one known before.
+        """
         known = self._map.knowledge
         if not self._learner.is_settled:
             return known
@@ -145,7 +148,10 @@ class PlanBook:
 
     @property
     def unreadable(self) -> tuple[Unreadable, ...]:
-        """The polled points that no allowed read can fetch, because of the configured rules or of learnt holes."""
+        """The polled points that no allowed read can fetch, because of the configured rules or of learnt holes.
+
+        Points that `set_absent` excluded are left out.
+        """
         return self.plan_for(self.classes).unreadable
 
     def plan_for(self, classes: Classes) -> DevicePlan:
@@ -162,7 +168,10 @@ class PlanBook:
         return kept.plan
 
     def set_class(self, name: str, items: Sequence[ReadItem]) -> None:
-        """Replace the device's points in a poll class, and drop all plans; an empty list removes the class."""
+        """Replace the device's points in a poll class, and drop all plans; an empty list removes the class.
+
+        The result of `points` stays as it is.
+        """
         self._items[name] = list(items)
         self._plans.clear()
         self.made = 0

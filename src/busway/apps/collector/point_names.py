@@ -24,7 +24,8 @@ class PointNames:
     Attributes:
         ids: number of each point, by its device and its present name. The number stays when the point is renamed; it is
             negative if no store has numbered the point.
-        taken_over: pairs of a point's number and a former name whose history this point has taken over.
+        taken_over: pairs of a point's number and a name that its key ``was`` has named. Such a name renames nothing
+            again; it is here even if no point had it.
     """
 
     ids: dict[PointKey, int] = field(default_factory=dict)
@@ -34,7 +35,8 @@ class PointNames:
     def moves(self, described: Iterable[PointDescription]) -> dict[int, PointDescription]:
         """Return the new descriptions of the points that a new configuration renames, by number of the point.
 
-        Changes nothing. A point is left out if another point has its new name and keeps it.
+        Changes nothing. A point is left out if its key ``was`` has renamed it before (rule 1), or if another point has
+        its new name and keeps it (rule 2).
 
         Args:
             described: the descriptions of all points of the new configuration.

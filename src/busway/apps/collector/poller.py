@@ -79,7 +79,7 @@ class _CompiledRead:
         request: the request to send.
         decoder: makes values from the data of the reply.
         group: the device and the points, in the order of the values.
-        data: the data of the last reply, for requests of raw registers; empty before the first.
+        data: the data of the last reply, from which `PolledDevice.registers_of` takes registers; empty before the first.
         at: sample time of that reply, nanoseconds since 1970 UTC.
         exponents: names of the points in the read that are scale factors of other points.
         scaled: for each point in the read whose scale factor is in another read: its place among the values, and the
@@ -175,7 +175,8 @@ class PolledDevice:
     def registers_of(self, points: Container[str]) -> dict[str, bytes]:
         """Return the raw registers of points as last read, by point: two bytes for each register.
 
-        Points that were not read yet, coils, discrete inputs and computed points are left out.
+        Left out are points that were not read yet or whose last reply was forgotten (`compiled`), coils, discrete
+        inputs and computed points.
         """
         found: dict[str, bytes] = {}
         for each in sorted(self._compiled.values(), key=lambda one: one.at):
@@ -321,7 +322,8 @@ class LinkPoller:
     def pause(self, name: str, *, paused: bool, since: int | None = None) -> None:
         """Begin or end the maintenance of a device; a device in maintenance is not polled.
 
-        If the device is silent, the interval of its silence ends and is reported.
+        The interval in which the device was not polled until now, because of silence or maintenance, ends and is
+        reported. If a maintenance begins, its interval is reported too, without an end.
 
         Args:
             name: name of the device.
@@ -359,7 +361,7 @@ class LinkPoller:
         Args:
             name: name of the device.
             perform: makes the write on the link and reports its result itself; it must not raise.
-            drop: called instead of ``perform`` if polling ends first; nothing was sent then.
+            drop: called instead of ``perform`` if polling ends first, so that nothing was sent; None for nothing.
 
         Returns:
             False, with nothing queued, if too many writes wait or polling has ended; else True.
@@ -697,7 +699,11 @@ class LinkPoller:
 
 
 def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
-    """Return the reason why no read fetches an item: the answer of the device, or a rule of the configuration."""
+    """Return the reason, as in `Sample.reason`, why no read fetches an item.
+
+    If a learnt hole or border touches the item, it is the exception that the device answered there, or `Reason.TIMEOUT`
+    if it did not answer. Otherwise it is `Reason.CONFIGURATION`: the rules for the device permit no read of the item.
+    """
     for hole in known.holes:
         if hole.table is item.table and hole.start < item.start + item.width and item.start < hole.end:
             return exception_reason(hole.code) if hole.code else Reason.TIMEOUT
@@ -707,8 +713,9 @@ def _reason_not_to_ask(known: DeviceKnowledge, item: ReadItem) -> int:
 def _judged(error: ModbusError) -> tuple[int, TurnOutcome]:
     """Return the reason for the bad samples of a failed read, and what its error shows about the device.
 
-    An exception of a gateway that does not reach the device shows that the device is silent; any other exception, and a
-    broken reply, that it answers.
+    No reply, and an exception of a gateway that does not reach the device, show that the device is silent. Any other
+    exception, and a broken reply, show that it answers. A lost connection, an overloaded link and an invalid request
+    show nothing.
     """
     if isinstance(error, ExceptionReply):
         unreachable = error.code in _GATEWAY_EXCEPTIONS

@@ -86,7 +86,9 @@ class Reloading:
     async def reload(self, configuration: CollectorConfiguration, by: str, origin: str) -> list[str]:
         """Put another configuration into use, and return what changed, each as a sentence.
 
-        Each key whose change needs a restart has a sentence too. If there is none at all: ``nothing changed``.
+        Each key that differs from the configuration at the start and takes effect only at the next start has a sentence
+        too, even if an earlier change left it so. If there is no sentence, the list is ``["nothing changed"]``. Waits
+        for changes that began earlier; a change that has begun is completed even if the caller is cancelled.
 
         Args:
             configuration: the new configuration.
@@ -101,7 +103,8 @@ class Reloading:
     async def read_again(self, by: str, origin: str) -> list[str]:
         """Read the collector's file again, put it into use, and return what changed, each as a sentence.
 
-        First the audit log is opened again, because its file may have been renamed. The arguments are as in `reload`.
+        First the audit log is opened again, because its file may have been renamed. Arguments and result are those of
+        `reload`. If the file is refused, the attribute ``refusal`` says for which lines and keys.
 
         Raises:
             ConfigError: the file cannot be read or used, or the collector ends; the old configuration stays in use.
@@ -110,6 +113,8 @@ class Reloading:
 
     async def replace(self, text: str, by: str, origin: str, revision: str | None) -> list[str]:
         """Replace the contents of the collector's file, put them into use, and return what changed, each as a sentence.
+
+        The result is that of `reload`.
 
         Args:
             text: the new contents of the file.
@@ -247,7 +252,7 @@ def left_for_the_next_start(started: CollectorConfiguration, new: CollectorConfi
 
 
 def replace_file(path: str, text: str) -> None:
-    """Replace the whole contents of an existing file, which keeps its permissions (rule 3); follow a symbolic link.
+    """Replace the whole contents of an existing file, which keeps its permissions (rule 3); a symbolic link stays one.
 
     Raises:
         ConfigError: the file cannot be written; its contents are as before.

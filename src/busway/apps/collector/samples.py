@@ -43,7 +43,7 @@ __all__ = [
 ]
 
 Value = bool | int | float | str
-"""The value of a point: a state, a number or a text. Integers have at most 64 bits."""
+"""The value of a point: a state, a number or a text. The store cannot keep integers below -2**63 or above 2**64 - 1."""
 
 
 @dataclass(frozen=True, slots=True)

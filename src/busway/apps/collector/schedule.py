@@ -130,8 +130,8 @@ class ScheduledDevice:
         book: its read plans.
         periods: poll periods in seconds, by poll class; with `LEASED` while points are leased.
         due: when each poll class is due next. All times are seconds of the schedule's clock.
-        lives: whether the device answered its last request; None before the first result.
-        silences: requests without an answer, in a row; those that failed because the link was down count too.
+        lives: whether the device answered its last read; None before the first result. Writes do not count.
+        silences: reads without an answer, in a row; those that failed because the link was down count too.
         probe_at: when the device may be probed next, while it is silent.
         suspended_at: since when its rounds have stopped because it is silent; None while it answers.
         was_down: whether its last request failed because the link was down.
@@ -140,10 +140,11 @@ class ScheduledDevice:
         skipped_since: the first due time that was skipped since its last round began; None if none was.
         question_at: when a test read for learning may be sent next.
         leased_until: when the lease of its points ends.
-        rounds: number of rounds completed so far.
+        rounds: number of rounds completed so far; a round whose last reads got no answer does not count.
         skipped: number of due times skipped so far.
-        worst_wait: the longest time in seconds by which a round ended later than its own reads alone need.
-        worst_fast: like ``worst_wait``, but only of rounds of the poll class with the shortest period.
+        worst_wait: the longest time in seconds from the due time of a round to its end, without the time of its own
+            reads.
+        worst_fast: like ``worst_wait``, but only of rounds with the poll class of the shortest period.
         is_paused: whether the device is in maintenance, and therefore not polled.
     """
 
@@ -213,7 +214,7 @@ class LinkSchedule:
     # Devices and what is asked of them.
 
     def add(self, name: str, book: PlanBook, periods: Mapping[str, float], now: float) -> None:
-        """Start to poll a device; first `next` has it asked once, to see whether it answers.
+        """Start to poll a device. Its rounds begin once it has answered one cheap read, which `next` returns before.
 
         Args:
             name: name of the device.
@@ -232,10 +233,12 @@ class LinkSchedule:
             self._asking.append(name)
 
     def _first_dues(self, book: PlanBook, periods: Mapping[str, float], now: float) -> dict[str, float]:
-        """Return the first due time of each poll class, spread so that devices do not all become due together.
+        """Return the first due time of each poll class of a new device, spread so that not all become due together.
 
-        The class with the shortest period is due after the reads of devices that were added before. Classes with longer
-        periods are first due at a later due time of that class.
+        The class with the shortest period is due within one such period from ``now``: after the reads of devices that
+        were added before, modulo the period. A class with a longer period is first due at the same time, or a whole
+        number of shortest periods later, but less than its own period. The device's reads are counted for the devices
+        that are added next.
         """
         shortest = min(periods.values())
         first = now + self._placed % shortest
@@ -246,7 +249,7 @@ class LinkSchedule:
         return {name: first + int(step * int(period / shortest + 1e-9)) * shortest for name, period in periods.items()}
 
     def remove(self, name: str) -> None:
-        """Stop polling a device and forget it; a read in progress still ends."""
+        """Stop polling a device and forget it; a read in progress still ends, and waiting writes stay in the queue."""
         self.devices.pop(name, None)
         self._ready = [each for each in self._ready if each[3].device != name]
         heapq.heapify(self._ready)
@@ -312,8 +315,8 @@ class LinkSchedule:
     def next(self, now: float) -> Turn | float:
         """Return the turn to send now; if nothing is due, return the time at which to call `next` again.
 
-        The caller sends the requests of the turn, and then calls `done`. If the schedule is changed while nothing is
-        due, such as by `write`, `add` or `lease`, the caller calls `next` at once.
+        The caller sends the requests of the turn, calls `done`, and then calls `next` again. If the schedule is changed
+        while nothing is due, such as by `write`, `add` or `lease`, the caller calls `next` at once.
         """
         self._credit_until(now)
         self._release_due(now)
@@ -331,7 +334,11 @@ class LinkSchedule:
         return Turn(TurnKind.WRITE, device, write=what)
 
     def _due_read(self, now: float) -> Turn | None:
-        """Return the turn of a round, a first request to a new device or a probe that is due now; None if none is."""
+        """Return the next read that is due now: of a round, a first read of a new device, or a probe; None if none is.
+
+        First reads and probes come after the rounds, but before them if probes have used no time for so long that one
+        timeout is saved up (rule 4).
+        """
         if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
             if asked is not None:
@@ -566,9 +573,9 @@ class LinkSchedule:
         return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
 
     def _question(self, now: float) -> Turn | None:
-        """Return the next test read for learning: at most one per device in its shortest poll period.
+        """Return the turn of the next test read for learning: at most one per device in its shortest poll period.
 
-        None if no device has one now; devices that do not answer or are in maintenance are not asked.
+        None if no device has a test read now. Devices that do not answer, or are in maintenance, are left out.
         """
         for _ in range(len(self._asking)):
             device = self.devices.get(self._asking[0])
@@ -598,7 +605,10 @@ class LinkSchedule:
 
     @property
     def blocking(self) -> float:
-        """Longest time in seconds for which other requests hold up a polling round: the longest read and a timeout."""
+        """Longest time in seconds for which other reads hold up a round: that of the longest read plus a timeout.
+
+        The longest read is that of a poll class, leased points not included. Writes are not counted.
+        """
         longest = (
             read.seconds
             for device in self.devices.values()

@@ -5,7 +5,7 @@
 `coordinator`      the interface of the table that collectors change by compare-and-set
 `coordinators`     its backends: one file, NATS JetStream, PostgreSQL
 `lease_times`      until when an owner may send, from when another may take the shard; the epoch of an ownership
-`records`          what collectors share: leases, members, the generation
+`records`          what collectors share: leases, members, the generation, the settings of the zone
 `balance`          which collector takes a free shard, and which shards move
 `lease_holder`     one collector in its zone: what it owns, takes, renews and hands on, and when it must stop polling
 `lease_driver`     runs a lease holder by asyncio on a coordinator

@@ -76,8 +76,8 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
     """Return which collector should take each shard (group of links) that has no owner, by name of the shard.
 
     The shard with the highest cost is placed first; each goes to the collector whose load relative to its capacity is
-    then lowest. A pinned shard goes to a collector on the first of its hosts that has one. Shards that no collector may
-    take are left out.
+    then lowest. Collectors that drain take none. A pinned shard goes to a collector on the first of its hosts where one
+    can take it. Shards that no collector can take are left out.
 
     Args:
         free: the cost of each shard without owner, by name, in seconds of line time per second.
@@ -95,8 +95,8 @@ def takers(free: Mapping[str, float], shares: Iterable[Share]) -> dict[str, str]
 def moves(owned: Mapping[str, tuple[str, float]], shares: Iterable[Share], *, moving: bool = False) -> list[Move]:
     """Return the moves of shards (groups of links) that empty draining collectors and level the loads of the others.
 
-    Empty if all collectors are draining, or if none is and the loads are fair enough (rule 3). At most `MOST_MOVES`
-    moves are returned.
+    At most `MOST_MOVES` moves are returned. Empty if all collectors are draining, if no collector with shards is and
+    the loads are fair enough (rule 3), or if no move helps.
 
     Args:
         owned: by name of each shard, the name of its owner and its cost in seconds of line time per second.

@@ -50,7 +50,7 @@ class SharedConfiguration:
     Attributes:
         name: path of the file that an operator applied.
         text: content of that file.
-        revision: revision of the entry in the shared table; 0 for a file that is not there yet.
+        revision: revision of the entry in the shared table; 0 for a file that is not in the table yet.
     """
 
     name: str

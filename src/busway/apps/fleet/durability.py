@@ -54,7 +54,7 @@ class ServerDurability:
 async def server_durability(
     table: NatsCoordinator, url: str, options: CoordinatorOptions, system: str | None
 ) -> list[ServerDurability]:
-    """Return for each server of a coordinator whether it writes to its disk first, in the order of their names.
+    """Return for each NATS server of a zone whether it writes to its disk before it acknowledges; sorted by name.
 
     Without credentials for the system account the result has only the connected server, and it is not known whether one
     of version 2.10 or newer syncs.

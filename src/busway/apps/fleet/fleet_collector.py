@@ -94,7 +94,8 @@ class FleetCollector:
         host: name of this machine, for links that only some machines can reach.
         shards: how many shards (groups of links) the zone has, 1…1024; the same for all collectors.
         hosts: for each link, the names of the machines that can reach it, the preferred one first. Links that are
-            missing can be reached from all machines.
+            missing have the hosts that the configuration names for them; without such names all machines can reach
+            them.
         times: the lengths of the leases, the same for all collectors; None for the defaults of `LeaseTimes`.
         capacity: this collector's part of the work, relative to the others.
         stream: gets the collector's samples; None if they stay in its own store.
@@ -370,8 +371,9 @@ class FleetCollector:
     async def _take_newer(self) -> None:
         """Apply the newer configuration that was checked; do nothing if there is none.
 
-        Links that it lacks stop, and its new links of owned shards begin. Links of a shard that was gained meanwhile
-        begin later, when the event of the shard is applied: only that tells the gap before.
+        Links that it lacks end, links that it changes begin anew, and its new links of owned shards begin. Links of a
+        shard that was gained meanwhile begin later, when the event of the shard is applied: only the event says since
+        when the shard had no owner.
 
         Raises:
             sqlite3.Error: ownership cannot be recorded; this is to be called again later, and goes on then.
@@ -450,7 +452,10 @@ class FleetCollector:
         return self.member.may_begin(self.shard_of(link), self._now(), worst)
 
     def _note_unanswered(self, link: str) -> None:
-        """Note that a gateway behind a link may now hold a request, and until when (rule 1)."""
+        """Note that a gateway behind a link may now hold a request, and until when (rule 1).
+
+        Does nothing for a link whose configuration says no time for which a gateway may hold requests.
+        """
         times = self._times_of.get(link)
         if times is not None and times.held:
             self._held_until[link] = self._now() + times.after_sending
@@ -585,7 +590,10 @@ class FleetCollector:
         return [(link, event.epoch) for event in events for link in self._links_of.get(event.shard, ())]
 
     async def _record_ends(self, events: Sequence[ShardEvent]) -> None:
-        """Record on disk that links of shards are no longer owned; an error is logged, and the end stays missing."""
+        """Record in `ownership` that links of shards are no longer owned; if this fails, it is logged and not repeated.
+
+        The end of the ownership is then missing on disk.
+        """
         rows, commit = self._owned_by(events), self.collector.newest_commit
         try:
             await asyncio.to_thread(self.ownership.end, rows, commit, self.collector.sample_time())

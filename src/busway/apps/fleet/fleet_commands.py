@@ -60,13 +60,13 @@ def command_subject(zone: str, link: str) -> str:
 
 
 async def send_command(client: Any, zone: str, link: str, content: dict[str, Any], seconds: float) -> dict[str, Any]:
-    """Ask the collector that owns a link to write a value to a point, and return its answer; the value is written once.
+    """Ask the collector that owns a link to write a value to a point, at most once for each key; return its answer.
 
     Args:
         client: connected client of `connect_nats`.
         zone, link: names of the zone and the link.
         content: the command: ``key``, ``device``, ``point`` and ``value``, and if wanted ``by``, ``expires`` (seconds
-            since 1970 UTC) and ``role`` (rule 1).
+            since 1970 UTC) and ``role`` (``operate`` or ``configure``).
         seconds: seconds to wait for the answer.
 
     Returns:
@@ -209,7 +209,7 @@ class FleetCommands:
                 await message.respond(json.dumps(answer).encode())
 
     async def take(self, subject: str, data: bytes) -> dict[str, Any]:
-        """Execute the command that a request holds, and return the answer to it, as for `send_command`.
+        """Execute the command that a request holds, and return the answer to it, as `send_command` describes it.
 
         A request that is not a valid command for a link of this collector is answered with the state ``refused``.
 

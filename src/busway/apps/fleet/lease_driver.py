@@ -90,14 +90,14 @@ class MemberDriver:
     """Runs a `FleetMember` on asyncio: gives it the entries of the shared table, and makes the changes it proposes.
 
     Args:
-        member: one collector as a holder of leases.
+        member: holds the leases of one collector, and decides which changes to make.
         coordinator: the coordinator of its zone; not closed here.
         told: called with each event of a shard (group of links), in order, in the event loop; it must be quick.
         now: returns the time of the clock of leases, in seconds.
         behind: returns the number of commits that not all sinks have.
 
     Attributes:
-        member: the same collector as a holder of leases.
+        member: the `FleetMember` that is run.
     """
 
     def __init__(

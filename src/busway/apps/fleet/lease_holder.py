@@ -160,7 +160,7 @@ class OwnedShard:
         count: renewals so far.
         leaving: once the shard is being given away, name of the collector that is to take it, or empty for any
             collector. None while the shard stays.
-        has_left: whether the links have stopped, so that the lease may be released.
+        has_left: whether the links have stopped, so that the lease can be released.
         hole: the time without an owner before this collector took the shard; None if it is not known.
     """
 
@@ -326,7 +326,7 @@ class FleetMember:
     def deadline(self, shard: str) -> float:
         """Return until when all transactions of a shard (group of links) must have ended, by the clock of leases.
 
-        Minus infinity if this collector does not own the shard, or has called `left` for it.
+        Minus infinity if this collector does not own the shard, or after `left` was called for it.
         """
         owned = self.owned.get(shard)
         if owned is None or owned.has_left:
@@ -373,7 +373,11 @@ class FleetMember:
         self._complete_at = now
 
     def entry(self, entry: Entry, now: float) -> None:
-        """Take over a new or changed entry of the shared table; it is ignored if this or a newer revision is known."""
+        """Take over a new, changed or deleted entry of the shared table, seen at ``now`` by the clock of leases.
+
+        It is ignored if this or a newer revision is known, except the first time that a new snapshot shows a known
+        entry: see `begin_snapshot`. Entries that are no leases, members, generation or zone are ignored too.
+        """
         self._forget_wrong_revision(entry)
         if entry.key.startswith(LEASES):
             self._lease(entry.key[len(LEASES) :], entry, now)
@@ -430,7 +434,10 @@ class FleetMember:
             self._last_epochs[shard] = epoch
 
     def _compare(self, shard: str) -> None:
-        """Compare an owned shard with the newest entry of its lease; lose the shard if another collector took it."""
+        """Compare an owned shard with the newest entry of its lease; lose the shard if the entry names another owner.
+
+        Also lose it if the entry holds no readable lease. Does nothing if the shard is not owned here.
+        """
         owned, seen = self.owned.get(shard), self._leases.get(shard)
         if owned is None or seen is None or seen.revision <= owned.revision:
             return

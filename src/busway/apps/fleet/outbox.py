@@ -48,7 +48,7 @@ from .ownership_gaps import OwnershipGap
 OUTBOX: Final = "fleet"
 """The name of the outbox's cursor in the manifest."""
 MOST: Final = 20_000
-"""Most samples that are read from the store at once."""
+"""Number of samples that are read from the store at once, roughly: always whole commits."""
 IDLE: Final = 0.25
 """Seconds between two checks for new commits."""
 AGAIN_AFTER: Final = 30.0
@@ -116,7 +116,7 @@ class SampleStream(Protocol):
         """Wait until the connection to the server is a newer one than when the last message was sent."""
 
     def most_bytes(self) -> int:
-        """Return the length in bytes that a message may have at most."""
+        """Return the greatest length of a message that the stream takes, in bytes."""
 
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
         """Return for each sink, by name, how far it is with the samples of a store; empty if no sink is known.
@@ -239,7 +239,8 @@ class Outbox:
         """Send the next batch of stored samples to the stream; return True if more samples are probably waiting.
 
         First the cursor is moved to the commit that all sinks have. If a sink lacks samples, the batch begins after the
-        commit that this sink has. False if there was nothing to send, or less than a full batch.
+        commit that this sink has. False if there was nothing to send, if the samples wait for their times to be
+        corrected (rule 10), or if the batch had less than `MOST` samples.
 
         Raises:
             StreamDown: the stream has not acknowledged the whole batch; the next call sends it again.
@@ -259,7 +260,11 @@ class Outbox:
         return len(found.samples) >= MOST
 
     def _next(self) -> CommitRange | None:
-        """Return the next commits to be sent, None if there are none; also count samples that retention has deleted."""
+        """Return the next commits to be sent; None if there are none.
+
+        Also count and log the samples that retention has deleted since the last call. To be called in another thread
+        than the event loop's, because it reads files.
+        """
         self._note_lost()
         if self._clock.waits:  # to look again costs little
             found = self._reader.read(self._sent, 1)

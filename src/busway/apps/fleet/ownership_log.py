@@ -131,6 +131,8 @@ class OwnershipLog:
     ) -> None:
         """Record on disk that links are owned from now on, all of them or none; only then may they be polled.
 
+        A link that was owned in the same epoch before goes on in that period: its begin and ``after_commit`` stay.
+
         Args:
             owned: names of the links, each with the epoch of its ownership.
             after_commit: number of the last commit before the ownership. If `gaps` was asked up to a later commit, that
@@ -207,7 +209,10 @@ class OwnershipLog:
         self._database.execute("COMMIT")
 
     def epoch_of(self, link: str, commit: int) -> Epoch | None:
-        """Return the epoch in which a link's samples of a commit were taken; None if no ownership began before it."""
+        """Return the epoch in which a link's samples of a commit were taken; None if no ownership began before it.
+
+        That is the epoch of the last ownership of the link that began before the commit, even if it has ended since.
+        """
         known = self._epochs.get(link, ())
         place = bisect_left(known, commit, key=lambda each: each[0])
         return known[place - 1][1] if place else None
@@ -215,7 +220,11 @@ class OwnershipLog:
     def set_configuration(self, revision: int, after_commit: int) -> None:
         """Record the revision of the configuration with which samples after a commit are taken.
 
-        Does nothing if this revision was recorded last. Raises `sqlite3.Error` if nothing was recorded.
+        Does nothing if this revision was recorded last. If `gaps` was asked up to a later commit, the revision counts
+        from that one (rule 5).
+
+        Raises:
+            sqlite3.Error: nothing was recorded.
         """
         with self._lock:
             if self._revisions and self._revisions[-1][1] == revision:

@@ -214,7 +214,15 @@ def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
 
 
 def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if a new configuration would move an endpoint from one shard to another (rule 4)."""
+    """Raise `ConfigError` if a new configuration could move an endpoint from one shard to another (rule 4).
+
+    It could if another of the endpoint's links sorts first, or if the hosts of that link change. Endpoints that only
+    one of the configurations has are not compared.
+
+    Args:
+        before: the configuration that collectors may work with now.
+        after: the new configuration.
+    """
     owners = [
         {
             place: (first, tuple(each.hosts.get(first, ())))

@@ -1,7 +1,8 @@
-"""The entries that collectors share through a coordinator, as data and as bytes: leases, members, the generation.
+"""Entries of a zone's shared table, as data and as bytes: leases, members, the generation, the settings of the zone.
 
-Each record is a JSON array. A record that cannot be read is treated as missing: a newer version of this program must
-not stop an older one. Nor can one with a number that no record has, such as an infinite one (`number_of`).
+Each record is a JSON array; the generation is a number in decimal digits. A record that cannot be read is treated as
+missing: a newer version of this program must not stop an older one. So is one with a number that no record has, such as
+an infinite one (`number_of`).
 """
 
 import json

@@ -68,7 +68,8 @@ def server_text(
 ) -> str:
     """Return the text of the configuration file of one NATS server of the centre.
 
-    With several servers the file has their cluster. The text includes `ACCOUNTS_FILE`, and for sites `LEAFS_FILE`.
+    With several servers the text also names the others, as one cluster. It includes the files `ACCOUNTS_FILE` and, if
+    edge sites may connect, `LEAFS_FILE`.
 
     Args:
         server: the server.
@@ -100,7 +101,10 @@ def server_text(
 
 
 def site_text(site: NatsServer, options: NatsServerOptions) -> str:
-    """Return the text of the configuration file of the NATS server of an edge site; it includes two further files.
+    """Return the text of the configuration file of the NATS server of an edge site.
+
+    It includes two further files: ``SITE-leaf.conf`` (`site_secret_text`) and ``SITE-accounts.conf``
+    (`accounts_text`), with the name of the site.
 
     Args:
         site: the server; its name is that of the site's zone.

@@ -243,7 +243,7 @@ class NatsStream:
         await self._again.wait()
 
     def most_bytes(self) -> int:
-        """Return the length in bytes that a message may have at most: `MOST_BYTES`, or less if the server wants."""
+        """Return the greatest length of a message, in bytes: `MOST_BYTES`, or less if the server permits only less."""
         return min(MOST_BYTES, int(self._client.max_payload) - MOST_HEADERS)
 
     def places(self, collector: str, store: str) -> Mapping[str, SinkPlace]:
@@ -315,7 +315,8 @@ class CursorBook:
     def take(self, entry: Entry) -> None:
         """Take over an entry of the shared table if it is a sink's position and newer than the known one.
 
-        An empty value removes the sink. An entry that cannot be read counts as position 0: the sink has nothing.
+        Other entries are ignored. The first entry of a sink after `begin_snapshot` need not be newer. An empty value
+        removes the sink. An entry that cannot be read counts as position 0: the sink has nothing.
         """
         if not entry.key.startswith(CURSORS):
             return
@@ -415,7 +416,7 @@ async def sink_lags(
 
     Raises:
         StreamDown: the server does not answer.
-        ConfigError: the table can never be read.
+        ConfigError: the table of the coordinator can never be read.
     """
     nats, errors = import_module("nats"), import_module("nats.js.errors")
     stream = f"busway-samples-{zone}"
@@ -648,8 +649,8 @@ class StreamSink:
     async def _take(self, jetstream: Any, stream: str, found: Iterable[Any]) -> None:
         """Send messages to the sink, save its position in the shared table, then acknowledge the messages.
 
-        If a step before the acknowledgements fails, all messages are given back to the stream, which delivers them
-        again. Messages after a gap in the numbers are given back too (`_following`).
+        If the sink or the table fails, all messages are given back to the stream, which delivers them again. Messages
+        after a gap in the numbers are given back too (`_following`).
 
         Args:
             jetstream: JetStream context of nats-py.

@@ -12,7 +12,7 @@ REMEMBERED = 4096
 class CachingFunctionTable(FunctionTable):
     """Table of functions that caches decoded reads: equal reads give one object, decoded and encoded once.
 
-    Saves 1.5 of 12 µs per transaction. The cache is emptied when it has 4096 reads.
+    Saves 1.5 of 12 µs per transaction. A new read empties the cache if it has 4096 reads already.
 
     Args:
         functions: the table whose functions this table gets.
@@ -25,7 +25,7 @@ class CachingFunctionTable(FunctionTable):
         self._known: dict[bytes, AnyRequest] = {}
 
     def decode_request(self, pdu: bytes) -> AnyRequest:
-        """Return the request in a PDU as `FunctionTable.decode_request` does; equal PDUs of reads give one object."""
+        """Return the request in a PDU as `FunctionTable.decode_request` does; a cached read is not decoded again."""
         found = self._known.get(pdu)
         if found is None:
             found = super().decode_request(pdu)

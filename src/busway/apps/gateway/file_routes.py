@@ -38,7 +38,10 @@ class PlacedRoute:
 
     @property
     def title(self) -> str:
-        """The route in messages about the file: ``route[0]``, followed by its name in brackets if it has one."""
+        """The route in messages about the file: ``route[0]``, then its name in brackets if it has one.
+
+        For the default route of a file without routes it is ``link[0]``.
+        """
         return f"{self.place[0]}[{self.place[1]}]" + (f" ({self.route.name})" if self.route.name else "")
 
     @property
@@ -139,7 +142,8 @@ def _route(section: RouteSection, upstreams: Mapping[str, UpstreamSettings]) -> 
 def _default_units(wanted: RouteParameters, upstream: UpstreamSettings | None) -> frozenset[int]:
     """Return the units of a route that names none, as clients number them: all for which its upstream can have a unit.
 
-    A route without an upstream (``upstream`` None) gets all units 0…255.
+    A route without an upstream (``upstream`` None) gets all units 0…255. A route with ``unit``, which sends every
+    request to that one unit, gets the numbers that its upstream can have.
 
     Raises:
         ConfigError: the offset of the route leaves no unit.

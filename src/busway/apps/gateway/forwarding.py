@@ -204,10 +204,11 @@ class Forwarder:
     # What comes back.
 
     def look(self, session: object) -> None:
-        """Answer the requests of a link's session that have an outcome by now, even if others of their batch have none.
+        """Answer the requests of a link's session that have an outcome by now, and send all answers that are ready.
 
-        The link calls this after it has handled received bytes or a timer. Only Modbus TCP sessions have batches whose
-        requests end one by one.
+        On Modbus TCP, requests are answered even if others of their batch have no outcome yet. Batches of other
+        sessions end as a whole and are answered then; here their answers are only sent. The link calls this whenever
+        calls may have ended: after received bytes, a timer, a failed attempt to connect, and when it is closed.
         """
         if isinstance(session, TcpClientSession):
             for call in session.in_work():
@@ -353,7 +354,7 @@ class Forwarder:
         batch.link.give_up(batch)
 
     def leave(self, batch: Batch) -> None:
-        """Forget a batch: all its requests are answered, or no client waits for it any more."""
+        """Forget a batch: its requests are answered, the link did not accept it, or no client waits for it any more."""
         del self.open[batch]
         if batch.is_write:
             self.cache.write_ended(batch.unit)

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 @dataclass(slots=True)
 class _RunningListener:
-    """A listener of a gateway with its server, responder and authorizer.
+    """A listener of a gateway with its settings (``listener``), its server, responder and authorizer.
 
     The authorizer is None if the gateway was created without a policy and without an audit log.
     """
@@ -155,7 +155,7 @@ class Gateway:
         Returns the number of forwarded requests that had no answer when the gateway was stopped; 0 if all had one.
 
         Args:
-            seconds: longest wait; the default is that of the option ``drain``.
+            seconds: longest wait for answers; by default 5, as for the option ``drain``.
         """
         for each in self._listeners.values():
             await each.server.take_no_more()
@@ -176,6 +176,7 @@ class Gateway:
         Args:
             plan: the new configuration; own unit, functions and options of servers must be the same as before.
             policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
+                Ignored if the gateway was created without a policy and without an audit log.
 
         Raises:
             LinkDown: a new listener cannot be opened.
@@ -319,7 +320,7 @@ class Gateway:
         return any(each.server.is_priority(listener, host) for each in self._running.values())
 
     def reset_counters(self) -> None:
-        """Set the counters of listeners and upstreams to zero."""
+        """Set the counters of listeners and upstreams to zero, except those of each link (`LinkStatus.counters`)."""
         for each in self._running.values():
             each.server.reset_counters()
             _to_zero(each.responder.counters)

@@ -19,7 +19,7 @@ RoutingRow = tuple[str, str, str, str, str, str]
 """One route as text: listeners, units, functions, addresses, where its requests go, further options."""
 ROUTING_HEADINGS: RoutingRow = ("listener", "units", "functions", "addresses", "to", "")
 _OF_GATEWAYS = frozenset({"listener", "policy", "server"})
-"""Kinds of rows in which the overview of a gateway contains rows of the overview of a server."""
+"""Kinds of rows that the overview of a gateway takes from the overview of a server."""
 
 
 def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:

@@ -1,10 +1,10 @@
 """The gateway's own unit: a device with the gateway's identification, diagnostics, and if wanted status registers.
 
-Knows the values of a status as numbers; knows no upstream and no listener. Requests reach the own unit as unit 255, and
-as unit 0 if they are no broadcast (T32).
+Knows the values of a status as numbers; knows no upstream and no listener. Requests that no route takes reach the own
+unit by its number, which is 255 by default, and by unit 0 if they are no broadcast (T32).
 
-Without registers a read gets exception 01. A client that names no unit asks unit 255, and must not take the status of
-the gateway for values of a device.
+By default there are no status registers, and a read gets exception 01: a client that names no unit asks unit 255, and
+must not take the status of the gateway for values of a device.
 
 ``REGISTERS`` is the register map; the table in the documentation is generated from it.
 """
@@ -40,7 +40,8 @@ class StatusRegister:
     """One value in the status registers of the gateway's own unit: address, width and meaning.
 
     Attributes:
-        address: address of the first input register; in `UPSTREAM_REGISTERS` relative to the upstream's first one.
+        address: address of the first input register, counted from 0; in `UPSTREAM_REGISTERS` relative to
+            the upstream's first register.
         registers: number of registers, 1 or 2; of two registers the first has the high 16 bits.
         name, meaning: name and meaning of the value, for the table of the documentation.
     """

@@ -45,7 +45,10 @@ class _Block:
 
 @dataclass(slots=True)
 class _Unit(Generic[Shared]):
-    """The shared reads and recently read values of one unit identifier."""
+    """The reads in flight, the recently read values and the writes in progress of one unit identifier.
+
+    ``changes`` counts how often a write has emptied ``reading`` (reads by key) and ``blocks`` (remembered values).
+    """
 
     open_writes: int = 0
     changes: int = 0
@@ -96,7 +99,7 @@ class ReadCache(Generic[Shared]):
     def write_ended(self, unit: int) -> None:
         """Record the end of a write to a unit, successful or not, and drop values that were read during the write.
 
-        Once no write to the unit is in progress, its reads are shared and remembered again.
+        Once no write that concerns a unit is in progress, its reads are shared and remembered again.
         """
         self._changed(unit, -1)
 
@@ -119,7 +122,7 @@ class ReadCache(Generic[Shared]):
     # Reads in flight.
 
     def shared(self, unit: int) -> dict[Key, Shared] | None:
-        """Return a unit's reads in flight by key; None while a write to the unit is in progress: share no reads then.
+        """Return a unit's reads in flight by key; None while a write that concerns it is in progress: share none then.
 
         The caller adds its reads to the dictionary, and removes them when they end. Each call returns the same
         dictionary for a unit; a write empties it.
@@ -137,14 +140,14 @@ class ReadCache(Generic[Shared]):
     # Values.
 
     def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
-        """Keep the data of a read, unless a write to the unit was in progress at any time since the read was forwarded.
+        """Keep the data of a read, unless a write that concerns the unit was in progress since the read was forwarded.
 
         Args:
             unit: unit identifier on the upstream.
             place: the range that was read.
-            data: the items, as in a reply.
+            data: the registers or packed bits, as in a reply.
             since: result of `changes` when the read was forwarded.
-            read_at: when the read was forwarded, in seconds.
+            read_at: when the read was forwarded, in seconds, by the clock of ``now`` in `recall`.
         """
         state = self._unit(unit)
         if state.changes != since or not self._is_quiet(unit):

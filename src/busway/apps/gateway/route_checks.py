@@ -151,7 +151,8 @@ def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
 def _hidden_part(placed: PlacedRoute, earlier: Route) -> str:
     """Return in words which requests of a refusing route an earlier route takes: units, functions or addresses.
 
-    Empty if it takes none, and for a refusing route that names no units, functions and addresses.
+    Empty if it takes none, or only a part that functions and addresses together describe; and empty for a refusing
+    route that names no units, functions and addresses.
 
     Args:
         placed: the refusing route.
@@ -295,7 +296,7 @@ def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> Wo
     Args:
         upstream: the upstream of the route.
         route: the route, whose limits may split the request.
-        gap: seconds of silence that the route wants before a request; counts on serial lines only.
+        gap: seconds of silence that the route wants before a request; counts only with RTU and ASCII framing.
     """
     parameters = upstream.link.parameters
     timeout = route.timeout or parameters.timeout

@@ -49,11 +49,13 @@ class GatewayListenerCounters:
     Attributes:
         no_route: requests refused because no route takes them (0A), or because only a part of their addresses is in the
             range of a route (02).
-        refused: requests that a route refused, and broadcasts that a route or the policy refused for an upstream.
+        refused: requests that a route refused; broadcasts, once for each upstream that a route refused them; and
+            requests from or to unit 0 that the policy refused because of the units that they reach.
         dropped: requests that a route dropped: they got no reply.
         own: requests that the gateway's own unit answered.
         malformed: requests that broke a rule of their function, such as a wrong length; answered with an exception.
-        broadcasts: writes to all units, also refused ones. One from a serial line counts once for each upstream.
+        broadcasts: writes to all units, also refused ones. One from a serial line counts once for each upstream that
+            gets it as one write.
     """
 
     no_route: int = 0
@@ -140,8 +142,9 @@ class ListenerRouter:
     def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
         """Return how the fast path forwards reads with this PDU to the context's unit; None: use the generic path.
 
-        The generic path is needed for other functions than reads, for reads that no route forwards or that are split,
-        for routes with remembered values, and for devices with registers wider than 16 bits.
+        The generic path is needed for other functions than reads; for reads that no route forwards, that are split, or
+        whose shifted address does not exist; for routes with the option ``cache``; and for devices with registers wider
+        than 16 bits.
         """
         request = self.functions.decode_request(pdu)
         if not isinstance(request, ReadRegisters | ReadBits) or request.take is None:
@@ -256,9 +259,10 @@ class ListenerRouter:
         """Return the outcome of a write to unit 0 over a network, which goes to all upstreams that take broadcasts.
 
         A write that the policy denies for any unit goes to no upstream, and the client gets the exception code. A write
-        that the routes refuse for one upstream goes to the others; the client gets the exception code all the same. If
-        no upstream takes broadcasts, a route for unit 0 forwards the write like any request, to its own upstream;
-        without such a route the client gets 0A. A route for unit 0 that refuses or drops the write decides alone.
+        that the routes refuse for one upstream goes to the others; the client gets the exception code all the same,
+        also with ``silent_broadcasts``. If no upstream takes broadcasts, or no route leads this write to one that does,
+        a route for unit 0 forwards the write like any request, to its own upstream; without such a route the client
+        gets 0A. A route for unit 0 that refuses or drops the write decides alone.
         """
         self.counters.broadcasts += 1
         own = self._routes.find(BROADCAST_UNIT, request)
@@ -301,9 +305,9 @@ class ListenerRouter:
 
         Args:
             context: the unit and the client.
-            executed: what this broadcast has done so far; this method adds to it: ``id()`` of each forwarder that was
-                reached, negative if the broadcast was refused for that upstream, and ids of rules with a rate that have
-                counted it.
+            executed: what this broadcast has done so far; this method adds to it: ``id()`` of each forwarder for which
+                it was decided, ``-id()`` too if it was refused for that upstream, and ids of rules with a rate that
+                have counted it.
             request: the write.
         """
         found = self._routes.find(context.unit, request)
@@ -339,8 +343,8 @@ class ListenerRouter:
         """Return the route for a broadcast to an upstream, or the exception code if the broadcast is refused.
 
         None if no route forwards this write to the upstream. Every unit of the upstream receives a broadcast, so the
-        routes and the policy must permit the write for each of them, and the routes must agree on its address; if only
-        some units have such a route, the code is 0A.
+        routes and the policy must permit the write for each of them. If only some units have a route for it, or their
+        routes shift or split it differently, the code is 0A.
 
         Args:
             context: the client.

@@ -73,11 +73,12 @@ class Route:
         action: whether requests are forwarded, refused with ``code``, or dropped.
         code: exception code of a refusal, 1…255.
         cache: seconds for which a read may be answered with remembered values; None for never.
-        timeout: seconds to wait for the device; None for the timeout of the upstream.
+        timeout: seconds to wait for the device, per attempt; None for the timeout of the upstream.
         name: name of the route in messages; empty for none.
 
     Raises:
-        ConfigError: a value is out of its range, or the route both names an upstream and refuses or drops.
+        ConfigError: a value is out of its range, both ``unit`` and ``unit_offset`` are set, or ``upstream`` does not
+            fit ``action``: a route that forwards must name an upstream, and no other route may.
     """
 
     upstream: str = ""
@@ -189,7 +190,8 @@ class ListenerRoutes:
     def find(self, unit: int, request: Request) -> Route | Straddles | None:
         """Return the first route that takes a request; None if no route does.
 
-        Returns a `Straddles` instead if the first route that has some of the request's addresses does not have all.
+        Returns a `Straddles` instead if the first route for the request's function and any of its addresses has an
+        address range that does not hold all of them.
 
         Args:
             unit: unit identifier that the client uses.
@@ -247,7 +249,7 @@ class ListenerRoutes:
 
     @property
     def upstreams(self) -> tuple[str, ...]:
-        """The names of the upstreams that the routes forward to, each once, in the order of the routes."""
+        """The names of the upstreams that the routes forward to, each once: first those of the lowest unit's routes."""
         return tuple(
             dict.fromkeys(route.upstream for routes in self._by_unit.values() for route in routes if route.upstream)
         )

@@ -26,14 +26,15 @@ def share(
     """Let those reads of one client that equal a read in flight wait for its reply, and return the others.
 
     The reads of a priority host wait only for reads of priority hosts, or for those that were sent upstream already.
-    If a read of a batch is joined, the deadline of the batch is extended to the latest deadline of its clients.
+    If a client joins a read of a batch that has a deadline, the batch goes on until the later of that deadline and the
+    client's, or for a day if the client has none (`FOR_EVER`).
 
     Args:
         asker: the client.
         tags: for each read, the tag by which the client knows the read.
         asked: the reads, all to one unit.
         shared: the unit's reads in flight: for each key, the batch that has the read.
-        within: seconds until the client must be answered; None for no limit.
+        within: seconds from now until the client must be answered; None for no limit.
 
     Returns:
         Three lists: the tags of the reads to send; these reads; and tag and read of each further read that equals one

@@ -91,7 +91,7 @@ class LinkStatus:
         counters: counters of the link; the live object, which goes on counting.
         suspended: units that get no requests for now, because of their breaker.
         reason: why the server or port cannot be reached; empty while it can be, and before the first attempt.
-        next_attempt: seconds until the next attempt to connect is allowed; None if the next request makes one.
+        next_attempt: seconds until the next attempt to connect is allowed; None unless the state is ``backing off``.
         in_doubt: units whose reply is overdue and may still come; empty except on serial links, where a late reply
             could be taken for the reply to the next request.
     """
@@ -139,7 +139,8 @@ class Upstream:
     Attributes:
         takes_broadcasts: whether writes to unit 0 are forwarded to the upstream.
         counters: counters of the requests.
-        watch: called with the session of a link after received bytes or a timer were handled; set it before `open`.
+        watch: called with the session of a link whenever calls may have ended: after received bytes, a timer, a failed
+            attempt to connect, and when the link is closed. Set it before `open`; None for none.
         links: the links to the server or line; empty while the upstream is closed.
         news: writes the log lines about the upstream.
         register_width: number of bytes in a register of the upstream's devices.

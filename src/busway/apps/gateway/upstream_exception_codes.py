@@ -3,7 +3,8 @@
 Knows errors and exception codes (Messaging on TCP/IP V1.0b §4.4.2.5, Application Protocol V1.1b3 §7).
 
 1. An exception of the device is passed on.
-2. 0A: the request was not sent, because the upstream is down or overloaded, or the client's deadline passed before.
+2. 0A: the request was not sent, because the upstream is down, overloaded or cannot have such a request, or the client's
+   deadline passed before.
 3. 0B: the request was sent and brought no valid reply, or the unit is known not to answer. A write that may have been
    executed gets 0B too: the client must not take it for refused.
 """
@@ -18,8 +19,9 @@ NO_ANSWER = int(ExceptionCode.GATEWAY_TARGET_FAILED_TO_RESPOND)
 def code_for(error: ModbusError) -> int:
     """Return the exception code that a client gets for the error of its forwarded request.
 
-    If the device replied with an exception, this is its code. Otherwise 0A if the request was not sent, because the
-    upstream is down or busy; and 0B if it was sent, or was not sent because its unit does not answer.
+    If the device replied with an exception, this is its code; so it is for a write of unknown outcome to which another
+    gateway replied with an exception. Otherwise it is 0A if the request was not sent because of the upstream (down,
+    overloaded) or the client's deadline, and 0B if it was sent, or was not sent because its unit does not answer.
     """
     if isinstance(error, ExceptionReply):
         return error.code

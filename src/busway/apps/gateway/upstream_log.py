@@ -62,13 +62,13 @@ class UpstreamLog:
         self._told_at = -math.inf
 
     def is_down(self, reason: str) -> None:
-        """Log that the upstream cannot be reached, and why; not again for the same reason."""
+        """Log that the upstream cannot be reached, and why; log nothing if the reason is that of the last such line."""
         if reason != self._reason:
             self._reason = reason
             _log.warning("%s: %s; %s", self._endpoint, reason, self._then)
 
     def is_up(self) -> None:
-        """Log that an upstream logged as down can be reached again, and how many further requests got 0A."""
+        """Log that the upstream can be reached again, if it was logged as down, and how many more requests got 0A."""
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)

@@ -87,7 +87,7 @@ def with_options_of(
 ) -> Callable[[type[Kind]], type[Kind]]:
     """Class decorator that adds a key to a file section for each option of the parameter classes.
 
-    A key that the section has already stays as it is. The decorated class is a new subclass of the same name.
+    A key that the section has already stays as it is. The decorator returns a new subclass of the same name.
 
     Args:
         kinds: the parameter classes.

@@ -7,8 +7,8 @@ An example is in `docs/reference/device-file.md`.
 
 Rules:
 
-1. ``value`` is in the unit of measure: the registers hold ``(value - offset) / scale``. One that does not fit is
-   refused, never truncated.
+1. ``value`` is in the unit of measure: the registers hold ``(value - offset) / scale``, or what the line ``linear``
+   gives. A value that does not fit is refused, never truncated.
 2. A point has an address, or a formula; a computed point holds nothing and is not written.
 3. A group is written once. Its points are named ``string.1.voltage`` … ``string.12.voltage``, and stand ``stride``
    items apart. Inside, names mean points of the same place in the group first, and then those around it.
@@ -485,7 +485,7 @@ class PointSection(WholeSection):
 
     @cached_property
     def conversion(self) -> Conversion:
-        """The conversion between raw numbers and values in the unit of measure; equal points share one object."""
+        """The conversion between raw numbers and values in the unit of measure; equal ones are one object."""
         return _conversion(
             self.scale,
             self.offset,
@@ -552,7 +552,7 @@ class PointSection(WholeSection):
         )
 
     def raw(self, value: Any) -> Any:
-        """Return the raw number for a value in the unit of measure, or for the name of a value.
+        """Return the raw number for a value in the unit of measure, for the name of a value, or for names of flags.
 
         Texts and bits are returned as the registers' type takes them. The power of ten of ``scale_from`` is not
         applied, and the range of a point with ``scale_from`` is not checked.

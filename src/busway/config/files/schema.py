@@ -156,7 +156,7 @@ class Source:
     Attributes:
         name: the file's name, for messages.
         data: its contents.
-        lines: the line of each key and array element, 1-based, by path.
+        lines: the line of each key, table and array element, 1-based, by path: ``("unit", 0, "point", 3, "type")``.
     """
 
     name: str
@@ -166,7 +166,7 @@ class Source:
     def problem(self, path: Path, sentence: str) -> ConfigError:
         """Return an error about a path of the file, with file name, line and key; it is not raised here.
 
-        If the file does not have the path, the line is that of the nearest table around it.
+        If the file does not have the path, the line is that of the nearest key or table around it; 1 if there is none.
         """
         standing = _standing(path, self.lines)
         return ConfigError(sentence, file=self.name, line=line_of(self.lines, standing), key=_written(standing))
@@ -430,7 +430,7 @@ def json_schema(schema: type[Section], title: str) -> dict[str, Any]:  # Any: wh
 
 
 def _plain(node: Any) -> Any:
-    """Return a part of a JSON Schema without titles that only repeat key names, and without empty defaults."""
+    """Return a part of a JSON Schema without titles, which only repeat names, and without defaults None and ``{}``."""
     if isinstance(node, list):
         return [_plain(each) for each in node]
     if not isinstance(node, dict):

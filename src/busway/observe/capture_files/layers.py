@@ -75,7 +75,8 @@ class UdpDatagram:
 class LineBytes:
     """Bytes of a serial line in one packet.
 
-    ``whole``: whether they are exactly one frame; if not, they are any part of the line's stream of bytes.
+    ``whole``: whether the packet has exactly one frame, intact or damaged; if not, the bytes are any part of the line's
+    stream of bytes.
     """
 
     payload: bytes
@@ -126,7 +127,7 @@ def _number(data: bytes, at: int) -> int:
 
 
 def _typed(data: bytes, at: int) -> Carried:
-    """Return what an Ethernet packet carries; its EtherType, or its first VLAN tag, is at the offset ``at``."""
+    """Return what a packet carries whose EtherType, or first VLAN tag, is at the offset ``at``, in bytes."""
     kind = _number(data, at)
     for _ in range(_MOST_TAGS):
         if kind not in _TAGS:

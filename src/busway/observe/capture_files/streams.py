@@ -73,7 +73,7 @@ class StreamAssembler:
     """Puts the segments of one direction of a TCP connection in order.
 
     Attributes:
-        repeated: number of bytes that were received again after they had been received before.
+        repeated: number of bytes that were received once more, and dropped.
         out_of_order: number of segments that were received while bytes before them were missing.
     """
 
@@ -135,8 +135,8 @@ class StreamAssembler:
     def acknowledge(self, number: int) -> list[StreamPart]:
         """Process an acknowledgement of the peer. Returns the pieces and gaps that are in order now.
 
-        ``number`` is the next byte that the peer waits for: earlier bytes that the capture does not have are missing
-        for good.
+        ``number`` is the sequence number of the next byte that the peer expects. Once the first waiting segment is
+        acknowledged as a whole, the bytes before it are missing for good. Empty before the stream has begun.
         """
         if self._start is None:
             return []

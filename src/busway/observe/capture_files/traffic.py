@@ -180,12 +180,13 @@ class CapturedTraffic:
             where the first packet begins with a colon.
 
     Attributes:
-        ignored: number of packets without Modbus, by reason.
-        other_ports: number of packets on other ports that look like one MBAP frame, by port; each packet is counted at
-            both of its ports.
+        ignored: number of packets without Modbus, by reason; rare reasons are counted together beyond 64.
+        other_ports: number of packets on other ports that look like one MBAP frame, by port, for at most 1024 ports;
+            each packet is counted at both of its ports.
         repeated: number of bytes that TCP sent again, on connections that have ended.
         out_of_order: number of segments that came too early, on connections that have ended.
-        begun_inside: number of TCP connections whose beginning the capture does not have.
+        begun_inside: number of TCP connections whose beginning the capture does not have. One that begins with sequence
+            number 1 counts as complete: captures of this library have no SYN.
         channels: number of connections and lines so far.
     """
 
@@ -220,7 +221,7 @@ class CapturedTraffic:
         return []
 
     def finish(self) -> list[TrafficEvent]:
-        """Return the last events, at the end of the file: unfinished frames, and the end of each channel."""
+        """Return the last events at the end of the file: frames and faulty bytes not returned yet, ends of channels."""
         found: list[TrafficEvent] = []
         for each in self._open.values():
             found += self._ended(each, ChannelEnding.CAPTURE_ENDS)
@@ -237,9 +238,10 @@ class CapturedTraffic:
         self.ignored[reason] += 1
 
     def _is_request(self, source: Node, destination: Node, *, asks_to_open: bool) -> bool | None:
-        """Whether a packet goes from client to server; None if neither end is a server.
+        """Whether a packet goes from client to server; None if neither port is that of a server.
 
-        ``asks_to_open``: whether the packet is a SYN without ACK, whose destination is the server.
+        If both are, False only if the connection is known with the source as server, and the packet does not open it
+        anew. ``asks_to_open``: whether the packet is a SYN without ACK, whose destination is the server.
         """
         to, of = destination.port in self._ports, source.port in self._ports
         if to and of:
@@ -248,9 +250,9 @@ class CapturedTraffic:
         return True if to else False if of else None
 
     def _foreign(self, source: Node, destination: Node, payload: bytes, what: str) -> list[TrafficEvent]:
-        """Count a packet of which neither port is that of a server; returns no events.
+        """Count a packet of which neither port is that of a server. Always returns an empty list.
 
-        Its ports are counted too (``other_ports``) if its bytes look like an MBAP frame.
+        Its ports are counted too (``other_ports``) if its bytes are one MBAP frame. ``what``: ``TCP`` or ``UDP``.
         """
         self._ignore(Ignored(f"{what} of other ports"))
         if _begins_like_a_frame(payload) and len(payload) == 6 + (payload[4] << 8 | payload[5]):
@@ -378,7 +380,10 @@ class _Side:
         self._in_step = False
 
     def cut_off(self, part: StreamPart) -> Iterator[TrafficEvent]:
-        """Yield an event for a frame of which only the beginning has come, because ``part`` does not continue it."""
+        """Drop a frame of which only the beginning has come, and yield a `TrafficFault.CUT_OFF` event for it.
+
+        Nothing if there is none. The event has packet and time of ``part``, which does not continue the frame.
+        """
         if self._receiver.unfinished:
             text = f"the frame ends after {counted(len(self._receiver.unfinished), 'byte')}"
             yield self._fault(part, TrafficFault.CUT_OFF, text)
@@ -414,7 +419,10 @@ class _TcpChannel:
         return self.sides[True].first != segment.sequence
 
     def take(self, packet: CapturedPacket, segment: TcpSegment, *, is_request: bool) -> list[TrafficEvent]:
-        """Process a segment. Returns the frames that it completes, and faulty bytes, in order."""
+        """Process a segment, from the client if ``is_request``. Returns the frames that it completes, and faulty bytes.
+
+        They are in order.
+        """
         side, peer = self.sides[is_request], self.sides[not is_request]
         self._last = StreamGap(None, packet.number, packet.time)
         sequence = segment.sequence
@@ -548,7 +556,7 @@ class _LineChannel:
         return found + (self._events(self._receiver.flush(self._now)) if whole else [])
 
     def finish(self) -> list[TrafficEvent]:
-        """Return the last events of the line: unfinished frames, as damaged."""
+        """Return the last events of the line: bytes that still waited for a silence, as frames or as damaged bytes."""
         return self._events(self._receiver.flush(self._now))
 
     def _events(self, received: list[Received]) -> list[TrafficEvent]:

@@ -158,7 +158,10 @@ class ClientCollector(Collector):
 
 
 def _summed(family: Family, links: Iterable[Any], field: str) -> Family:
-    """Add one sample for each endpoint to a metric family: the sum of a field over its links. Returns the family."""
+    """Add one sample for each endpoint to a metric family: the sum of a field over its links. Returns the family.
+
+    ``links``: `busway.client.registry.LocalConnectionStatus` objects.
+    """
     sums: Counter[str] = Counter()
     for one in links:
         sums[one.endpoint] += getattr(one, field)
@@ -176,7 +179,10 @@ def registry_of(*collectors: Collector) -> CollectorRegistry:
 
 
 def server_families(status: Any) -> Iterator[Family]:
-    """Yield the metric families of the server as a whole and of its counters."""
+    """Yield the metric families of a server as a whole: whether it runs, uptime, numbers of connections, counters.
+
+    ``status``: the status of a server or gateway; what it does not have is left out.
+    """
     yield GaugeMetricFamily("busway_running", "Whether it answers requests.", value=bool(status.running))
     yield GaugeMetricFamily("busway_uptime_seconds", "Seconds since the start.", value=status.uptime)
     for field, meaning in _CONNECTION_GAUGES:
@@ -193,7 +199,11 @@ def server_families(status: Any) -> Iterator[Family]:
 
 
 def class_families(counters: Any) -> Iterator[Family]:
-    """Yield the metric families of counters kept separately for priority hosts and for other hosts."""
+    """Yield the metric families of counters kept separately for priority hosts and for other hosts.
+
+    ``counters``: a `busway.server.counters.ServerCounters`; the label is the name of its field, ``priority`` or
+    ``other``.
+    """
     families: dict[str, Family] = {}
     for field in fields(counters):
         for name, count in _numbers(getattr(counters, field.name)):
@@ -206,7 +216,10 @@ def class_families(counters: Any) -> Iterator[Family]:
 
 
 def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families with the numbers of connections by listener and pool, and of requests that wait."""
+    """Yield the metric families with the numbers of connections by listener and pool, and of requests that wait.
+
+    ``connections``: `busway.server.status.ConnectionStatus` objects.
+    """
     held: Counter[tuple[str, str]] = Counter()
     waiting: Counter[str] = Counter()
     for one in connections:
@@ -223,7 +236,11 @@ def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
 
 
 def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families of listeners: status indicators, mode, diagnostic counters of function 08."""
+    """Yield the metric families of listeners: state, status indicators and counters.
+
+    State: whether each is open, and whether a unit is in listen-only mode. Counters: the listener's own, and the
+    diagnostic counters of function 08. ``listeners``: `busway.server.status.ListenerStatus` objects.
+    """
     indicators = StateSetMetricFamily(
         "busway_listener_indicator", "What the status indicators show.", labels=("listener", "indicator")
     )
@@ -254,7 +271,10 @@ def listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families of certificates and TLS handshakes of ``tls://`` listeners, if there are any."""
+    """Yield the metric families of certificates and TLS handshakes of ``tls://`` listeners, if there are any.
+
+    ``listeners``: `busway.server.status.ListenerStatus` objects; those without ``security`` are left out.
+    """
     secured = [one for one in listeners if getattr(one, "security", None) is not None]
     if not secured:
         return
@@ -276,12 +296,18 @@ def security_families(listeners: Iterable[Any]) -> Iterator[Family]:
 
 
 def gateway_listener_families(listeners: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families of a gateway's listeners: requests that were not forwarded, and broadcasts."""
+    """Yield the metric families of a gateway's listeners: requests that were not forwarded, and broadcasts.
+
+    ``listeners``: `busway.apps.gateway.status.GatewayListenerStatus` objects.
+    """
     yield from _counters_of("gateway_listener", "listener", listeners, "Requests at the listener")
 
 
 def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
-    """Yield the metric families of a gateway's upstreams: outcomes of requests, states of connections."""
+    """Yield the metric families of a gateway's upstreams: outcomes of requests, queues, states of connections.
+
+    Nothing if there are no upstreams. ``upstreams``: `busway.apps.gateway.upstream.UpstreamStatus` objects.
+    """
     upstreams = list(upstreams)
     if not upstreams:
         return
@@ -312,7 +338,14 @@ def upstream_families(upstreams: Iterable[Any]) -> Iterator[Family]:
 
 
 def _counters_of(prefix: str, label: str, parts: Iterable[Any], meaning: str) -> Iterator[Family]:
-    """Yield a metric family for each counter of ``parts``, such as listeners, with a sample for each part's name."""
+    """Yield a metric family for each counter of ``parts``, with a sample for each part.
+
+    Args:
+        prefix: beginning of the metrics' names, after ``busway_``.
+        label: name of the label whose value is a part's name.
+        parts: objects with a ``name``, and with ``counters``, a dataclass of integers.
+        meaning: beginning of the help texts.
+    """
     families: dict[str, Family] = {}
     for one in parts:
         for name, count in _numbers(one.counters):

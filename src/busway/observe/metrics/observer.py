@@ -73,7 +73,7 @@ class MetricsObserver:
         Args:
             client: the client.
             replies: the ADU of each reply, with MBAP header.
-            seconds: duration of all of them together.
+            seconds: duration of all of them together; each request gets an equal share.
         """
         if not replies:
             return
@@ -89,7 +89,7 @@ class MetricsObserver:
                 self._count(peer_class, reply, 1, each)
 
     def _count(self, peer_class: PeerClass, reply: bytes, count: int, each: float) -> None:
-        """Count requests that took ``each`` seconds and got replies with unit, function and code of ``reply``."""
+        """Count ``count`` requests of ``each`` seconds whose replies have unit, function and exception of ``reply``."""
         key = peer_class, reply[6:8]
         known = self._counted.get(key)
         if known is None:
@@ -120,8 +120,9 @@ class MetricsObserver:
         Args:
             context: unit, function and client of the request.
             request: the request.
-            outcome: the reply; a `Deferral` such as `SILENCE` if none is sent; None if the client disconnected.
-            seconds: from the request to its outcome.
+            outcome: the reply; a `Deferral` such as `SILENCE` if none is sent; None if the client disconnected. A
+                reply to a broadcast or in listen-only mode is not sent, and counts as no reply.
+            seconds: from the request to its outcome; counted only for replies.
         """
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers
             self.tally.unanswered(Unanswered.BROADCAST)

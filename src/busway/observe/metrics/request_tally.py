@@ -131,7 +131,7 @@ class RequestTally:
     def durations(self, function: int) -> Durations:
         """Return the histogram of durations of a function code, created at its first use.
 
-        All functions that are not in the table share one.
+        Function codes that are not among ``functions`` of the tally share one histogram.
         """
         label = self._function(function)
         found = self._durations.get(label)
@@ -154,7 +154,7 @@ class RequestTally:
         return list(self._durations.copy().values())
 
     def unanswered_counts(self) -> dict[Unanswered, int]:
-        """Return the numbers of requests without a reply, by reason."""
+        """Return the number of requests without a reply for every reason, 0 included."""
         return {why: self._unanswered[why] for why in Unanswered}
 
     def total(self) -> int:

@@ -2,10 +2,10 @@
 
 Pure: knows devices, points and samples; knows no store and no clock.
 
-1. Only points with alarms cost anything: for a read of points without alarms, `AlarmBook.take` costs one look-up.
+1. For a read of points without alarms, `AlarmBook.take` costs one or two look-ups in a dict.
 2. If the configuration file is read again, an alarm keeps its state; the new limit holds from the next sample on, and a
-   delay that runs goes on. A point that was renamed takes its alarms along; points may exchange their names. An alarm
-   whose limit was removed is ended by an event.
+   delay that runs goes on. A point that was renamed takes its alarms along; points may exchange their names. If the
+   limit of an active or unacknowledged alarm was removed, an event `AlarmEventKind.REMOVED` ends the alarm.
 """
 
 import weakref
@@ -40,7 +40,7 @@ class AlarmBook:
         raised: Mapping[AlarmKey, RaisedAlarm] | None = None,
         moved: Mapping[PointKey, str] | None = None,
     ) -> list[AlarmEvent]:
-        """Set up the alarms that the points declare; alarms that were there before keep their state.
+        """Set up the alarms that the points declare; an alarm that was there before keeps its state.
 
         Args:
             devices: the points of each device.
@@ -50,7 +50,8 @@ class AlarmBook:
             moved: new names of points that were renamed, by device and old name; None if none were.
 
         Returns:
-            An event `AlarmEventKind.REMOVED` for each active or unacknowledged alarm whose limit is gone.
+            An event `AlarmEventKind.REMOVED` for each active or unacknowledged alarm whose limit is gone; an alarm that
+            is normal, or whose delay runs, ends without an event.
         """
         before = {renamed_key(key, moved or {}): machine for key, machine in self.machines.items()}
         alarms = dict(raised or {})

@@ -2,7 +2,8 @@
 
 Knows the book, the committer and asyncio; for the thread of the event loop.
 
-1. Lists, counts and followers show committed events only: an event is in the journal of the store first.
+1. `CollectorAlarms.active`, `journal`, `counts` and `events` show an event only once it is in the journal of the store.
+   `pending` and `reason` show what the last samples were, stored or not.
 2. `CollectorAlarms.acknowledge` returns when its event is in the journal.
 3. A reader of events that is too slow loses the oldest, which is counted.
 """
@@ -31,7 +32,9 @@ class _Changed(Protocol):
 
 
 MOST_UNCOMMITTED: Final = 20_000
-"""Most events that are remembered until they are committed; a store that cannot be written drops events before that."""
+"""Most events that are remembered until they are committed; beyond it the oldest are forgotten, and are shown later
+without renames and corrections of their times. It is above the number of events that wait for a store (`MOST_ALARMS`).
+"""
 
 MOST_WAITING: Final = 10_000
 """Most events that wait for one program that follows events; beyond it the oldest are dropped."""
@@ -122,6 +125,8 @@ class CollectorAlarms:
     async def acknowledge(self, device: str, point: str, limit: str, by: str) -> AlarmEvent:
         """Acknowledge an alarm; when this returns, the alarm journal has the event.
 
+        If the caller is cancelled, the alarm is acknowledged nevertheless.
+
         Args:
             device, point: names.
             limit: the kind of the limit: ``HH``, ``H``, ``L``, ``LL`` or ``state``.
@@ -133,7 +138,7 @@ class CollectorAlarms:
         Raises:
             InvalidRequest: there is no such alarm, or it needs no acknowledgement now.
             Overloaded: the store could not be written within `ACKNOWLEDGE_WITHIN` seconds. The alarm is acknowledged,
-                and the event is stored as soon as the store can be written.
+                and the event waits in memory until the store can be written.
         """
         event = self._book.acknowledge((device, point, limit), by, self._wall())
         if event is None:
@@ -152,9 +157,10 @@ class CollectorAlarms:
         return event
 
     async def events(self) -> AsyncGenerator[AlarmEvent, None]:
-        """Yield alarm events from now on, each once it is in the journal, until the collector ends.
+        """Yield alarm events, each once it is in the journal, until the collector ends.
 
-        If more than `MOST_WAITING` events wait for a program that is too slow, its oldest are dropped, and counted in
+        The first one is the next event after the iteration has begun; the call alone does not begin it. If more than
+        `MOST_WAITING` events wait for a program that is too slow, the oldest are dropped, and counted in
         ``readers_lost``.
         """
         reader = _EventReader()
@@ -211,7 +217,8 @@ class CollectorAlarms:
     def committed(self, events: Sequence[AlarmEvent]) -> None:
         """Show alarm events in `active`, `journal` and `counts`, and hand them to programs that follow `events`.
 
-        Called in the event loop once the events are in the journal of the store.
+        Called in the event loop once the events, the same objects that were stored, are in the journal of the store.
+        Lets `acknowledge` return if it waits for one of them.
         """
         shown = [self._told.pop(id(event), (event, event))[1] for event in events]
         for event, as_shown in zip(events, shown, strict=True):
@@ -242,7 +249,10 @@ class CollectorAlarms:
             self._keep(events)
 
     def _note(self, events: Iterable[AlarmEvent]) -> None:
-        """Remember events until they are in the journal: a rename or clock correction may change them meanwhile."""
+        """Remember events until they are in the journal, to show them with the names and times that are right then.
+
+        A rename or a clock correction can change these meanwhile. Beyond `MOST_UNCOMMITTED` the oldest are forgotten.
+        """
         self._told.update((id(event), (event, event)) for event in events)
         while len(self._told) > MOST_UNCOMMITTED:
             self._told.pop(next(iter(self._told)))

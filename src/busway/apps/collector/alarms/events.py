@@ -57,8 +57,8 @@ NEXT_STATE: Final = {
     (AlarmState.ACKNOWLEDGED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
     (AlarmState.CLEARED, AlarmEventKind.REMOVED): AlarmState.NORMAL,
 }
-"""The next state, by state and event; any other pair changes nothing. If the raised alarm needs no acknowledgement, the
-next state is ACKNOWLEDGED instead of UNACKNOWLEDGED.
+"""The next state, by state and event; any other pair changes nothing. If an alarm that needs no acknowledgement is
+raised from NORMAL, the next state is ACKNOWLEDGED instead of UNACKNOWLEDGED. PENDING counts as NORMAL here.
 """
 
 AlarmKey = tuple[str, str, str]

@@ -12,7 +12,7 @@ of a command       meaning
 ``key``            the name of the command
 ``device``,
 ``point``          the point to write
-``old``            the last known value of the point before; null if none was known
+``old``            the last known value of the point before the command; null if none was known
 ``new``            the value of the command
 ``outcome``        ``done``, ``failed``, ``unknown``, ``expired``, ``refused``
 ``read_back``      what the device showed afterwards; null if the point was not read back
@@ -23,12 +23,13 @@ of a command       meaning
 =================  ======================================================================================
 of a configuration meaning
 =================  ======================================================================================
+``time``           when it was changed or refused, UTC
 ``event``          ``configuration``
 ``by``, ``origin`` who changed it, and how: ``api``, ``signal``, ``program``, ``fleet``
 ``outcome``        ``applied`` or ``refused``
 ``revision``       of the new text: the first 16 hexadecimal digits of its SHA-256; ``before`` that of the old one
-``difference``     lines of the difference, ``LONGEST_DIFFERENCE`` at most; ``more`` counts the others
-``done``           what changed, or everything that is wrong, as sentences
+``difference``     lines that differ (unified diff), ``LONGEST_DIFFERENCE`` at most; ``more`` counts the others
+``done``           what changed, or everything that is wrong, as sentences, ``LONGEST_DIFFERENCE`` at most
 =================  ======================================================================================
 """
 
@@ -50,8 +51,8 @@ def command_line(result: CommandResult, time: str, repeated: int = 0) -> str:
     Args:
         result: the result of the command.
         time: when it ended or was refused, UTC, as text.
-        repeated: how many refusals with the same origin, person and device the line stands for, if these were only
-            counted; 0 for a line about one command.
+        repeated: for a line that stands for several refusals with the same origin, writer and device that got no line
+            of their own: how many; 0 for a line about one command.
     """
     command = result.command
     more = {"repeated": repeated} if repeated else {}
@@ -80,8 +81,9 @@ def configuration_line(
     """Return the line of the audit log for a change of the configuration.
 
     Args:
-        old, new: the text of the configuration file before and after.
-        done: what changed, or everything that is wrong, as sentences.
+        old, new: the present text of the configuration file, and the text that is to replace it.
+        done: what changed, or everything that is wrong, as sentences. The line has the first `LONGEST_DIFFERENCE`, each
+            cut to 300 characters.
         is_applied: whether the new text was applied; else it was refused.
         by, origin: who changed it, and how: ``api``, ``signal``, ``program`` or ``fleet``.
         time: when, UTC, as text.

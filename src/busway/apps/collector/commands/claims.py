@@ -33,7 +33,10 @@ class KeyClaims(Protocol):
         """
 
     def known(self, result: CommandResult) -> CommandResult | None:
-        """Return the result of the first command with this key if this collector knows it; else None. Takes no key."""
+        """Return the result of the first command with the key of ``result``, if this collector knows it; else None.
+
+        Takes no key, and asks no other collector.
+        """
 
     async def finish(self, result: CommandResult) -> None:
         """Record the result of a command whose key was taken.

@@ -4,8 +4,8 @@ Pure: knows no device, no file and no clock.
 
 1. A key names a command for ever. Keys that the collector makes begin with `MADE`; keys of callers must not.
 2. Times are seconds since 1970 UTC.
-3. What a caller gives has limits: lengths of texts and lists, and how far away the expiry is. Texts must be possible in
-   UTF-8, because journal and answers hold them; the name of the writer has only printable characters.
+3. What a caller gives has limits: lengths of texts and lists, and the size of numbers. Texts must be possible in UTF-8,
+   because journal and answers hold them; the name of the writer has only printable characters.
 """
 
 import json
@@ -26,7 +26,9 @@ MADE: Final = "busway-"
 USUAL_SECONDS: Final = 30.0
 """Seconds within which a command without an expiry may be sent."""
 LONGEST_VALUE: Final = 2000
-"""Most characters of a text, and most items of a list, in the value of a command."""
+"""Most characters of a text, and most items of a list, in the value of a command. As JSON, the value has six times as
+many characters at most.
+"""
 
 CommandValue = Value | list[Value]
 """Value of a command: a state, a number, a text or the name of a number; or a list of numbers or of names of flags."""
@@ -72,11 +74,12 @@ class PointCommand:
         device, point: the point to write.
         value: a number in the unit of measure, a state, a text, the name of a number, or a list of names of flags.
         by: name of the person or program that gives it.
-        origin: by which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``, ``fleet``.
+        origin: the way on which it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``, ``sparkplug``, ``fleet``.
         expires: until when it may be sent, seconds since 1970 UTC.
 
     Raises:
-        InvalidRequest: an attribute has the wrong type or is out of its limits.
+        InvalidRequest: an attribute has the wrong type or is out of its limits. Whether the point takes the value, and
+            how far away the expiry is, is checked by `CommandRunner`.
     """
 
     key: str
@@ -155,7 +158,8 @@ class CommandResult:
         state: what became of it; `CommandState.OPEN` while it is not finished.
         at: when the collector got the command, seconds since 1970 UTC.
         old: the point's last known value before the command; None if none was known.
-        read_back: the value read back afterwards, if the point's rule asks for that; else None.
+        read_back: the value that the device showed afterwards; None if the point's rule asks for no reading back, or
+            none succeeded.
         reason: why the command is not done, or a remark about one that is done, as a sentence; else empty.
     """
 

@@ -5,8 +5,9 @@ Knows messages and the runner of commands; knows no broker.
 1. Nothing is taken unless the file names where commands come from, the points that they may write, and their role.
    Brokers do not say who sends, so all messages of one server have the same role; `rights` decides what that permits.
 2. A message is JSON: the value alone, or ``{"value": 21.5, "key": "…", "expires": 1800000000, "by": "…"}``. A message
-   that is not JSON is a text: the name of a number. Without ``expires`` a command may be sent within ``seconds``. With
-   ``"arm": true`` it is checked and armed, and sent by ``{"confirm": "KEY"}`` on the same topic within a minute.
+   that is not JSON is a text: the name of a number. A command without ``expires`` may be sent within
+   `InputRights.seconds`. With ``"arm": true`` it is checked and armed, and is sent when ``{"confirm": "KEY"}`` comes on
+   the same topic within a minute.
 3. A retained message is refused: a broker would hand it on again at every connection.
 4. The topic of a command must stand for one point. Some characters of names are replaced in topics, so one topic can
    stand for two points of the plant; then neither is written, even if the file permits only one of them.
@@ -45,7 +46,7 @@ SETTLED: Final = 30.0
 _LONGEST_NAME: Final = 100
 _KNOWN: Final = frozenset({"value", "key", "expires", "by"})
 _TWO_STEPS: Final = ({"value", "arm", "by"}, {"confirm", "by"})
-"""The keys of a message that arms a command, and of one that confirms it."""
+"""The keys of a message that arms a command, and of one that confirms it; ``by`` can be missing."""
 
 _log = logging.getLogger("busway.collector.commands")
 
@@ -67,7 +68,10 @@ class InputRights:
     role: str = "operate"
 
     def permits(self, device: str, point: str) -> bool:
-        """Whether commands may write a point, by the patterns; device and point are matched apart from each other."""
+        """Whether the patterns permit commands to write a point, apart from the point's own rule for writing.
+
+        The device is matched with the part of a pattern before the first ``/``, the point with the rest.
+        """
         for pattern in self.points:
             devices, _, points = pattern.partition("/")
             if is_meant(device, devices) and is_meant(point, points):
@@ -85,7 +89,7 @@ class InputMessage:
         by: name of the sender, as a header or property of the message says; empty if none says.
         seconds_left: seconds from its arrival until it expires; None if the message has no expiry of its own.
         is_retained: whether it was published with the retain flag, so that a broker keeps it for later subscribers.
-        arrived: when it arrived, seconds of the monotonic clock; None for now.
+        arrived: when it arrived, seconds of the monotonic clock; None if it arrives now.
     """
 
     where: str
@@ -102,9 +106,9 @@ class InputStatus:
 
     Attributes:
         name: the name of the sink whose table asks for its commands.
-        taken: number of messages received since the start.
-        refused: number of them that were refused before a command was given to the runner, or that could not be armed
-            or confirmed. What the runner refuses with a result is not counted.
+        taken: number of messages received since the start, also those that another collector of the fleet answers.
+        refused: number of messages that were refused here: dropped, retained, not understood, not permitted, or not to
+            be armed or confirmed. A command whose result is a refusal by the runner is not counted.
         error: why it is not connected; None while it is connected.
     """
 

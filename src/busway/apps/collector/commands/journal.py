@@ -6,10 +6,10 @@ Knows commands and results; knows no device and no clock.
    and its result before the caller gets it.
 2. A command that is open when the collector starts was cut off by the end of an earlier process: it may have been sent.
    It ends as unknown, and is not sent again.
-3. The newest `MOST_KEPT` results are kept, and none for longer than samples. Of an older result whose key was given by
-   a caller, only the key is remembered, as 16 bytes. If `MOST_KEYS` of these are remembered, further commands with
-   keys of callers are refused, so that none is sent twice. Old results are deleted, and the log says so, when further
-   commands are recorded.
+3. At most `MOST_KEPT` results are kept, and none for longer than samples: when a further command is recorded, the
+   oldest tenth of too many results is deleted, and up to `_AGED_AT_ONCE` that are too old; the log says so. Of a
+   deleted result whose key was given by a caller, only the key is remembered, as 16 bytes. If `MOST_KEYS` of these are
+   remembered, further commands with keys of callers are refused, so that none is sent twice.
 4. The lock of the store makes this process the only one that writes here.
 """
 
@@ -114,7 +114,8 @@ class CommandJournal:
             open; or a refusal if that result is no longer kept.
 
         Raises:
-            Overloaded: no further keys of callers can be remembered (rule 3); nothing is recorded.
+            Overloaded: the key is a caller's, and no further keys of callers can be remembered (rule 3); nothing is
+                recorded.
             OSError: the file cannot be read or written; nothing is recorded.
         """
         key = result.command.key
@@ -144,17 +145,29 @@ class CommandJournal:
             return self._known(result)
 
     def finish(self, result: CommandResult) -> None:
-        """Record the final result of a command that `take` recorded as open, durably. Raises `OSError`."""
+        """Record the final result of a command that `take` recorded as open, durably.
+
+        Raises:
+            OSError: the file cannot be read or written; nothing is recorded.
+        """
         with self._in_use("written"), transaction(self._database):
             self._set(result)
 
     def find(self, key: str) -> CommandResult | None:
-        """Return the result recorded under a key; None if there is none, or only the key is kept. Raises `OSError`."""
+        """Return the result recorded under a key; None if there is none, or only the key is kept.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
         with self._in_use():
             return self._found(key)
 
     def newest(self, limit: int) -> list[CommandResult]:
-        """Return the results of the latest commands, newest first, ``limit`` at most. Raises `OSError`."""
+        """Return the results of the commands recorded last, newest first, ``limit`` at most; open ones too.
+
+        Raises:
+            OSError: the file cannot be read.
+        """
         with self._in_use():
             return [_result(row) for row in self._rows("ORDER BY number DESC LIMIT ?", (limit,))]
 

@@ -6,7 +6,7 @@ Knows tasks; knows no message and no broker.
    further ones are dropped. None waits in the library of a broker, where the time of its arrival would be unknown.
 2. Leaving the ``async with`` block cancels every task and awaits it. A task that did not have to wait has begun by
    then: the runner has taken its command, executes it, and records it in journal and audit log. Only the answer is
-   lost.
+   lost. Messages that still wait are not handled.
 """
 
 import asyncio

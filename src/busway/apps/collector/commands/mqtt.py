@@ -4,10 +4,11 @@ Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 
 1. The session is clean: a broker keeps no commands while this collector is not connected.
 2. The answer goes to the response topic of the message, with its correlation data; without one, to the topic of the
-   command with ``/result`` behind it. No answer goes to a topic of commands.
-3. Collectors of a fleet share their subscription: the broker gives each message to one of them. It is one of QoS 0,
-   because what a collector has not acknowledged at the end of its connection may be given to another one.
-4. A message that was published with the retain flag comes with it, also while connected, and is refused.
+   command with ``/result`` behind it. No answer goes to a topic of commands, or to one with wildcards or ``$``.
+3. Collectors of a fleet share their subscription: the broker gives each message to one of them. It has QoS 0, because
+   the broker may give to another collector what one has not acknowledged at the end of its connection.
+4. Messages that the broker has retained are not asked for. A message that is published with the retain flag while this
+   collector is connected arrives with the flag, and is refused.
 """
 
 import asyncio
@@ -68,7 +69,7 @@ class MqttCommands:
         self._group = ""
 
     def level(self, name: str) -> str:
-        """Return a name as one level of an MQTT topic: separators and wildcards become ``_``."""
+        """Return a name as one level of an MQTT topic: ``/``, ``+``, ``#`` and the character 0 become ``_``."""
         return topic_level(name)
 
     def join(self, group: str, member: str) -> bool:

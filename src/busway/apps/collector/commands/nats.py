@@ -3,7 +3,8 @@
 Knows subjects and headers; the protocol is nats-py's (``busway[nats]``). The header ``by`` says who sends.
 
 1. Plain subscription: the server keeps no commands while this collector is not connected.
-2. The answer goes to the reply subject of the message; the command of a message without one is executed, not answered.
+2. The answer goes to the reply subject of the message; without one, or if it is a subject of commands, the command is
+   executed and not answered.
 3. Collectors of a fleet are a queue group: the server gives each message to one of them.
 """
 
@@ -64,7 +65,7 @@ class NatsCommands:
         self._group = ""
 
     def level(self, name: str) -> str:
-        """Return a name as one token of a NATS subject: separators and wildcards become ``_``."""
+        """Return a name as one token of a NATS subject: ``.``, ``*``, ``>`` and white space become ``_``."""
         return subject_token(name)
 
     def join(self, group: str, member: str) -> bool:

@@ -47,7 +47,7 @@ class PointRead:
         """Return the point's own part of a reply's data: the bytes of its registers, or for a bit one byte, 0 or 1.
 
         Raises:
-            InvalidRequest: the reply has more or fewer bytes than the request asked for.
+            InvalidRequest: ``data`` has more or fewer bytes than the request asked for.
         """
         first, bits = self.point.start - self.span.start, self.point.table.holds_bits
         size = (self.span.width + 7) // 8 if bits else 2 * self.span.width
@@ -66,7 +66,8 @@ def point_read(point: Point, rules: ReadRules) -> PointRead:
         rules: the limits for reading its device.
 
     Raises:
-        InvalidRequest: the point is in a range that no read may include, or beyond the last address. Nothing was sent.
+        InvalidRequest: the point, or the block that must be read with it, overlaps a range that no read may include, or
+            ends beyond the last address, 65535. Nothing was sent.
     """
     span = ItemRange(point.start, point.end)
     for block in rules.exact.get(point.table, ()):

@@ -137,7 +137,8 @@ def point_write(
 
     Raises:
         InvalidRequest: the point is read-only, the value is against its rule or type, its scale (``scale_from``) was
-            not read yet, or a read before or after the write is not allowed. Nothing was sent.
+            not read yet, the function of its rule cannot write it, or a read before or after the write is not allowed.
+            Nothing was sent.
     """
     rule = point.writing
     if rule is None or point.formula:
@@ -163,7 +164,8 @@ def point_write(
 def _check_number(made: PointWrite) -> None:
     """Raise `InvalidRequest` for a number outside the limits of the point's rule, or one that means "no value".
 
-    Values of switches and of points that are no numbers are not checked.
+    If the point's linear scale is clamped, its range is a limit too. Values of switches and of points that are no
+    numbers are not checked.
     """
     point, conversion, rule = made.point, made.point.conversion, made.point.writing
     assert rule is not None
@@ -199,12 +201,18 @@ def _function_of(point: Point) -> int:
 
 
 def plain(value: Any) -> CommandValue | None:  # what the point's type says
-    """Return a decoded value of a point as commands record it: a tuple becomes a list, other values stay unchanged."""
+    """Return a decoded value of a point as commands record it: a tuple becomes a list, all others are unchanged."""
     return list(value) if isinstance(value, tuple) else value
 
 
 def _moved(point: Point, address: Address) -> Point:
-    """Return a copy of a point at another address: the one where its written value is read back."""
+    """Return a copy of a point at another address: the one where its written value is read back.
+
+    At the address of a bit, the copy is a state without the point's scale and names.
+
+    Raises:
+        InvalidRequest: the address is a register, and the point is one bit.
+    """
     table = address.table or point.table
     if table.holds_bits:
         return Point(point.name, table, address.offset)

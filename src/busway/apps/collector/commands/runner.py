@@ -5,17 +5,20 @@ Knows the journal, the audit log and the pollers of links; decides by `point_wri
 1. A command with a key is sent at most once, ever. The first command with a key takes it; the key is recorded before
    anything is sent (`journal`), in a fleet for all collectors (`claims`). If the same command comes again, it gets the
    result of the first; another command with the same key is refused.
-2. A command that is against a rule, or too late, is refused before any byte is sent, and its refusal is recorded. If
-   too many commands are open, the link is begun anew, or audit log or journal cannot be written, it is refused without
-   a record, so that it can be given again. Its key is looked up before: a command that was sent never appears refused.
-   Rights and value are checked when a command is taken and again in its turn: the configuration may have changed.
+2. A command that is against a rule is refused, and one that is too late expires, before any byte is sent; that is
+   recorded. If too many commands are open, the link is not polled at this moment, or audit log or journal cannot be
+   written, it is refused without a record, so that it can be given again. Its key is looked up before: a command that
+   was sent never appears refused. Only a collector that ends refuses all commands without looking up keys.
+   Rights and value are checked when a command is taken and again in its turn: the configuration may have changed. What
+   is against a rule only then has failed.
 3. One command of a device runs at a time, in the order in which they came. It is sent in a turn of the poller, before
    reads, and never repeated, whatever the options of the link are. Its time is over as soon as the wall clock or the
    monotonic clock says so: setting the clock can shorten the time, never lengthen it.
 4. The result of a command is in the audit log before it is in the journal, and in the journal before the caller gets
-   it. A command goes on when its caller has stopped waiting. It ends with its link at the latest.
+   it. A result that the journal cannot take waits in memory (`CommandRunner.record_again`). A command goes on when its
+   caller has stopped waiting. It ends with its link at the latest.
 5. `CommandState.DONE` means: the device has answered, and shows the value if the point's rule asks to read it back. A
-   device may need some time to show a value, so it is read at the times `SHOWN_AFTER`.
+   device may need some time to show a value, so it is read up to three times, after the pauses `SHOWN_AFTER`.
 """
 
 import asyncio
@@ -187,7 +190,7 @@ class CommandRunner:
         targets: finds points and their pollers.
         journal: where commands are recorded. Commands that an earlier process left open in it end as unknown now.
             `close` closes it.
-        audit: gets a line for each command.
+        audit: gets a line for each command; repeated refusals are counted in one line (`refused`).
         claims: takes keys for all collectors of a fleet; None for a collector that works alone.
         now: returns seconds since 1970 UTC.
         moment: returns seconds of the monotonic clock, for commands that wait to be confirmed.
@@ -223,7 +226,7 @@ class CommandRunner:
     def subscribe(self, told: Callable[[CommandResult], None]) -> None:
         """Register a function that is called with the result of each recorded command when the command has ended.
 
-        It is called in the event loop, and must be quick.
+        It is called in the event loop, must be quick, and must raise nothing.
         """
         self._subscribers.append(told)
 
@@ -260,19 +263,21 @@ class CommandRunner:
     ) -> CommandResult:
         """Write a value to a point by a command, and return the command's result.
 
-        If the same command was given before with this key, it is not sent again, and the result of the first is
-        returned. If the key was used for another command, the result is a refusal.
+        If the key was used before for the same value and point, nothing is sent again, and the result of that command
+        is returned. If it was used for another value or point, the result is a refusal. The command goes on if the
+        caller is cancelled.
 
         Args:
             device, point: the point to write.
             value: a number in the unit of measure, a state, a text, the name of a number, or a list of names of flags.
-            by, origin: who gives the command, and by which way it came.
+            by, origin: who gives the command, and the way on which it came (`PointCommand`).
             expires: until when it may be sent, seconds since 1970 UTC; None for `USUAL_SECONDS` from now.
-            key: names the command for ever, without the prefix `MADE`; None for a new key.
+            key: names the command for ever; must not begin with `MADE`. None for a new key.
             rights: what the writer may do.
 
         Returns:
-            The result; also for a command that was refused, failed or expired: its state says so.
+            The result; also for a command that was refused, failed or expired: its state says so. Also if the journal
+            cannot be read or written.
 
         Raises:
             InvalidRequest: an argument is out of its limits, or there is no such point and the key is new. Nothing was
@@ -321,7 +326,7 @@ class CommandRunner:
         Args:
             device, point: the point to write.
             value: as for `write`.
-            by, origin: who gives the command, and by which way it came.
+            by, origin: who gives the command, and the way on which it came (`PointCommand`).
             rights: what the writer may do.
 
         Returns:
@@ -363,22 +368,22 @@ class CommandRunner:
     ) -> CommandResult:
         """Send an armed command and return its result. For a command that runs or is recorded, only return its result.
 
-        The result is expired if `ARMED_SECONDS` have passed since the command was armed. A command whose link is not
-        polled now, or was begun anew, is no longer armed after this call. For a command that runs or is recorded,
-        ``by`` and ``origin`` are not compared.
+        The result is expired if `ARMED_SECONDS` have passed since the command was armed; much later it is no longer
+        known that it was armed. A command whose link is not polled now, or was begun anew, is no longer armed after
+        this call. For a command that runs or is recorded, ``by`` and ``origin`` are not compared.
 
         Args:
             key: the key of the armed command.
             by: who confirms; must be the one who armed the command.
-            origin: by which way the confirmation came; must be that of the command. None for any.
+            origin: the way on which the confirmation came; must be that of the command. None for any.
             point: device and point that the command must be for; None for any.
             seconds: seconds from now within which the command may be sent; `ARMED_SECONDS` limit it too.
             rights: what the writer may do now, possibly less than when the command was armed.
 
         Raises:
             NoSuchCommand: nothing is armed or recorded under this key.
-            InvalidRequest: the command was armed by someone else, by another way or for another point, or its link was
-                begun anew since, so that the point may be another. Nothing was sent.
+            InvalidRequest: the command was armed by another writer, on another way or for another point, or its link
+                was begun anew since, so that the point may be another. Nothing was sent.
             NotPolledNow: the link is not polled by this collector at this moment; nothing was sent.
             NoSuchPoint: the point is no longer in the configuration; nothing was sent.
             OSError: the journal cannot be read; nothing was sent.
@@ -409,7 +414,11 @@ class CommandRunner:
         return self._unrecorded.get(key, found)
 
     async def newest(self, limit: int) -> list[CommandResult]:
-        """Return the results of the latest commands, newest first, ``limit`` at most. Raises `OSError`."""
+        """Return the results of the commands recorded last, newest first, ``limit`` at most; open ones too.
+
+        Raises:
+            OSError: the journal cannot be read.
+        """
         found = await self._in_thread(self._journal.newest, limit)
         return [self._unrecorded.get(each.command.key, each) for each in found]
 
@@ -543,7 +552,7 @@ class CommandRunner:
         return known or self.refused(self._result(command), f"{why}; nothing was sent")
 
     def _refused_unread(self, command: PointCommand, why: str, error: OSError) -> CommandResult:
-        """Refuse a command whose key cannot be looked up; what is said leaves open whether it was sent before."""
+        """Refuse a command whose key cannot be looked up; the reason leaves open whether it was sent before."""
         why = f"{why}, and whether its key was used before cannot be read: {error}"
         return self.refused(self._result(command), why)
 
@@ -643,7 +652,11 @@ class CommandRunner:
     # Deciding.
 
     def _refusal(self, command: PointCommand, permission: _Permission) -> str:
-        """Return why a command cannot be sent, as a sentence; empty if it can. Raises `NotPolledNow`."""
+        """Return why a command must be refused, as a sentence; empty if it need not. Whether it is late is not checked.
+
+        Raises:
+            NotPolledNow: the link is not polled by this collector at this moment.
+        """
         try:
             self._planned(command, permission)
         except NotPolledNow:
@@ -900,7 +913,10 @@ def _fail(future: "asyncio.Future[_T]", error: Exception) -> None:
 
 
 def _text(value: CommandValue | None, point: Point) -> str:
-    """Return a value of a point as text for people: with its name if it has one, else with the unit of measure."""
+    """Return a value of a point as text for people: with its name if it has one, else with the unit of measure.
+
+    None becomes ``unknown``, a state without a name ``on`` or ``off``.
+    """
     unit, name = point.unit_of_measure, point.label(value)
     if name:
         return f"{name} ({value})"

@@ -2,8 +2,8 @@
 
 Knows messages of the sink, whose connection they come over: an edge node has one. Knows no topic and no payload.
 
-1. A command is sent within ``seconds`` of the time at which the host sent it by its own clock, and within ``seconds``
-   of its arrival. If the clock of a host is slow by more than that, its commands expire, and the audit log says so.
+1. A command is sent within `InputRights.seconds` of the time at which the host sent it by its own clock, and of its
+   arrival. If the clock of a host is slow by more than that, its commands expire, and the audit log says so.
 2. A metric is the point with exactly this name. The standard has no keys of commands, so two equal commands are two
    writes.
 3. Nothing is answered, because the standard has no answers. The host sees the value that the device shows; journal,
@@ -76,7 +76,7 @@ class SparkplugCommands:
     def take(self, command: SparkplugCommand) -> None:
         """Hand a command of a Sparkplug host to the collector's event loop, and return at once. Safe from any thread.
 
-        A command that comes while `run` is not running is dropped.
+        A command that comes while `run` is not running is dropped, and not counted.
         """
         receiving = self._receiving
         if receiving is not None:

@@ -58,11 +58,12 @@ class SinkStatus:
 
     Attributes:
         name: the name of the sink.
-        cursor: number of the last commit up to which everything is delivered.
+        cursor: number of a commit; of it and all commits before, everything was sent, set aside or dropped.
         sent: number of samples that the receiver has taken since the start; repeated ones count again.
         lost: number of samples that were dropped for the sink before they were sent, over all restarts.
         set_aside: number of samples and alarm events that the receiver refused since the start.
-        error: why nothing can be sent now; else the reason of the last refusal since the start; None if all is well.
+        error: why nothing can be sent now, or the cursor cannot be saved; else the reason of the last refusal since
+            the start; None if all is well.
     """
 
     name: str
@@ -130,7 +131,7 @@ class Delivery:
         """Prepare to send what follows the sink's cursor, the last commit that it got; `run` sends.
 
         A new sink begins with the oldest samples; its cursor is put into the manifest. A sink that shows current values
-        is told the last samples that it got (`CurrentSink.remember`).
+        is told the last samples that it got of points of which it gets only some (`CurrentSink.remember`).
 
         Args:
             name: the name of the sink and of its cursor.
@@ -143,7 +144,10 @@ class Delivery:
             points: device and name of each point in the configuration; None for all points of the store.
             now: returns the time, nanoseconds since 1970 UTC.
             monotonic: returns seconds of a clock that is never set.
-            pause: waits some seconds.
+            pause: waits for the seconds that it is given.
+
+        Raises:
+            sqlite3.Error: the manifest cannot be read or written.
         """
         self.name = name
         self._sink, self._folder, self._manifest = sink, folder, manifest
@@ -207,7 +211,8 @@ class Delivery:
     async def run(self) -> None:
         """Send stored samples to the sink, and new ones as they are stored, until cancelled; then the sink is closed.
 
-        While the sink is down, sending is tried again after pauses of `PAUSE` to `PAUSE_LIMIT` seconds.
+        While the sink is down, sending is tried again after pauses of `PAUSE` to `PAUSE_LIMIT` seconds. Any other error
+        is raised, after the sink was closed. After `finish` nothing more is sent.
         """
         wait = PAUSE
         try:
@@ -227,7 +232,10 @@ class Delivery:
             await self._sink.close()
 
     async def finish(self, seconds: float) -> None:
-        """Begin no further batch, and wait until the one that is being sent has arrived, for at most ``seconds``."""
+        """Begin no further batch, and wait until the one that is being sent has arrived or failed.
+
+        Returns after ``seconds`` at the latest.
+        """
         self._is_finishing = True
         if self._step_ended is not None:
             with contextlib.suppress(TimeoutError):
@@ -383,7 +391,8 @@ class Delivery:
         """Return the samples that the sink gets, by its patterns of points and the report rules (rule 4).
 
         Returns:
-            The samples to send; and the last of them of each point with a report rule, by device and point.
+            The samples to send; and by device and point, the last of them of each point that has a report rule, or had
+            one when an earlier sample was sent.
         """
         wanted = []
         fresh = dict[tuple[str, str], ReportedSample]()
@@ -411,7 +420,8 @@ class Delivery:
     async def _send(self, samples: Sequence[CommittedSample]) -> None:
         """Send samples to the sink; those that it refuses for good are found by halving and set aside.
 
-        Raises `SinkDown`.
+        Raises:
+            SinkDown: some samples may have arrived; all of them will be sent again.
         """
         try:
             await self._sink.send(samples)
@@ -435,7 +445,8 @@ class Delivery:
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
         """Send alarm events to the sink; those that it refuses for good are found by halving and set aside.
 
-        Raises `SinkDown`.
+        Raises:
+            SinkDown: some events may have arrived; all of them will be sent again.
         """
         try:
             await sink.send_alarms(alarms)
@@ -451,8 +462,8 @@ class Delivery:
         """Count a refused sample or event of an alarm, and set it aside in the file, if that can be written (rule 5).
 
         Args:
-            what: what it is, for the log.
-            line: what the file gets, beside the error.
+            what: ``a sample`` or ``an event of an alarm``, for the log.
+            line: the keys and values that the line in the file has, beside ``error``.
             error: why it is refused.
         """
         if self._aside == 0:

@@ -2,7 +2,7 @@
 
 Pure.
 
-1. If samples are sent again, their document and its key are the same, because a commit does not change.
+1. If the same samples are sent again, their document and its key are the same.
 2. A key ends with a digest of the document, so that a document with other content has another key. A repeated commit
    has other content if the sink gets other points since the configuration was read again, or if a part of its samples
    was refused.
@@ -43,9 +43,10 @@ def documents(samples: Sequence[CommittedSample]) -> Iterator[Document]:
     """Yield one document for each commit, device and revision of some samples, in the order of commits.
 
     The content of a document has ``device``, ``key`` and ``reads``. ``reads`` is a list with one entry for each time:
-    ``time`` (nanoseconds since 1970 UTC), ``half_width`` (nanoseconds), ``values`` by point, and if there are any,
-    ``uncertain`` and ``bad`` with the reason in words by point. A sample without a value is only in ``bad``. In a fleet
-    the content also has ``revision``, that of the configuration with which the samples were taken.
+    ``time`` (nanoseconds since 1970 UTC), ``half_width`` (nanoseconds, the greatest of its samples), ``values`` by
+    point, and if there are any, ``uncertain`` and ``bad`` with the reason in words by point. A sample without a value
+    is only in ``bad``; NaN and infinities are texts. In a fleet the content also has ``revision``, that of the
+    configuration with which the samples were taken.
     """
     for (commit, device, revision), group in groupby(sorted(samples, key=_place), key=lambda each: _place(each)[:3]):
         reads = [_read(moment, list(each)) for moment, each in groupby(group, key=lambda each: each.time)]
@@ -84,7 +85,8 @@ def _read(moment: int, samples: list[CommittedSample]) -> dict[str, Any]:
 def sample_document(sample: CommittedSample) -> dict[str, Any]:
     """Return one sample as JSON data: ``time``, ``half_width``, ``value``, ``quality`` and ``reason`` in words.
 
-    Times are nanoseconds. In a fleet it also has ``revision``. It has no names of device and point.
+    ``time`` is nanoseconds since 1970 UTC, ``half_width`` nanoseconds. NaN and infinities are texts. In a fleet it also
+    has ``revision``, that of the configuration. It has no names of device and point.
     """
     return {
         "time": sample.time,

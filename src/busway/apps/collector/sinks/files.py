@@ -7,7 +7,7 @@ Knows formats; knows nothing of cursors.
 2. A Parquet file is one batch, named by its first commit. A batch that is sent again replaces its file, even if it ends
    with another commit then. It also replaces files of the same commits that an earlier process wrote: after a full
    disk there may be several.
-3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample of the batch.
+3. ``{date}`` in the name of a file of lines is the day (UTC) of the first sample or alarm event of the batch.
 4. Alarm events go to files of their own: with ``-alarms`` before the ending of the name; for Parquet, in the folder
    ``alarms``.
 """
@@ -41,8 +41,8 @@ Written = TypeVar("Written", CommittedSample, CommittedAlarm)
 class FileSink:
     """Sink that writes samples and alarm events to files: CSV, JSON lines or Parquet.
 
-    CSV and JSON lines are appended to a file, Parquet is one file for each batch. A file that cannot be written raises
-    `SinkDown`.
+    CSV and JSON lines are appended to a file, Parquet is one file for each batch. Parquet needs pyarrow; whether it is
+    installed shows with the first batch (`MissingExtra`).
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
@@ -50,7 +50,7 @@ class FileSink:
 
         Args:
             path: the file, with ``{date}`` in its name for one file a day; for Parquet a folder.
-            kind: the format: ``csv``, ``jsonl`` or ``parquet``; None to take the ending of the file's name.
+            kind: the format: ``csv``, ``jsonl`` or ``parquet``; None to take it from the ending of ``path``.
 
         Raises:
             ConfigError: there is no such format.
@@ -78,11 +78,19 @@ class FileSink:
         """Do nothing: the sink keeps no file open between batches of samples."""
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Write a batch of samples to the files, so that it survives a power failure. Raises `SinkDown`."""
+        """Write a batch of samples to its file, so that it survives a power failure.
+
+        Raises:
+            SinkDown: the file cannot be written.
+        """
         await self._write(self._write_samples, samples)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Write alarm events to files of their own, so that they survive a power failure. Raises `SinkDown`."""
+        """Write alarm events to a file of their own, so that they survive a power failure.
+
+        Raises:
+            SinkDown: the file cannot be written.
+        """
         await self._write(self._write_alarms, alarms)
 
     async def _write(self, write: Callable[[Sequence[Written]], None], what: Sequence[Written]) -> None:
@@ -102,7 +110,7 @@ class FileSink:
             self._append(self._path, samples[0].time, HEADER, lines)
 
     def _remove_repeated(self, first: int, last: int) -> None:
-        """Remove an earlier process's Parquet files whose first commit is after ``first``, up to ``last`` and with it.
+        """Remove the Parquet files of an earlier process whose first commit is after ``first`` and not after ``last``.
 
         Their samples are sent again: in the batch with commits ``first`` to ``last``, or in the next batch.
         """
@@ -147,7 +155,10 @@ class FileSink:
 
 
 def _write_parquet(folder: Path, name: str, columns: dict[str, Any]) -> None:  # columns of Arrow
-    """Write columns to the Parquet file of a name in a folder. After a crash it is complete or does not exist."""
+    """Write columns to the file ``name.parquet`` in a folder, and replace a file of that name.
+
+    After a crash the file is complete, or as it was before.
+    """
     make_durably(folder)
     target = folder / f"{name}.parquet"
     unfinished = target.with_name(target.name + UNFINISHED)

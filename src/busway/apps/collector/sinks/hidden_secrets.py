@@ -21,7 +21,10 @@ class HiddenSecrets:
         self._pattern = re.compile("|".join(map(re.escape, longest_first)), re.IGNORECASE) if given else None
 
     def hide(self, text: object) -> str:
-        """Return ``str(text)`` with ``***`` in place of each secret, in any case of letters and as JSON escapes it."""
+        """Return ``str(text)`` with ``***`` in place of each secret.
+
+        Secrets are found in upper and lower case, and also in the form that JSON gives them.
+        """
         return str(text) if self._pattern is None else self._pattern.sub("***", str(text))
 
     def __repr__(self) -> str:

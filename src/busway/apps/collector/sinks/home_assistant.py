@@ -67,7 +67,7 @@ class EntityKind(Enum):
 
 
 def kind_of(point: Point) -> EntityKind:
-    """Return the kind of value that a point has for Home Assistant, by the point's type and conversion."""
+    """Return the kind of value that a point has for Home Assistant, by the point's type, conversion and rollover."""
     if point.type == "bit":
         return EntityKind.STATE
     if not point.is_number:
@@ -96,7 +96,7 @@ def entity(kind: EntityKind, unit_of_measure: str, meta: Mapping[str, Any]) -> t
 
     Returns:
         ``binary_sensor`` for a state, else ``sensor``; and those of ``unit_of_measurement``, ``device_class`` and
-        ``state_class`` that apply.
+        ``state_class`` that apply: for a state the device class alone, a unit for numbers alone.
     """
     is_number = kind in (EntityKind.NUMBER, EntityKind.TOTAL)
     device_class = _text(meta, "device_class", DEVICE_CLASSES.get(unit_of_measure, "") if is_number else "")

@@ -6,7 +6,7 @@ Knows lines and what the answers mean; the protocol is httpx's (``busway[influxd
    again replaces itself. Texts are in the field ``text``: a field has one type. Without a value, there is only
    ``reason``.
 2. A line of an event of an alarm is ``alarms,device=…,point=…,limit=H,event=raised commit=…i,place=…i,value=… time``,
-   with the fields ``text`` and ``by``: its tags and time are its key too.
+   with the fields ``text`` and ``by``: its tags and time are its key too. A value that is a text is in ``value_text``.
 3. 400, 413 and 422 mean that these lines are refused. Any other error is one of the server or of the credentials, and
    the lines are sent again later.
 """

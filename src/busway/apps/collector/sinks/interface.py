@@ -26,7 +26,11 @@ class Sink(Protocol):
     """
 
     async def open(self) -> None:
-        """Connect to the sink's receiver. Raises `SinkDown`."""
+        """Connect to the sink's receiver.
+
+        Raises:
+            SinkDown: it cannot be reached or used now. The caller calls `close` before it calls `open` again.
+        """
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Send samples; when it returns, the receiver has accepted them.
@@ -94,7 +98,11 @@ class CurrentSink(Protocol):
     """
 
     def remember(self, samples: Sequence[CommittedSample]) -> None:
-        """Learn which samples the receiver got last before a restart; called once, before `open`."""
+        """Learn which samples the receiver got last before a restart; called once, before `open`.
+
+        Args:
+            samples: the last sent sample of each point of which only some samples are sent, in no particular order.
+        """
 
     async def show_current(self, points: Collection[tuple[str, str]] | None) -> None:
         """Have the receiver show the current values; called while open, whenever no stored samples wait any more.
@@ -138,8 +146,8 @@ async def all_taken(sendings: Iterable[Awaitable[object]]) -> None:
         sendings: one awaitable for each message.
 
     Raises:
-        SinkRefused: a message was refused for good; this error goes before others.
-        Exception: the first other error of a message.
+        SinkRefused: a message was refused for good; this error is raised even if others came first.
+        Exception: the error of the first message that failed in another way.
     """
     results = await asyncio.gather(*sendings, return_exceptions=True)
     errors = [each for each in results if isinstance(each, BaseException)]

@@ -5,11 +5,13 @@ Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
 1. QoS 1: `send` returns when the broker has taken every message. A message carries the user property ``key``; if the
    message is sent again, its key is the same.
 2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
-3. ``{prefix}/status`` is ``online``, retained, and by the last will ``offline``.
-4. Events of alarms go to ``{prefix}/alarms``, one message each.
-5. Discovery needs a topic for each point; a configuration is sent, retained, when a point is first seen, and again when
-   the configuration of the collector was replaced. It says what the file says about the point (`home_assistant`); a
-   point that nothing describes is announced with its first value.
+3. ``PREFIX/status``, with the part of the topic before its first ``{`` as PREFIX, is ``online`` while connected, and
+   then ``offline``, also by the last will. It is retained.
+4. Events of alarms go to ``PREFIX/alarms``, one message each.
+5. Discovery needs a topic for each point. The description of a point is sent to Home Assistant, retained, before the
+   first sample of the point in each connection, and again when the configuration of the collector was replaced. It says
+   what the file says about the point (`home_assistant`); a point that nothing describes is announced with its first
+   value.
 """
 
 import contextlib
@@ -121,7 +123,11 @@ class MqttSink:
         self._points = points
 
     async def open(self) -> None:
-        """Connect to the broker, and publish that this collector is online. Raises `SinkDown`."""
+        """Connect to the broker, and publish that this collector is online.
+
+        Raises:
+            SinkDown: the broker cannot be reached, or refuses the connection.
+        """
         mqtt = import_module("aiomqtt")
         will = mqtt.Will(self._status_topic, b"offline", qos=1, retain=True)
         client = mqtt.Client(**self._address, will=will, protocol=mqtt.ProtocolVersion.V5)
@@ -146,16 +152,20 @@ class MqttSink:
             await client.__aexit__(None, None, None)
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`.
+        """Publish samples, and wait until the broker has taken them.
 
         With discovery, points that were not announced to Home Assistant in this connection are announced before.
+
+        Raises:
+            SinkRefused: the broker refuses a message for good.
+            SinkDown: the broker does not take messages now. Some samples may have arrived.
         """
         fresh: dict[tuple[str, str], _Message] = {} if self._discovery is None else self._discoveries(samples)
         await self._publish([*fresh.values(), *self._messages(samples)])
         self._announced |= fresh.keys()
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish alarm events, and wait until the broker has taken them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish alarm events, and wait until the broker has taken them. Raises errors like `send`."""
         await self._publish(
             [_Message(self._alarm_topic, each.encode(), each.key, False) for each in map(alarm_document, alarms)]
         )
@@ -166,7 +176,7 @@ class MqttSink:
         Raises:
             SinkRefused: the broker refuses a message for good; the other messages may have arrived or not. If the
                 broker ended the connection because of that message, the sink is connected again before.
-            SinkDown: no answer came, or the connection is lost.
+            SinkDown: no answer came, the broker does not take a message now, or the connection is lost.
         """
         mqtt = import_module("aiomqtt")
         try:
@@ -221,7 +231,8 @@ class MqttSink:
     def _discoveries(self, samples: Sequence[CommittedSample]) -> dict[tuple[str, str], _Message]:
         """Return discovery messages for the points of samples that were not announced to Home Assistant yet.
 
-        After `describe` has set other points, all points count as not announced.
+        After `describe` has set other points, all points count as not announced. A point that is not described is left
+        out until it has a sample with a value.
         """
         points = self._points
         if points is not self._announced_by:
@@ -266,7 +277,7 @@ class MqttSink:
 
 
 def topic_level(name: str) -> str:
-    """Return a name as one level of an MQTT topic: separators and wildcards become ``_``."""
+    """Return a name as one level of an MQTT topic: ``/``, ``+``, ``#`` and the character 0 become ``_``."""
     return re.sub(r"[/+#\x00]", "_", name)
 
 

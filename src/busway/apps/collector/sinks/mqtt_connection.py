@@ -73,7 +73,7 @@ class MqttPublisher:
         return bool(self._client._disconnected.done())
 
     def check_size(self, topic: str, payload: bytes, properties: Any = None) -> None:
-        """Raise `SinkRefused` if a message is larger than the broker accepts. Nothing if it has announced no limit."""
+        """Raise `SinkRefused` if a message is larger than the limit that the broker has announced, if it has any."""
         told = 1 if properties is None else len(properties.pack())
         size = 5 + 2 + len(topic.encode()) + 2 + told + len(payload)
         if self._most is not None and size > self._most:
@@ -113,7 +113,7 @@ class MqttPublisher:
 
         Raises:
             SinkRefused: the broker refuses the message for good.
-            SinkDown: the broker does not accept the message now.
+            SinkDown: the broker has answered that it does not accept the message now.
             aiomqtt.MqttError: no answer came, or the message could not be sent; it may have arrived.
         """
         answer = await self.publish(topic, payload, retain=retain, properties=properties)

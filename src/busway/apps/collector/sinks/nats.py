@@ -79,7 +79,11 @@ class NatsSink:
         self._cause = ""
 
     async def open(self) -> None:
-        """Connect to the NATS server, and create the configured stream if it is missing. Raises `SinkDown`."""
+        """Connect to the NATS server, and create the configured stream if it is missing.
+
+        Raises:
+            SinkDown: the server cannot be used, has no JetStream, or cannot create the stream.
+        """
         nats = import_module("nats")
         self._cause = ""
         self._client = nats_client_kind()()  # `close` ends it also where connecting fails or is given up
@@ -130,7 +134,13 @@ class NatsSink:
                 await client.close()
 
     async def send(self, samples: Sequence[CommittedSample]) -> None:
-        """Publish samples, and wait until the stream has acknowledged them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish samples, and wait until the stream has acknowledged them.
+
+        Raises:
+            SinkDown: the server does not accept messages now, or no stream has the subject; some samples may have
+                arrived.
+            SinkRefused: a message is too large.
+        """
         messages = [
             (self._subject.replace("{device}", subject_token(each.device)), each.encode(), each.key)
             for each in documents(samples)
@@ -191,5 +201,5 @@ class NatsSink:
 
 
 def subject_token(name: str) -> str:
-    """Return a name as one token of a NATS subject: separators and wildcards become ``_``."""
+    """Return a name as one token of a NATS subject: ``.``, ``*``, ``>`` and white space become ``_``."""
     return re.sub(r"[.*>\s]", "_", name)

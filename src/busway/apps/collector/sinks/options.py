@@ -39,15 +39,17 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
     """Create a sink and the options of its delivery from a table of the collector file. Nothing is connected yet.
 
     Args:
-        section: the sink's table ``[[sink]]``, with paths that can be opened.
+        section: the sink's table ``[[sink]]``; its paths are already joined to the folder of the collector file.
         folder: the store's folder, where a Sparkplug sink keeps a number over a restart; None to keep nothing.
 
     Returns:
         The sink; and the options, in which a device alone has become the pattern ``device/*``.
 
     Raises:
-        ConfigError: values exclude each other, or a password or token cannot be read; names the key.
-        MissingExtra: a package that the sink needs is not installed.
+        ConfigError: values exclude each other or are not valid, or a certificate, password or token cannot be used;
+            names the key or the file.
+        MissingExtra: a package that the sink needs is not installed. For files in Parquet this shows only with the
+            first batch.
     """
     options = section.built(DeliveryOptions)
     points = tuple(each if "/" in each or each == "*" else f"{each}/*" for each in options.points)
@@ -100,7 +102,7 @@ def secret(section: SentSection, key: str) -> str | None:
         key: ``password`` or ``token``.
 
     Returns:
-        The secret; None if the table names neither file nor variable.
+        The secret, from a file without line breaks at its ends; None if the table names neither file nor variable.
 
     Raises:
         ConfigError: the table names file and variable, the variable is not set, or the file cannot be read, is longer

@@ -3,15 +3,16 @@
 Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 
 1. A batch is one transaction. The key is (device, point, time): a batch that is sent again changes nothing.
-2. PostgreSQL has microseconds: ``time`` is rounded down, and ``nanoseconds`` has the rest.
+2. PostgreSQL has microseconds: ``time`` is rounded down, and ``nanoseconds`` has the rest. Of samples of a point in the
+   same microsecond only the last is stored.
 3. The table is created if it does not exist; with ``timescale`` it becomes a hypertable.
 4. Alarm events go to a table of their own, which is created with the first event. An event is identified by device,
    point, time, its commit number and its place in that commit: one that is sent again replaces itself.
 5. Samples of a fleet have the revision of its configuration. The column for it is added with the first such sample; if
    the table belongs to another user, samples are written without it.
-6. Gaps of ownership go to a table of their own, one row for each device and epoch. Its begin moves to the newest sample
-   of the device within the gap, in the transaction that writes the gap or the sample: the order in which they come does
-   not matter.
+6. Gaps of ownership (`DeviceGap`) go to a table of their own, one row for each device and epoch. Its begin moves to the
+   newest sample of the device within the gap, in the transaction that writes the gap or the sample: the order in which
+   they come does not matter.
 7. Errors about values (a type, a range, a constraint, an error of a trigger) mean that the database refuses these
    samples. After any other error the batch is sent again later.
 """
@@ -114,7 +115,7 @@ class PostgresqlSink:
             tls: the TLS context; None to leave encryption to the server and the URL.
             timescale: whether the tables of samples and alarm events become hypertables of TimescaleDB; the extension
                 must be in the database.
-            timeout: seconds for each command.
+            timeout: seconds for connecting, and for each command.
 
         Raises:
             ConfigError: the name of a table has other characters.
@@ -135,7 +136,11 @@ class PostgresqlSink:
         self._has_revision = self._lacks_revision = False
 
     async def open(self) -> None:
-        """Connect to the database, and create the table of samples if it is missing. Raises `SinkDown`."""
+        """Connect to the database, and create the table of samples if it is missing.
+
+        Raises:
+            SinkDown: the database cannot be reached, or the table can be neither found nor created.
+        """
         pg = import_module("asyncpg")
         try:
             self._connection = await pg.connect(self._url, **self._options)
@@ -170,7 +175,11 @@ class PostgresqlSink:
     async def send(self, samples: Sequence[CommittedSample]) -> None:
         """Write samples to the table, and move the begin of gaps that contain them, in one transaction (rules 1 and 6).
 
-        If a sample has a revision, the column for it is added before (rule 5). Raises `SinkDown`, `SinkRefused`.
+        If a sample has a revision, the column for it is added before (rule 5).
+
+        Raises:
+            SinkRefused: the database refuses the values of a sample; none is written.
+            SinkDown: any other error; if no answer came, the samples may have been written.
         """
         if not self._has_revision and not self._lacks_revision and any(sample.revision for sample in samples):
             await self._add_revision()
@@ -210,9 +219,10 @@ class PostgresqlSink:
             _log.warning("the table %s has no column for the revision of samples: %s", self._table, error)
 
     async def send_gaps(self, gaps: Sequence[DeviceGap]) -> None:
-        """Write gaps of ownership to their table in one transaction. Raises `SinkDown`, `SinkRefused`.
+        """Write gaps of ownership to their table in one transaction. Raises errors like `send`.
 
-        The table is created if it is missing.
+        The table is created if it is missing. A gap that is sent again changes nothing, or moves the begin of its row
+        to a later time.
         """
         async with self._writing():
             if not self._has_gap_table:
@@ -224,7 +234,7 @@ class PostgresqlSink:
         self._has_gap_table = True
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Write alarm events to their table in one transaction. Raises `SinkDown`, `SinkRefused`.
+        """Write alarm events to their table in one transaction. Raises errors like `send`.
 
         The table is created if it is missing.
         """

@@ -7,7 +7,8 @@ Knows what was committed last; the format is prometheus-client's (``busway[metri
    still.
 3. If a device is not read (suspended, without connection, in maintenance), its last values are shown as bad with that
    reason, until each point is read again: no value stays good while it only grows old.
-4. While the store cannot be written, no value is replaced by a newer one, so all values are shown as bad.
+4. If the store could not be written for some seconds, no value is replaced by a newer one, so all values are shown as
+   bad.
 5. A good value that was not read again when it was due is shown as held, which is uncertain (`held_values`): the link
    is overloaded or waits for a reply, or polling has ended by a defect. Its age counts from the end of its transaction,
    however long its commit had to wait.
@@ -58,7 +59,7 @@ class LastValues:
         moment: returns seconds of the monotonic clock.
 
     Attributes:
-        is_behind: the argument.
+        is_behind: as the argument.
         limits: the present limits; `configure` replaces them.
     """
 

@@ -99,14 +99,18 @@ class SinkThread:
     def reserve(self, name: str) -> None:
         """Write the cursor of a sink into the manifest, so that a later `add` cannot fail at that.
 
-        Raises `sqlite3.Error`.
+        A sink that has no cursor yet gets 0, the begin of the store.
+
+        Raises:
+            sqlite3.Error: the manifest cannot be written.
         """
         manifest = self._writer.manifest
         manifest.set_cursor(name, *manifest.cursors().get(name, (0, 0)))
 
     def remove(self, name: str, timeout: float = 10.0) -> None:
-        """Stop sending to a sink, and wait until its delivery has ended. A later sink of its name continues there.
+        """Stop sending to a sink, and wait until its delivery has ended.
 
+        The cursor stays in the manifest: a sink of the same name that is added later continues there.
         The batch that is being sent may arrive first, within `FINISH` seconds, so that it is not sent again. If the
         delivery has not ended after ``timeout`` seconds, this is logged, and the method returns.
         """
@@ -177,7 +181,10 @@ async def _end(running: _RunningSink) -> None:
 
 
 async def _guarded(delivery: Delivery) -> None:
-    """Run the delivery to one sink; after an unexpected error, log it, pause, and run the delivery again."""
+    """Run the delivery to one sink until cancelled; after an unexpected error, log it, and run it again after a pause.
+
+    The pause is `PAUSE_LIMIT` seconds.
+    """
     while True:
         try:
             await delivery.run()

@@ -323,7 +323,11 @@ class SparkplugSink:
         """Publish samples, with the births and deaths that they need, and wait until the broker has them.
 
         If the broker refuses a part of a batch, the samples that were published are left out when the batch is sent
-        again in parts. Raises `SinkDown`, `SinkRefused`.
+        again in parts.
+
+        Raises:
+            SinkRefused: a message is too large for the broker.
+            SinkDown: the connection is lost, or the primary host is offline; some samples may have arrived.
         """
         with self._once(samples) as fresh:
             async with self._delivering():
@@ -331,7 +335,7 @@ class SparkplugSink:
                     await self._send_device(name, list(those))
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Publish alarm events, and wait until the broker has them. Raises `SinkDown`, `SinkRefused`."""
+        """Publish alarm events, and wait until the broker has them. Raises errors like `send`."""
         with self._once(alarms) as fresh:
             async with self._delivering():
                 for alarm in fresh:
@@ -391,10 +395,10 @@ class SparkplugSink:
 
     @contextlib.contextmanager
     def _once(self, wanted: Sequence[Committed]) -> Iterator[list[Committed]]:
-        """Context manager that yields the samples or alarm events of ``wanted`` that are not published yet.
+        """Return a context manager whose block gets the samples or alarm events of ``wanted`` that it must publish.
 
         If the block raises `SinkRefused`, the batch is sent again in parts: then those that the block has published are
-        left out.
+        left out, until the sink is closed or a later batch is sent.
         """
         first = min((each.commit for each in wanted), default=0)
         self._passed = {each for each in self._passed if each.commit >= first}

@@ -28,7 +28,10 @@ _VALUES: Final = {
 
 
 class DataType(IntEnum):
-    """Numbers of the Sparkplug data types that metrics of samples can have (Sparkplug 3.0 §6.4)."""
+    """Numbers of the Sparkplug data types of metrics in data and commands (Sparkplug 3.0 §6.4).
+
+    Metrics of samples have only those that `type_of` returns.
+    """
 
     INT8 = 1
     INT16 = 2

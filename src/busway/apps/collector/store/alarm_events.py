@@ -75,11 +75,14 @@ def _with_events(rows: Iterable[AlarmRow], manifest: Manifest) -> Iterator[tuple
 
 
 def forget_old_alarms(manifest: Manifest, before: int, most: int = MOST_EVENTS) -> int:
-    """Delete old alarm events from the manifest, but no event of an alarm that is active or not acknowledged.
+    """Delete old alarm events from the manifest.
+
+    Of an alarm that is active or not acknowledged, the last event `AlarmEventKind.RAISED` and those after it stay.
 
     Args:
         manifest: the manifest of the store.
-        before: nanoseconds since 1970 UTC; events of earlier times are deleted.
+        before: nanoseconds since 1970 UTC; events of earlier times are deleted. An event from before the wall clock was
+            set counts as old as the next event with a right time.
         most: number of events to keep; if there are more, the oldest are deleted too.
 
     Returns:

@@ -5,7 +5,7 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 1. A backup is a store of its own: the manifest as it was at one moment, and the parts that it lists. SQLite copies the
    manifest, then the segments, so that the open one has every commit up to a moment; then sealed parts are copied. A
    segment whose file the writer has not made yet, so that it has no commits, is not listed in the copy.
-   After them the points are copied anew, so that every copied sample has its point, and the reserved commit numbers, so
+   At the end the points are copied anew, so that every copied sample has its point, and the reserved commit numbers, so
    that a commit after the restore has a number that no copied commit has. If a part was removed meanwhile, all starts
    again.
 2. The journal of commands and the record of ownership of a fleet are copied last. The record may concern later commits,
@@ -126,11 +126,11 @@ def _copy_database(source: Path, target: Path) -> None:
 
 
 def restore(backup: Path, folder: Path) -> int:
-    """Restore a store from a backup into a new or empty folder.
+    """Restore a store from a backup into a new or empty folder, after a check of the backup.
 
     Args:
         backup: the folder of the backup.
-        folder: the folder of the restored store.
+        folder: the folder of the restored store: missing, empty, or with a lock file alone.
 
     Returns:
         The number of restored files with samples (segment and Parquet files).

@@ -21,7 +21,7 @@ from ..samples import Reason
 from .database import transaction
 
 EVERY: Final = 2**63 - 1
-"""A number greater than that of every commit: stands for no limit."""
+"""A commit number greater than that of every commit, for "up to the last commit"."""
 _MOVED: Final = "CASE WHEN {0} >= :begin AND {0} < :end THEN {0} + :shift ELSE {0} END"
 _OF_CLOCK: Final = "commit_number BETWEEN :first AND :last"
 _OWN_GAP: Final = f"(device IS NULL AND (begin < {EARLIEST} OR begin = (SELECT at FROM commits WHERE number = :first)))"
@@ -50,9 +50,10 @@ class CommitCorrection:
 def mend_segment(database: sqlite3.Connection, correction: CommitCorrection) -> int:
     """Correct the times that one process wrote into a segment before it knew the right time.
 
-    The times of samples, commits, intervals and alarm events of the commits ``first`` to ``last`` are changed in one
-    transaction. Samples that were uncertain only because the clock was not set become good. If this correction was made
-    in the segment before, nothing is changed.
+    In one transaction, the wrong times (`ClockCorrection`) of samples, commits, intervals and alarm events of the commits
+    ``first`` to ``last`` are moved. Samples that were uncertain only because the clock was not set become good. A moved
+    sample replaces another one of its point at the new time. If this correction was made in the segment before, nothing
+    is changed.
 
     Args:
         database: the SQLite file of the segment.

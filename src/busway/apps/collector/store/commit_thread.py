@@ -14,8 +14,9 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
    again; no commit is repeated.
 6. Names and descriptions of points change between two commits: samples that were added before are stored under the
    names of that time.
-7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit;
-   subscribers are called with them nevertheless, because they show that the earlier values still hold.
+7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit
+   before one is due by rule 4; subscribers are called with them at once, because they show that the earlier values still
+   hold.
 8. Last values come from commits. `Committer.is_behind` says when they are out of date, because commits fail or hang.
 """
 
@@ -39,7 +40,7 @@ INTERVAL: Final = 0.2
 ALIVE: Final = 5.0
 SYNC: Final = 5.0
 UPKEEP: Final = 10.0
-"""Seconds after which parts to seal or drop are looked for again."""
+"""Seconds between two searches for finished segments to seal, and for files to delete by retention."""
 BEHIND: Final = 5.0
 """Seconds that samples may wait to be committed before last values count as out of date."""
 RETRY: Final = 1.0
@@ -49,7 +50,9 @@ AT_ONCE: Final = 50_000
 MOST_WAITING: Final = 1_000_000
 """Most values that wait for a store that cannot be written: some 100 MB."""
 MOST_INTERVALS: Final = 100_000
-"""Most intervals that wait for a store that cannot be written; beyond it the oldest that have ended are dropped."""
+"""Most intervals that wait for a store that cannot be written; beyond it the older half of those that have ended is
+dropped.
+"""
 MOST_ALARMS: Final = 10_000
 """Most alarm events that wait for a store that cannot be written; beyond it the oldest are dropped."""
 
@@ -62,8 +65,9 @@ class StoreStatus:
 
     Attributes:
         commits, samples: numbers of commits and of samples that were stored since the start.
-        waiting: number of samples that are not committed yet.
-        lost: number of samples dropped since the start because the store could not be written.
+        waiting: number of samples that are queued and not committed yet.
+        lost: number of samples dropped since the start, before they were stored, because the store could not be
+            written.
         error: why the store cannot be written; None while it can.
         upkeep_error: the last error of sealing or deleting parts, of making commits durable, or of correcting times;
             None if each of them succeeded when it was tried last.
@@ -169,17 +173,18 @@ class Committer:
             thread.start()
 
     def subscribe(self, told: Callable[[Commit], None]) -> None:
-        """Register a function that is called with each commit after it was made.
+        """Register a function that is called with each commit after it was made, also with empty ones.
 
-        It is called in the thread that commits, also with reads of which no sample is kept (rule 7). The first of its
-        errors is logged, and all are counted in the status.
+        It is called in the thread that commits, also with reads of which no sample is kept (rule 7). Its errors are
+        counted in the status; the first error of all subscribers is logged.
         """
         self._subscribers.append(told)
 
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
         """Queue the samples of one read, and alarm events that the same commit must contain.
 
-        If more than ``most_waiting`` values are queued, the oldest are dropped and counted.
+        If more than ``most_waiting`` values are queued, the oldest reads are dropped, and their samples counted as lost;
+        alarm events stay.
         """
         with self._changed:
             self._batches.append(batch)
@@ -194,8 +199,9 @@ class Committer:
     def add_interval(self, interval: StateInterval | Gap) -> None:
         """Queue a gap, or an interval in which a device is not read.
 
-        An interval is queued twice: when it begins, with the end None, and when it ends. If more than `MOST_INTERVALS`
-        are queued, the oldest that have ended are dropped.
+        An interval is queued twice: when it begins, with the end None, and when it ends; a skipped round only at its
+        end. If more than `MOST_INTERVALS` are queued, the older half of those that have ended is dropped, and becomes a
+        gap.
         """
         with self._changed:
             self._intervals.append(interval)
@@ -206,7 +212,7 @@ class Committer:
             self._changed.notify_all()
 
     def add_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events that no sample caused."""
+        """Queue alarm events that no sample in the queue caused, such as acknowledgements."""
         with self._changed:
             self._note_alarms(alarms)
             self._noted += 1
@@ -250,12 +256,12 @@ class Committer:
             )
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Wait until everything queued so far is committed, and a correction of times that was queued is complete.
+        """Have everything queued so far committed at once, and wait for that and for a queued correction of times.
 
         What is queued during the wait is not waited for.
 
         Returns:
-            True; False if ``timeout`` seconds were not enough.
+            True if all is committed and corrected; False if ``timeout`` seconds were not enough.
         """
         until = time.monotonic() + timeout
         with self._changed:
@@ -274,7 +280,8 @@ class Committer:
     def close(self, timeout: float = 10.0) -> None:
         """Commit everything that is queued, end the threads, and close the store. Errors are logged, not raised.
 
-        What cannot be committed within ``timeout`` seconds is lost; the log says how many samples.
+        What cannot be committed within ``timeout`` seconds is lost; the log says how many samples. Waits up to 30 s
+        longer for each thread.
         """
         self.flush(timeout)
         with self._changed:
@@ -358,9 +365,10 @@ class Committer:
         return True
 
     def _wait_for_work(self) -> bool:
-        """Wait until a commit is due: samples have waited for the interval, or nothing was queued for `ALIVE` seconds.
+        """Wait until a commit is due: something has waited for the interval, or nothing was queued for `ALIVE` seconds.
 
-        An empty commit is also due if the write-ahead log must be synced.
+        A commit is also due if the write-ahead log must be synced, and without the interval's wait if `flush` waits or
+        `AT_ONCE` values are queued.
 
         Returns:
             True if a commit is due; False if the thread must end.
@@ -495,8 +503,9 @@ class Committer:
         """Write the samples that the report rules keep, with intervals and alarm events (rule 7).
 
         Returns:
-            The commit, and the number of samples that were not kept. If nothing is kept, nothing is written: the commit
-            has only the reads to show, and the number of the commit before.
+            The commit, and the number of samples that were not kept. If there is nothing to write, and the last commit
+            was less than `ALIVE` seconds ago, nothing is written: the commit has only the reads to show, and the number
+            of the commit before.
         """
         choice, now = self._kept.choose(batches, told, alarms), time.monotonic()
         is_empty = not (choice.batches or choice.counters or told or alarms)
@@ -562,7 +571,7 @@ class Committer:
             self._drop_oldest()
 
     def _drop_oldest(self) -> None:
-        """Drop the oldest queued samples beyond the limit of the queue. Call with the lock held."""
+        """Drop the oldest queued reads beyond the limit of the queue, and record a gap. Call with the lock held."""
         while self._waiting > self._most and self._batches:
             batch = self._batches.popleft()
             self._taken += 1
@@ -571,10 +580,11 @@ class Committer:
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
 
     def _drop_whole_intervals(self) -> None:
-        """Drop the older half of the intervals whose begin and end are both queued. Call with the lock held.
+        """Drop the older half of the intervals whose begin and end are both queued, and record a gap in their place.
 
-        Entries of other intervals stay, a few for each device: without the entry of its end an interval would last for
-        ever in the store, and without the entry of its begin it would be missing.
+        Skipped rounds, which have one entry, are among them. Call with the lock held. Entries of other intervals stay, a few
+        for each device: without the entry of its end an interval would last for ever in the store, and without the entry
+        of its begin it would be missing for sinks.
         """
         begun = {_key_of(each) for each in self._intervals if each.end is None}
         whole = [

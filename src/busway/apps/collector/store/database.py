@@ -1,6 +1,7 @@
 """Opens connections to the SQLite files of a store, and makes transactions on them.
 
-Knows SQLite; knows no table. Which pragmas a file has is decided by those who open it: `segment`, `manifest`.
+Knows SQLite; knows no table. The modules that open a file decide which pragmas it has: `segment`, `manifest`, and the
+journal of commands.
 """
 
 import os
@@ -16,7 +17,9 @@ _TIMEOUT: Final = 10.0
 
 
 def open_database(path: Path, *statements: str, script: str = "", makes: bool = True) -> sqlite3.Connection:
-    """Open a SQLite database in autocommit mode; several threads can use the connection, one at a time.
+    """Open a SQLite database file in autocommit mode; several threads can use the connection, one at a time.
+
+    While another connection has the file locked, a statement waits for up to 10 s.
 
     Args:
         path: the file.
@@ -25,7 +28,8 @@ def open_database(path: Path, *statements: str, script: str = "", makes: bool = 
         makes: whether the file is created if it is missing.
 
     Raises:
-        sqlite3.Error: the file cannot be opened, or a statement failed; then the file is closed again.
+        sqlite3.Error: the file is missing (with ``makes`` False), cannot be opened, or a statement failed; the file is
+            closed again.
     """
     name = os.fspath(path) if makes else f"file:{quote(os.fspath(path))}?mode=rw"
     database = sqlite3.connect(name, uri=not makes, isolation_level=None, check_same_thread=False, timeout=_TIMEOUT)

@@ -10,7 +10,9 @@ from typing import Any
 from ..samples import Reason
 
 Row = tuple[int, int, Any, int, int, int]
-"""A sample as stored: time, id of the point, value, reason, half width, commit number. A tuple, because it is fast."""
+"""A sample as stored: time (nanoseconds since 1970 UTC), id of the point, value as SQLite stores it (`stored_value`),
+number of the reason, half width (nanoseconds), commit number. A tuple, because it is fast.
+"""
 
 
 @dataclass(slots=True)
@@ -18,7 +20,7 @@ class Sums:
     """Count, total, minimum, maximum and worst reason of one point in one time bucket; `add` combines two of them.
 
     Attributes:
-        count: how many samples are numbers and not bad.
+        count: how many samples are numbers (states count as 0 and 1) and not bad.
         low, high: the smallest and the largest of these numbers; None if there are none.
         total: the sum of these numbers.
         samples: how many samples there are in all, bad ones and texts too.
@@ -45,11 +47,14 @@ class Sums:
 
 
 SumsByBucket = dict[tuple[int, int], Sums]
-"""The sums of samples, by the number of the time bucket (time // its length) and the id of the point."""
+"""The sums of samples, by number of the time bucket (time // length of a bucket, nanoseconds) and id of the point."""
 
 
 def number_of(value: Any) -> float | None:  # Any: what SQLite has
-    """Convert a stored value to a float; None for a text or no value. Bytes are an unsigned integer of 64 bits."""
+    """Convert a value as SQLite stores it to a float; None for a text, NaN or no value.
+
+    Bytes are an unsigned integer of 64 bits. States are 0 and 1.
+    """
     if isinstance(value, bytes):
         return float(int.from_bytes(value, "big"))
     return float(value) if isinstance(value, int | float) else None

@@ -87,7 +87,7 @@ class StoreLock:
             os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
     def _take(self) -> None:
-        """Lock the store's lock file. While its last holder is just ending, wait up to `_ENDING` seconds.
+        """Lock the store's lock file. If its last holder has ended and the lock is still held, wait up to `_ENDING` seconds.
 
         Raises:
             BlockingIOError: another process holds the lock.
@@ -189,12 +189,20 @@ def check_store(path: Path) -> None:
 
 
 def sync_folder(path: Path) -> None:
-    """Make the names of the files in a folder survive a power failure. Raises `OSError`."""
+    """Make the names of the files in a folder survive a power failure.
+
+    Raises:
+        OSError: the folder cannot be opened or written to the disk.
+    """
     _sync(path, os.O_RDONLY | os.O_DIRECTORY)
 
 
 def sync_file(path: Path) -> None:
-    """Make the contents of a file survive a power failure. A missing file is ignored. Raises `OSError`."""
+    """Make the contents of a file survive a power failure. A missing file is ignored.
+
+    Raises:
+        OSError: the file cannot be opened or written to the disk.
+    """
     with contextlib.suppress(FileNotFoundError):
         _sync(path, os.O_RDONLY)
 

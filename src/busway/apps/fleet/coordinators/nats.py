@@ -466,8 +466,8 @@ class NatsCoordinator:
 
     Attributes:
         client: the client of nats-py, for the streams of the same collector.
-        replicas: number of servers that keep each entry.
-        is_clustered: whether the server belongs to a cluster.
+        replicas: number of servers that keep each entry; set by `open_nats`.
+        is_clustered: whether the server belongs to a cluster; set by `open_nats`.
     """
 
     def __init__(self, client: Any, bucket: str, answer: float, domain: str | None = None) -> None:
