@@ -16,7 +16,8 @@ VENV  := .venv
 PEERS := .peers
 BENCH_PEERS := bench/build/peers
 RUN   := $(VENV)/bin
-PIP   := -m pip --disable-pip-version-check --quiet install
+# What is imported is compiled then: most modules of what is installed never are.
+PIP   := -m pip --disable-pip-version-check --quiet install --no-compile
 
 # The Pythons that the unit tests also run on where they are present.
 OTHER_PYTHONS := 3.12 3.13
