@@ -184,7 +184,10 @@ class UnitDoubt:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the replies in ``owed`` that a received PDU could be, the earliest first; it counts as that (rule 2)."""
+        """Return the replies in ``owed`` that a received PDU could be, the earliest first.
+
+        The caller takes the PDU for the first of them (rule 2).
+        """
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:

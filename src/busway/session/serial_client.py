@@ -6,8 +6,8 @@ RTU and ASCII differ only in the framing that is passed in.
 1. States: idle → waiting for a reply (unicast) or for the turnaround (broadcast) → idle. One request is in flight.
 2. A reply of another unit keeps the timer running. So does a damaged frame: it is counted, and the request may be
    repeated as after a timeout.
-3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, or before
-   ``drain_limit`` is over. The unit that did not answer gets no request for ``quiet_window`` after the timeout, unless
+3. After a timeout the line is drained: nothing is sent until it has been silent for ``quiet_window``, at the latest
+   until ``drain_limit`` has passed. The unit that did not answer gets no request for ``quiet_window`` after the timeout, unless
    its late reply comes before. Frames received while the line is drained are late and dropped.
 4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
    sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.

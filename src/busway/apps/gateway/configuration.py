@@ -87,7 +87,10 @@ class GatewayConfiguration:
 
     @property
     def control(self) -> str | None:
-        """Path or address of the gateway's control socket; None for the default one, or if the file switches it off."""
+        """Path or address of the gateway's control socket; None for the default one, or if the file switches it off.
+
+        ``file.control_parameters.enabled`` tells which.
+        """
         return self.common.control
 
     @property

@@ -26,7 +26,7 @@ class AccessInForce:
 
     Attributes:
         rules: the access rules in force; None without a policy.
-        allow_list: the hosts that may connect to any listener; a listener may have a further list of its own.
+        allow_list: tells which hosts may connect to any listener; a listener can have a further list of its own.
         is_guarded: whether the server is given a policy, so that it can be replaced later; set by `guard`.
         read_only: URLs of the listeners that are read-only because there is no policy; set by `replace_policy`, once
             the listeners are bound.
@@ -74,7 +74,8 @@ class AccessInForce:
         """Give a running server, whose listeners are bound, the policy of other access rules, from the next request on.
 
         With ``rules`` None there is no policy: listeners that other hosts can reach become read-only, unless writes
-        were allowed on the command line. Also sets `rules` and `read_only`.
+        were allowed on the command line. Also sets `rules` and `read_only`. Call this only if `is_guarded`: another
+        server refuses a policy.
         """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]

@@ -237,7 +237,7 @@ def largest_of(form: PointForm) -> float | None:
     """Return the value at which a counter in this point starts again from `begin_of`, in its unit of measure.
 
     This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers. None
-    for bits and floats: never.
+    for bits and floats: never. A ``rollover`` of the behaviour itself has priority over this result.
     """
     if form.form is None or form.form.name.startswith("float"):
         return None

@@ -123,7 +123,8 @@ class BlockingSerialPort:
             timeout: seconds; 0 does not wait, None waits for ever.
 
         Returns:
-            The bytes, and how many of them the port marked as damaged. No bytes when the time is over.
+            The bytes, and how many of them the port marked as damaged. No bytes when the time is over, or if so far only
+            the beginning of a damage mark has come.
 
         Raises:
             LinkDown: the port vanished, or is closed.

@@ -53,7 +53,7 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 def web_context(parameters: TlsParameters) -> ssl.SSLContext:
     """Build the ``ssl`` context of a web page for browsers, which need not present a client certificate.
 
-    They are asked for one, which must be valid if they present it, only if ``authority`` is set.
+    If ``authority`` is set, they are asked for one, and one that they present must be valid.
 
     Raises:
         ConfigError: the option for the certificate is missing, or a file cannot be used; the error names the option,
@@ -244,7 +244,7 @@ class WatchedContext:
         self.parameters = parameters
         self.name = name
         self.generation: int = 0
-        """How often the files were read again."""
+        """How often the files were read again with success."""
         self._make = make
         self._clock = clock
         self._looked = clock()
@@ -255,7 +255,7 @@ class WatchedContext:
         """Return the ``ssl`` context for a new connection; never raises.
 
         At most once a second it checks whether the files have changed, and reads them again. If they cannot be used,
-        that is logged, and the earlier context is returned.
+        that is logged once, and the earlier context is returned until the files have changed again.
         """
         now = self._clock()
         if now - self._looked >= _LOOK_SECONDS:
