@@ -20,6 +20,9 @@ PIP   := -m pip --disable-pip-version-check --quiet install
 
 # The Pythons that the unit tests also run on where they are present.
 OTHER_PYTHONS := 3.12 3.13
+# Of those between the oldest and the newest: the library alone. Applications and commands run on these two.
+LIBRARY_PYTHONS := 3.12
+APPLICATIONS := tests/apps tests/cli
 
 # Exact versions: the interop tests compare values, and these programs change from release to release.
 PEER_PACKAGES := pymodbus==3.16.1 pyModbusTCP==0.3.1 minimalmodbus==2.1.1 pysparkplug==0.6.1 pysunspec2==1.3.7
@@ -39,9 +42,15 @@ SIDE_BY_SIDE := --numprocesses=$(JOBS) --maxprocesses=4 --dist=worksteal
 OTHER_TESTS := tests/browser tests/interop tests/load tests/network tests/packaging tests/soak
 UNIT_TESTS := -m "not (real_time or interop or packaging or soak)" $(SIDE_BY_SIDE) $(OTHER_TESTS:%=--ignore=%)
 
-# Tests in real time wait most of the time. Three at once, a file in one process, leave half of two processors idle.
+# Tests in real time wait most of the time: three at once, a file in one process, leave half of two processors idle. The
+# files that take longest begin first: else the last one runs alone for minutes.
 THREE_AT_ONCE := --numprocesses=3 --dist=loadfile
-REAL_TIME_FILES = tests/browser tests/network $$(grep -rl --include='test_*.py' 'mark\.real_time' tests)
+FOUR_AT_ONCE := --numprocesses=4 --dist=loadfile --no-loadscope-reorder
+LONGEST_FILES := $(addprefix tests/, \
+	$(addprefix apps/fleet/test_, chaos.py fleet_collector.py queueing_gateway.py streams.py fleet_commands.py) \
+	browser/test_fleet_demo_page.py client/test_interrupted_calls.py apps/collector/test_exactly_once.py \
+	$(addprefix cli/test_, fleet_stream.py fleet_demo.py fleet_restore.py))
+REAL_TIME_FILES = $(LONGEST_FILES) tests/browser tests/network $$(grep -rl --include='test_*.py' 'mark\.real_time' tests)
 ALONE_FILES = tests/load $$(grep -rl --include='test_*.py' 'mark\.alone' tests)
 
 # Runs on one Python: documentation and tools; models without IO; walks by chance; kills; servers of others; commands as
@@ -111,9 +120,9 @@ test-unit: $(VENV)/.installed-dev ## unit tests, side by side
 	@$(RUN)/python -m pytest $(UNIT_TESTS) $(PYTEST_FLAGS)
 
 .PHONY: test-real-time
-test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, three at once, some alone
+test-real-time: $(VENV)/.installed-dev ## unit tests about time, load and the system, four at once, some alone
 	@echo "== tests in real time"
-	@$(RUN)/python -m pytest -m "real_time and not (alone or interop or soak)" $(THREE_AT_ONCE) $(PYTEST_FLAGS) \
+	@$(RUN)/python -m pytest -m "real_time and not (alone or interop or soak)" $(FOUR_AT_ONCE) $(PYTEST_FLAGS) \
 		$(REAL_TIME_FILES)
 	@echo "== tests in real time that measure delays"
 	@$(RUN)/python -m pytest -m "alone and not (interop or soak)" $(PYTEST_FLAGS) $(ALONE_FILES)
@@ -137,7 +146,8 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 		echo "== Python $*: it ran everything above"; \
 	elif interpreter=$$(scripts/find-python $*); then \
 		echo "== unit tests on Python $*"; \
-		$(MAKE) --no-print-directory PYTHON="$$interpreter" VENV=$(VENV)-$* test-unit-quietly; \
+		$(MAKE) --no-print-directory PYTHON="$$interpreter" VENV=$(VENV)-$* \
+			$(if $(filter $*,$(LIBRARY_PYTHONS)),LEFT_OUT="$(APPLICATIONS)") test-unit-quietly; \
 	else \
 		echo "== Python $* is not here: its unit tests are left out"; \
 	fi
@@ -145,7 +155,7 @@ $(OTHER_PYTHONS:%=test-python-%): test-python-%:
 # What is about the system and not about Python has been tried once already, and so have most examples of properties.
 .PHONY: test-unit-quietly
 test-unit-quietly: $(VENV)/.installed-dev
-	@BUSWAY_FEW_EXAMPLES=1 $(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(ONE_PYTHON:%=--ignore=%) $(PYTEST_FLAGS)
+	@BUSWAY_FEW_EXAMPLES=1 $(RUN)/python -m pytest --quiet $(UNIT_TESTS) $(patsubst %,--ignore=%,$(ONE_PYTHON) $(LEFT_OUT)) $(PYTEST_FLAGS)
 
 .PHONY: explore
 explore: $(VENV)/.installed-dev ## unit tests with examples of properties drawn anew

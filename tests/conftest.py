@@ -5,8 +5,8 @@
 2. It has `LIMIT` seconds; a test that hangs fails where it hangs, instead of stopping the run.
 3. It must leave no task behind: a task that outlives its test is a leak of the code under test.
 4. Any other test has the seconds of ``timeout`` in pyproject.toml, and a hang shows the stack of each thread.
-5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder: one
-   other runs beside it, in another process. One that measures delays is marked ``alone``. No test is repeated.
+5. A test that depends on the clock or the load of the machine is marked ``real_time``, by itself or by its folder:
+   three others run beside it, in other processes. One that measures delays is marked ``alone``. No test is repeated.
 6. No example of a property has a time limit: what a machine that pauses takes longer is not wrong.
 7. The examples of a property are the same in each run, so that a change is judged by what it changes. With
    BUSWAY_NEW_EXAMPLES in the environment they are drawn anew: `make explore` looks for what no run has seen yet.

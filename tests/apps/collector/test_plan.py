@@ -115,6 +115,14 @@ def test_an_exact_block_that_nothing_is_wanted_of_is_not_touched() -> None:
     assert places(plan_reads([at(9), at(12)], rules, SLOW)) == [(9, 1), (12, 1)]
 
 
+def test_an_exact_block_is_read_whole_and_once_also_where_each_point_takes_a_request_of_its_own() -> None:
+    rules = ReadRules(one_point=True, exact={H: spans((0, 10))})
+    assert places(plan_reads([at(3)], rules, SLOW)) == [(0, 10)]
+    plan = plan_reads([at(12), at(5), at(3, 2), at(4), at(11)], rules, SLOW)
+    assert places(plan) == [(0, 10), (11, 1), (12, 1)]
+    assert [item.start for item in plan.reads[0].items] == [3, 4, 5]
+
+
 def test_a_device_that_gives_one_point_for_a_request_is_asked_for_one_at_a_time() -> None:
     plan = plan_reads([at(0), at(1), at(1), at(0, 2)], ReadRules(one_point=True), SLOW)
     assert sorted(places(plan)) == [(0, 1), (0, 2), (1, 1)]

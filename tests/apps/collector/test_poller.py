@@ -374,6 +374,24 @@ async def test_a_read_that_waits_for_its_pause_when_maintenance_begins_is_not_se
     assert not bench.device.asked
 
 
+async def test_a_device_whose_first_request_waits_for_its_pause_when_maintenance_begins_is_polled_after_it(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """As after a command, whose write begins the pause."""
+    bench = Bench([number("a", 4)])
+
+    async def wait_for(device: str) -> None:
+        monkeypatch.undo()
+        bench.poller.pause("meter", paused=True)
+
+    monkeypatch.setattr(bench.poller, "wait_for", wait_for)
+    await bench.until(105)
+    assert not bench.device.asked
+    bench.poller.pause("meter", paused=False)
+    await bench.until(110)
+    assert len(bench.device.asked) >= 4
+
+
 async def test_skipped_rounds_are_an_interval() -> None:
     bench = Bench([number("a", 4)])
     await bench.until(105)

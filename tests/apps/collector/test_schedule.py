@@ -337,6 +337,22 @@ def test_a_device_in_maintenance_is_left_alone_and_polled_again_afterwards() -> 
     assert len(link.polled["b"]) >= 117
 
 
+def test_a_device_whose_first_request_was_not_sent_because_of_maintenance_is_asked_afterwards() -> None:
+    schedule = LinkSchedule(1.0)
+    schedule.add("a", book({"c": 5}), {"c": 1.0}, 0.0)
+    first = schedule.next(0.0)
+    assert isinstance(first, Turn)  # and there is no `done`: the poller drops it
+    schedule.pause("a", paused=True, now=0.1)
+    assert isinstance(schedule.next(0.2), float)
+    schedule.pause("a", paused=False, now=5.0)
+    assert schedule.next(5.0) == first
+    schedule.done(first, 5.0, 5.1, TurnOutcome.ANSWERED)
+    link = VirtualLink(schedule, now=5.1)
+    link.run(20.0)
+    assert len(link.polled["a"]) == pytest.approx(15, abs=1), "it is asked for the first time only once"
+    assert TurnKind.PROBE not in {turn.kind for _, turn in link.turns}
+
+
 def test_nothing_is_awaited_of_a_device_in_maintenance_that_has_something_to_learn() -> None:
     link = link_with({"a": book({"c": 5}), "b": book({"c": 5})}, {"c": 1.0})
     link.run(5)

@@ -13,7 +13,8 @@ from foreign_servers import ForeignServer, nats_server
 from waiting import until
 
 from busway.apps.collector.store.committed_samples import CommittedSample
-from busway.apps.fleet.coordinator import CoordinatorDown
+from busway.apps.fleet.control_entries import read_entries
+from busway.apps.fleet.coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, open_coordinator, until_up
 from busway.apps.fleet.fleet_collector import FleetCollector
@@ -130,6 +131,42 @@ async def test_credentials_of_another_zone_are_refused_by_name(tmp_path: Path) -
             assert await coordinator.create("member.west", b"x")
         with pytest.raises(ConfigError, match=r"the credentials do not permit the zone yard: .*kv_busway-yard"):
             await open_coordinator(f"nats://127.0.0.1:{server.port}", "yard", USER)
+
+
+async def test_credentials_that_do_not_permit_to_read_the_table_are_refused_by_name_and_not_waited_for(
+    tmp_path: Path,
+) -> None:
+    of_hall = (
+        ', permissions: { publish: ["$KV.busway-hall.>", "$JS.API.STREAM.*.KV_busway-hall"], subscribe: "_INBOX.>" }'
+    )
+    with nats_server(tmp_path, accounts(tmp_path, "west", of_hall), jetstream=False) as server:
+        async with connected(server, USER) as coordinator:
+            with pytest.raises(ConfigError, match=r"do not permit to read the table busway-hall: .*consumer\.create"):
+                await read_entries(coordinator, "")
+            with pytest.raises(ConfigError, match="do not permit to read the table busway-hall"):
+                await zone_status(coordinator, 60)
+
+
+async def test_a_watch_that_has_shown_all_goes_on_when_rights_that_were_revoked_are_granted_again(
+    tmp_path: Path,
+) -> None:
+    with nats_server(tmp_path, accounts(tmp_path, "west"), jetstream=False) as server:
+        config = tmp_path / "nats.conf"
+        async with connected(server, USER) as coordinator:
+            await coordinator.create("member.west", b"x")
+            async with contextlib.aclosing(coordinator.watch()) as entries:
+                assert [await anext(entries), await anext(entries)][1] is SNAPSHOT_ENDS
+                following = asyncio.ensure_future(anext(entries))
+                server.stop()
+                config.write_text(accounts(tmp_path, "west", ', permissions: { publish: "$JS.API.STREAM.>" }'))
+                server.start()
+                assert await following is SNAPSHOT_BEGINS
+                following = asyncio.ensure_future(anext(entries))
+                await until(lambda: "consumer.create" in coordinator.client.cause, 60)
+                config.write_text(accounts(tmp_path, "west"))
+                server.reload()
+                while await following is not SNAPSHOT_ENDS:
+                    following = asyncio.ensure_future(anext(entries))
 
 
 async def test_a_stream_that_is_full_stops_no_polling_is_told_and_takes_what_waited_when_there_is_room(

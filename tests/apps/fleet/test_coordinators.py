@@ -391,6 +391,25 @@ async def test_a_database_that_does_not_sync_is_refused_by_name() -> None:
         await open_coordinator(server.url, "hall", CoordinatorOptions(password=server.PASSWORD))
 
 
+async def test_a_role_that_may_not_read_the_table_of_a_database_is_refused_by_name_and_not_waited_for(
+    servers: dict[str, Backend],
+) -> None:
+    asyncpg = pytest.importorskip("asyncpg")
+    backend = servers["postgresql"]
+    async with backend.opened("hall"):
+        owner = await asyncpg.connect(backend.url, password=backend.options.password)
+        try:
+            await owner.execute("CREATE ROLE reader LOGIN PASSWORD 'x'; GRANT CREATE ON SCHEMA public TO reader")
+        finally:
+            await owner.close()
+    coordinator = await open_coordinator(backend.url, "hall", replace(backend.options, user="reader", password="x"))
+    try:
+        with pytest.raises(ConfigError, match="busway_fleet cannot be read: permission denied"):
+            await read_entries(coordinator, "")
+    finally:
+        await coordinator.close()
+
+
 async def test_a_nats_server_that_is_too_old_is_refused_by_name() -> None:
     pytest.importorskip("nats")
 

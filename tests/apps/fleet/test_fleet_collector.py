@@ -19,6 +19,7 @@ import busway
 from busway.apps.collector.collector import Collector
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.collector.samples import Reason
+from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet.coordinator import CoordinatorDown, Entry
@@ -135,6 +136,81 @@ async def test_a_shard_is_released_once_all_samples_of_its_links_are_committed_i
             assert all(log.epoch_of(each.device, each.commit) == epochs[each.device] for each in samples)
             for newest, reads in released:
                 assert reads in [each.value for each in samples if each.commit <= newest], "the last one too"
+
+
+class HangingDisk:
+    """Lets no flush of a collector succeed until `ends`, and counts those that were tried."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr("busway.apps.fleet.fleet_collector.RECORD_AGAIN", 0.02)
+        monkeypatch.setattr(Committer, "flush", self._flush)
+        self.hangs, self.tried = False, 0
+
+    def _flush(self, *_: float) -> bool:
+        self.tried += 1
+        return not self.hangs
+
+    async def was_tried(self) -> None:
+        """Wait for two flushes that fail: what follows the first one has been done."""
+        self.hangs = True
+        before = self.tried
+        await until(lambda: self.tried > before + 1)
+
+
+async def test_a_shard_whose_samples_wait_for_a_hanging_disk_is_not_released_and_does_not_end(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    disk = HangingDisk(monkeypatch)
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        disk.hangs = True
+        one.member.end()
+        one._driver.wake()
+        await disk.was_tried()
+        assert not one.links, "nothing is polled any more"
+        assert [each.leaving for each in one.member.owned.values()] == ["", ""]
+        assert not any(each.has_left for each in one.member.owned.values())
+        assert [row.end for row in one.ownership.all()] == [None, None]
+        assert "what is owned does not change: samples that were taken before are not on disk yet" in caplog.text
+        disk.hangs = False
+        await until(lambda: one.member.has_ended)
+        assert None not in [row.end for row in one.ownership.all()]
+
+
+async def test_a_shard_is_not_begun_while_samples_wait_for_a_hanging_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = HangingDisk(monkeypatch)
+    disk.hangs = True
+    async with devices_of(1) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: one.member.owned)
+        await disk.was_tried()
+        assert not one.ownership.all()
+        assert not devices[0].reads
+        disk.hangs = False
+        await until(lambda: devices[0].reads > 3)
+        (row,) = one.ownership.all()
+        assert row.epoch == one._active["link-0"]
+
+
+async def test_a_configuration_waits_for_samples_that_wait_for_a_hanging_disk(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    disk = HangingDisk(monkeypatch)
+    async with devices_of(2) as devices, fleet(tmp_path, "one", devices) as one:
+        await until(lambda: all(device.reads > 3 for device in devices))
+        disk.hangs = True
+        one._newer = parsed(tmp_path, "one", devices[1:]), 7
+        one._wake.set()
+        await disk.was_tried()
+        assert one.revision == 0
+        assert one.refused is not None
+        assert one.refused.startswith("revision 7 waits: ")
+        assert [row.end for row in one.ownership.all()] == [None, None]
+        disk.hangs = False
+        await until(lambda: one.refused is None)
+        assert one.revision == 7
+        assert [row.link for row in one.ownership.all() if row.end is not None] == ["link-0"]
 
 
 async def test_a_collector_of_which_a_part_has_ended_says_so_and_another_takes_its_links(

@@ -423,6 +423,30 @@ def test_a_collector_with_other_figures_than_its_zone_says_so_and_owns_nothing(z
     assert not member.problem
 
 
+@pytest.mark.parametrize("is_there", [True, False], ids=["at once", "later"])
+def test_other_figures_of_the_zone_count_also_where_a_table_that_is_read_anew_has_lower_revisions(
+    is_there: bool,
+) -> None:
+    """As after the coordinator has lost its entries, when a collector with other figures came first."""
+    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(1), shards=256)
+    member.entry(Entry("zone", ZoneRecord(256, 15.0, 1.0).encode(), 500), 0.0)
+    member.end_snapshot(0.0)
+    member.turn(0.0)
+    assert not member.problem
+    lower = Entry("zone", ZoneRecord(64, 15.0, 1.0).encode(), 3)
+    member.begin_snapshot()
+    if is_there:
+        member.entry(lower, 1.0)
+    member.end_snapshot(1.0)
+    if not is_there:
+        member.entry(lower, 1.5)
+    member.turn(2.0)
+    assert member.problem == "the zone has 64 shards and not 256; all its collectors must have the same"
+    member.entry(Entry("zone", ZoneRecord(256, 15.0, 1.0).encode(), 2), 3.0)
+    member.turn(4.0)
+    assert "64 shards" in member.problem, "revisions rise again from there on"
+
+
 def test_what_is_owned_is_given_back_where_the_figures_of_the_zone_change() -> None:
     world = settled(1)
     member = world.drivers["c0"].member

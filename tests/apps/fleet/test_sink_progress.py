@@ -127,11 +127,12 @@ def test_no_sink_counts_before_the_table_has_been_read_to_its_end_once() -> None
     assert len(book.places("one", "s")) == 2, "what was known holds while the table is read again"
 
 
-def test_a_sink_whose_entry_cannot_be_decoded_counts_as_one_that_has_nothing() -> None:
+@pytest.mark.parametrize("value", [b"{", b"[" * 100_000, b"[1e999,{},{}]", b'[7,{"one/s":1e999},{}]'])
+def test_a_sink_whose_entry_cannot_be_decoded_counts_as_one_that_has_nothing(value: bytes) -> None:
     book = CursorBook()
     book.end_snapshot()
     book.take(Entry("cursor.broker", SinkCursors(7, {"one/s": 5}, {"one/s": (3, 9)}).encode(), 1))
-    book.take(Entry("cursor.broker", b"{", 2))
+    book.take(Entry("cursor.broker", value, 2))
     assert book.places("one", "s") == {"broker": SinkPlace(0, 0)}
 
 

@@ -78,6 +78,7 @@ def test_marks_old_entries_and_unreadable_ones_change_nothing() -> None:
     assert zone.watch.status().leases["0001"].owner == "west"
     zone.change("cursor.history", SinkCursors(42, {}).encode())
     zone.change("cursor.newer", b"{}")
+    zone.change("cursor.infinite", b"[1e999,{},{}]")
     zone.change("lease.0002", b"not a lease")
     assert zone.watch.sinks() == {"history": 42}
     assert list(zone.watch.status().leases) == ["0001"]

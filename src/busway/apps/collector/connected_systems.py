@@ -80,7 +80,8 @@ class ConnectedSystems:
         over that page. Ports that an earlier call has bound, and `apply` has not put into use, are released first.
 
         Raises:
-            ConfigError: a port cannot be bound, or the store cannot be written now.
+            ConfigError: a port cannot be bound, a page cannot be made as configured or without a package that is not
+                installed, or the store cannot be written now. No port stays bound.
         """
         self._discard()
         assert self._thread is not None
@@ -101,6 +102,9 @@ class ConnectedSystems:
                 except LinkDown as error:
                     self._discard()
                     raise ConfigError(error.message, file=configuration.name, key=f"sink.{name}.url") from error
+                except ConfigError:
+                    self._discard()
+                    raise
 
     def check(self, configuration: CollectorConfiguration) -> None:
         """Raise `ConfigError` if `prepare` raises it. No port stays bound; new sinks stay listed in the store."""

@@ -136,7 +136,8 @@ def plan_reads(
         wanted: the items to read, in any order.
         rules: limits and ranges of reads that the device allows.
         cost: how long reads take.
-        others: items that need not be read; a read that covers them anyway lists them too.
+        others: items that need not be read; a read that covers them anyway lists them too, but not where the rules say
+            ``one_point``.
 
     Returns:
         Reads that fetch every wanted item, apart from those in ``unreadable``. Each item that is fetched is listed in
@@ -258,7 +259,7 @@ def _plan_table(
         kept.append(block)
         places.append(place)
     if rules.one_point:
-        reads += _one_each(table, kept, cost)
+        reads += _one_each(table, kept, places, cost)
         return
     chosen = _cheapest(_without_inner(places), border, rules.limit(table), cost.base, cost.per_item(table))
     blocks = _in_order([*kept, *idle]) if idle else kept
@@ -456,10 +457,17 @@ def _shortest_path(places: list[_Place], limit: int, base: float, per_item: floa
     return chosen
 
 
-def _one_each(table: Table, blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
-    """Return one read for each block of items; blocks with the same range share a read."""
-    same = groupby(blocks, key=lambda block: (block.start, block.end))
-    return [_read(table, start, end, list(each), cost) for (start, end), each in same]
+def _one_each(table: Table, blocks: list[_Block], places: list[_Place], cost: ReadCost) -> list[PlannedRead]:
+    """Return one read for each block of items; blocks with the same range to read, such as an exact block, share one.
+
+    Args:
+        table: the table of the items.
+        blocks: the items, in the order of their starts.
+        places: the range to read for each block of items.
+        cost: how long reads take.
+    """
+    same = groupby(zip(places, blocks, strict=True), key=_START)
+    return [_read(table, start, end, [block for _, block in each], cost) for (start, end), each in same]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:

@@ -473,7 +473,7 @@ class LinkSchedule:
                 self._push_silent(other)
 
     def _resume(self, device: ScheduledDevice, now: float, *, at_once: bool) -> None:
-        """Poll a device at its due times again if it answers; if it is silent, have it probed now.
+        """Poll a device at its due times again if it answers; if it is silent or was never asked, have it asked now.
 
         Args:
             device: the device.
@@ -481,6 +481,10 @@ class LinkSchedule:
             at_once: whether one round is made now for due times that have passed meanwhile; False to wait for the next
                 due time.
         """
+        if device.lives is None:
+            if device.name not in self._new:  # its first request was not sent, because maintenance began before
+                self._new.append(device.name)
+            return
         if not device.lives:
             device.probe_at = now
             self._push_silent(device)

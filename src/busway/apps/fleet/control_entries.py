@@ -99,7 +99,7 @@ def decode_configuration(entry: Entry) -> SharedConfiguration:
         unpacked = zlib.decompressobj().decompress(entry.value, _LONGEST_TEXT)
         name, text = json.loads(unpacked)
         return SharedConfiguration(str(name), str(text), entry.revision)
-    except (ValueError, TypeError, zlib.error) as error:
+    except (ValueError, TypeError, RecursionError, zlib.error) as error:
         raise ConfigError(f"the fleet's configuration of revision {entry.revision} cannot be read: {error}") from error
 
 

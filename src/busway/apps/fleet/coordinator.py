@@ -10,7 +10,9 @@ Knows no engine. The backends in `coordinators` keep these rules, which one set 
 4. A watch gives every entry that exists, then `SNAPSHOT_ENDS`, then changes. It may leave out values that were replaced
    meanwhile, but never goes back in the revisions of a key. After a lost connection, or any other error of the engine,
    it begins again by itself, with `SNAPSHOT_BEGINS`, as often as needed; where what it had shown was wrong, revisions
-   may be lower from there on. The log has a line when this begins, and one when all entries were shown again.
+   may be lower from there on. The log has a line when this begins, and one when all entries were shown again. Missing
+   rights end it by an error as long as it has not shown all entries once; later they are an outage like any other,
+   because rights that were revoked may be granted again.
 5. No entry expires: an engine's wall clock decides nothing about leases.
 """
 
@@ -96,7 +98,7 @@ class Coordinator(Protocol):
         with `SNAPSHOT_BEGINS` (rule 4).
 
         Raises:
-            ConfigError: the table can never be read, for example because rights are missing.
+            ConfigError: the table can never be read, because rights are missing. Only before the first `SNAPSHOT_ENDS`.
         """
 
     async def close(self) -> None:

@@ -9,7 +9,9 @@ Knows the collector, the holder of leases and the log of ownership; which shards
 2. Right before each transaction it is checked that even the longest one ends before the lease
    (`FleetMember.may_begin`); and again when each of its frames is sent, on a line perhaps seconds later. So a lease
    that lapses ends polling at once, even if no task of this program gets to run.
-3. Changes of ownership are applied one after the other; several that have come together are applied as one.
+3. Changes of ownership are applied one after the other; several that have come together are applied as one. While the
+   disk does not take what was sampled before, they wait, and so does a newer configuration: samples would get the
+   epoch or the revision of later ones.
 4. The store has an interval for each time in which a link was not owned: from the end of polling here until the link is
    owned again. A collector that takes a link from an owner that fell silent records the time since that owner's last
    renewal, in its store and for the sinks of the stream: samples that the old owner still sends shrink this gap there
@@ -76,6 +78,10 @@ END_LIMIT: Final = 10.0
 """Longest wait in seconds for the release of all shards when the collector ends."""
 
 _log = logging.getLogger("busway.fleet")
+
+
+class _NotStored(Exception):
+    """Error: the store has not taken all samples in time."""
 
 
 class FleetCollector:
@@ -371,6 +377,7 @@ class FleetCollector:
 
         Raises:
             sqlite3.Error: ownership cannot be recorded; this is to be called again later, and goes on then.
+            _NotStored: samples wait for the disk; this is to be called again later too.
         """
         if self._newer is None:
             return
@@ -383,7 +390,7 @@ class FleetCollector:
             await self.collector.reload(restricted(self._configuration, staying), by=self.member.name, origin="fleet")
         stopped = [link for link in self._held_until if link in changed or link not in self._active]
         self._left_until = max(self._left_until, self._now() + self._held_for(stopped))
-        await self.collector.flush()
+        await self._store_samples()
         commit = self.collector.newest_commit
         await asyncio.to_thread(self.ownership.end, list(self._gone.items()), commit, self.collector.sample_time())
         self._gone.clear()
@@ -505,13 +512,15 @@ class FleetCollector:
             await self._wake.wait()
             self._wake.clear()
             events, self._waiting = self._waiting, []
-            await self._apply(events)
             try:
+                await self._apply(events)
                 await self._take_newer()
-            except sqlite3.Error as error:
-                assert self._newer is not None
-                self.refused = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
-                _log.error("%s", self.refused)
+            except (sqlite3.Error, _NotStored) as error:
+                if self._newer is None:
+                    _log.error("what is owned does not change: %s", error)
+                else:
+                    self.refused = f"revision {self._newer[1]} waits: what is owned cannot be recorded: {error}"
+                    _log.error("%s", self.refused)
                 await self._poll_active()  # also links that were stopped for the change
                 asyncio.get_running_loop().call_later(RECORD_AGAIN, self._wake.set)
             else:
@@ -522,33 +531,49 @@ class FleetCollector:
         """Apply events of shards (groups of links): stop the links of shards that end, and poll those of gained shards.
 
         A shard that is given away is released once its links have stopped and their samples are committed.
+
+        Raises:
+            _NotStored: samples wait for the disk. The events that are not applied are to be applied later.
         """
         ended = [event for event in events if event.step is not Step.GAINED]
-        over = {(event.shard, event.epoch) for event in ended}
-        brief = [event for event in events if event.step is Step.GAINED and (event.shard, event.epoch) in over]
-        if brief:  # they are not polled here, but who takes them next does not know of the gap before
-            await self.collector.flush()
-            await self._begin(brief)
         for event in ended:
             for link in self._links_of.get(event.shard, ()):
                 self._active.pop(link, None)
         if ended:
             await self._poll_active()
+        over = {(event.shard, event.epoch) for event in ended}
+        brief = [event for event in events if event.step is Step.GAINED and (event.shard, event.epoch) in over]
+        if brief:  # they are not polled here, but who takes them next does not know of the gap before
+            await self._store_samples(events)
+            await self._begin(brief)
+        gained = [event for event in events if event.step is Step.GAINED and event not in brief]
+        if ended:
             self._note_ends(ended)
-            await self.collector.flush()
+            await self._store_samples([*ended, *gained])
             await self._record_ends(ended)
             for event in ended:
                 if event.step is Step.LEAVE:
                     self._release(event.shard, event.epoch)
             self._driver.wake()
         # Also those that have ended since these events were taken: who takes them next does not know of the gap either.
-        gained = [
-            event for event in events if event.step is Step.GAINED and event not in brief and self._is_next(event)
-        ]
+        gained = [event for event in gained if self._is_next(event)]
         if gained:
-            await self.collector.flush()
+            await self._store_samples(gained)
             await self._begin(gained)
             await self._poll_active()
+
+    async def _store_samples(self, waiting: Sequence[ShardEvent] = ()) -> None:
+        """Store all samples taken so far: only then may an ownership begin or end, or another configuration hold.
+
+        Args:
+            waiting: the events to be applied after that. If it fails, they come before all others that wait.
+
+        Raises:
+            _NotStored: the disk has not taken the samples in ten seconds.
+        """
+        if not await self.collector.flush():
+            self._waiting[:0] = waiting
+            raise _NotStored("samples that were taken before are not on disk yet")
 
     def _is_owned(self, event: ShardEvent) -> bool:
         """Whether an event says that a shard was gained, and the shard is still owned in that epoch and to be kept."""

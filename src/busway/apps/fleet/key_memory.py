@@ -130,7 +130,7 @@ def decode_memory(value: bytes) -> KeyMemory:
         found = json.loads(value)
         used = dict(_KEY.iter_unpack(base64.b64decode(found["keys"], validate=True)))
         results = {each[1]: (str(each[0]), _result(*each[1:])) for each in found["results"]}
-    except (ValueError, TypeError, KeyError, IndexError, struct.error, InvalidRequest) as error:
+    except (ValueError, TypeError, LookupError, RecursionError, struct.error, InvalidRequest) as error:
         raise KeysUnavailable(f"the keys of the fleet cannot be read by this program: {error}") from error
     return KeyMemory(used, results)
 

@@ -365,7 +365,7 @@ class FleetMember:
         Known entries stay known. An entry that the new snapshot shows with a lower revision replaces the known one.
         """
         self._complete_at = None
-        self._shown_again = {f"{LEASES}{shard}" for shard in self._leases}
+        self._shown_again = {ZONE, *(f"{LEASES}{shard}" for shard in self._leases)}
         self._shown_again |= {f"{MEMBERS}{name}" for name in (*self._members, self.name)}
 
     def end_snapshot(self, now: float) -> None:
@@ -394,7 +394,9 @@ class FleetMember:
             return
         self._shown_again.discard(entry.key)
         table, _, name = entry.key.partition(".")
-        if entry.key == f"{MEMBERS}{self.name}":
+        if entry.key == ZONE:
+            self._zone_revision = min(self._zone_revision, entry.revision - 1)
+        elif entry.key == f"{MEMBERS}{self.name}":
             self._my_revision = min(self._my_revision, entry.revision)
         elif f"{table}." == LEASES:
             if name in self._leases and entry.revision < self._leases[name].revision:

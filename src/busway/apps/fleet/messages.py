@@ -159,7 +159,7 @@ def decode_message(data: bytes) -> SampleMessage:
         )
     except UnreadableMessage:
         raise
-    except (ValueError, TypeError, AttributeError, LookupError, msgpack.UnpackException) as error:
+    except (ValueError, TypeError, AttributeError, LookupError, OverflowError, msgpack.UnpackException) as error:
         raise UnreadableMessage(f"the bytes are no message of samples: {str(error) or type(error).__name__}") from error
 
 

@@ -1,7 +1,8 @@
 """Entries of a zone's shared table, as data and as bytes: leases, members, the generation, the settings of the zone.
 
 Each record is a JSON array; the generation is a number in decimal digits. A record that cannot be read is treated as
-missing: a newer version of this program must not stop an older one.
+missing: a newer version of this program must not stop an older one. So is one with a number that no record has, such as
+an infinite one (`number_of`).
 """
 
 import json
@@ -16,6 +17,8 @@ GENERATION: Final = "generation"
 ZONE: Final = "zone"
 LONGEST_SILENCE: Final = 375.0
 """Longest valid `LeaseTimes.silence`, in seconds: longer ones are cut, so no wrong entry keeps a shard for good."""
+LARGEST: Final = 2**62
+"""Largest number of a valid record. SQLite, in which generations and revisions are kept, has numbers below 2**63."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -186,8 +189,8 @@ class ZoneRecord:
 def decode_zone(value: bytes) -> ZoneRecord | None:
     """Return the settings that all collectors of a zone share, from the bytes of a table entry; None if unreadable."""
     try:
-        shards, ttl, guard = _list(value)[:3]
-        return ZoneRecord(int(shards), float(ttl), float(guard))
+        shards, ttl, guard = decode_list(value)[:3]
+        return ZoneRecord(integer_of(shards), number_of(ttl), number_of(guard))
     except (ValueError, TypeError):
         return None
 
@@ -195,51 +198,88 @@ def decode_zone(value: bytes) -> ZoneRecord | None:
 def decode_lease(value: bytes) -> LeaseRecord | None:
     """Return the lease in the bytes of a table entry; None if the bytes are not a valid lease."""
     try:
-        owner, run, held, count, cost, epoch, target, at, before, hole, silence, *_ = _filled(_list(value), 11)
+        owner, run, held, count, cost, epoch, target, at, before, hole, silence, *_ = _filled(decode_list(value), 11)
         return LeaseRecord(
             str(owner),
             str(run),
             bool(held),
-            int(count),
-            float(cost),
+            integer_of(count),
+            number_of(cost),
             _epoch(epoch),
             str(target),
-            float(at),
+            number_of(at),
             _epoch(before),
-            None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), float(hole[2]), float(hole[3])),
-            min(float(silence or 0.0), LONGEST_SILENCE),
+            None if hole is None else LeaseHole(str(hole[0]), bool(hole[1]), number_of(hole[2]), number_of(hole[3])),
+            number_of(min(silence or 0.0, LONGEST_SILENCE)),
         )
-    except (ValueError, TypeError, IndexError):
+    except (ValueError, TypeError, LookupError):
         return None
 
 
 def decode_member(value: bytes) -> MemberRecord | None:
     """Return the collector that a table entry describes; None if its bytes are not a valid record."""
     try:
-        name, run, host, count, capacity, draining, revision, gone, at, problem, behind, *_ = [*_list(value), 0, "", 0]
+        row = [*decode_list(value), 0, "", 0]
+        name, run, host, count, capacity, draining, revision, gone, at, problem, behind, *_ = row
+        if not number_of(capacity) > 0:
+            return None  # loads are divided by it
         return MemberRecord(
             str(name),
             str(run),
             str(host),
-            int(count),
-            float(capacity),
+            integer_of(count),
+            number_of(capacity),
             bool(draining),
-            int(revision),
+            integer_of(revision),
             bool(gone),
-            float(at),
+            number_of(at),
             str(problem),
-            int(behind),
+            integer_of(behind),
         )
-    except (ValueError, TypeError, IndexError):
+    except (ValueError, TypeError):
         return None
 
 
 def decode_generation(value: bytes) -> int:
     """Return the zone's generation number in the bytes of a table entry; 1 if they hold none."""
     try:
-        return max(1, int(value))
+        return max(1, integer_of(int(value)))
     except ValueError:
         return 1
+
+
+def decode_list(value: bytes) -> list[Any]:  # JSON
+    """Return the JSON array in the bytes of a table entry.
+
+    Raises:
+        ValueError: the bytes are no JSON, or are nested too deeply.
+        TypeError: they are another thing than an array.
+    """
+    try:
+        found = json.loads(value)
+    except RecursionError as error:
+        raise ValueError("the entry is nested too deeply") from error
+    if not isinstance(found, list):
+        raise TypeError("a record is a list")
+    return found
+
+
+def number_of(found: Any) -> float:  # JSON
+    """Return a number that an entry has.
+
+    Raises:
+        ValueError: it is infinite, not a number, or beyond `LARGEST`.
+        TypeError: the entry has another thing there.
+    """
+    if not abs(found) <= LARGEST:
+        raise ValueError(f"{found} is no number of a record")
+    return float(found)
+
+
+def integer_of(found: Any) -> int:  # JSON
+    """Return a number that an entry has as an integer. Raises as `number_of` does."""
+    number_of(found)
+    return int(found)
 
 
 def _hole_row(hole: LeaseHole) -> list[str | int | float]:
@@ -251,16 +291,9 @@ def _numbers(epoch: Epoch | None) -> list[int] | None:
 
 
 def _epoch(numbers: Any) -> Epoch | None:  # Any: what an entry has there
-    return None if numbers is None else Epoch(int(numbers[0]), int(numbers[1]))
+    return None if numbers is None else Epoch(integer_of(numbers[0]), integer_of(numbers[1]))
 
 
 def _filled(row: list[Any], length: int) -> list[Any]:
     """Return a row with None for what an older version of this program did not write."""
     return [*row, *[None] * (length - len(row))]
-
-
-def _list(value: bytes) -> list[Any]:
-    found = json.loads(value)
-    if not isinstance(found, list):
-        raise TypeError("a record is a list")
-    return found

@@ -38,6 +38,7 @@ from .lease_driver import end_if_cancelled, end_tasks, keep_following
 from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
 from .ownership_gaps import OwnershipGap
+from .records import decode_list, integer_of
 
 CURSORS: Final = "cursor."
 MOST_HEADERS: Final = 1024
@@ -327,10 +328,10 @@ class CursorBook:
         self._cursors.pop(sink, None)
         if entry.value:
             try:
-                sequence, commits, proved = json.loads(entry.value)
-                numbers = {str(name): int(number) for name, number in commits.items()}
-                taken = {str(name): (int(start), int(number)) for name, (start, number) in proved.items()}
-                found = SinkCursors(int(sequence), numbers, taken)
+                sequence, commits, proved = decode_list(entry.value)
+                numbers = {str(name): integer_of(number) for name, number in commits.items()}
+                taken = {str(name): (integer_of(start), integer_of(number)) for name, (start, number) in proved.items()}
+                found = SinkCursors(integer_of(sequence), numbers, taken)
             except (ValueError, TypeError, AttributeError):
                 found = SinkCursors(0, {})  # it keeps nothing, as far as can be said
             self._cursors[sink] = found

@@ -9,7 +9,6 @@ Knows entries of the coordinator; asks no collector.
 """
 
 import asyncio
-import json
 import logging
 from collections import deque
 from collections.abc import Callable
@@ -23,7 +22,7 @@ from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .fleet_status import ZoneStatus, generation_of, status_of
 from .lease_driver import boot_time, end_tasks, keep_following
 from .lease_times import Epoch, LeaseTimes
-from .records import LEASES, MEMBERS, LeaseRecord, decode_lease
+from .records import LEASES, MEMBERS, LeaseRecord, decode_lease, decode_list, integer_of
 
 CURSORS: Final = "cursor."
 MOST_HOLES: Final = 200
@@ -116,7 +115,7 @@ class ZoneWatch:
         for key, entry in sorted(self._entries.items()):
             if key.startswith(CURSORS) and entry.value:
                 try:
-                    found[key.removeprefix(CURSORS)] = int(json.loads(entry.value)[0])
+                    found[key.removeprefix(CURSORS)] = integer_of(decode_list(entry.value)[0])
                 except (ValueError, TypeError, LookupError):
                     continue  # of a newer version of this program
         return found

@@ -85,6 +85,24 @@ def test_a_subscriber_that_fails_stops_nothing(tmp_path: Path, caplog: pytest.Lo
     assert committer.status().subscriber_failures == 3
 
 
+def test_a_flush_ends_also_where_something_is_queued_in_each_commit(tmp_path: Path) -> None:
+    committer = committer_of(tmp_path, interval=0.0)
+    ends = threading.Event()
+
+    def add_more(commit: Commit) -> None:
+        if not ends.is_set():
+            committer.add(meter_read(commit.number))
+
+    committer.subscribe(add_more)
+    committer.add(meter_read(1))
+    committer.add_interval(StateInterval("meter-7", at(1), at(2), Reason.MAINTENANCE))
+    flushed = committer.flush()
+    ends.set()
+    committer.close()
+    assert flushed
+    assert len(Store(tmp_path).read().intervals) == 1
+
+
 def test_a_defect_of_the_store_is_told_in_the_status_and_ends_no_thread(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

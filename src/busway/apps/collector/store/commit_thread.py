@@ -148,6 +148,10 @@ class Committer:
         self._is_mending = False
         self._untold: ClockCorrection | None = None
         self._taken = 0
+        self._noted = 0
+        """How much was queued since the start besides batches."""
+        self._stored = 0
+        """Of what was queued since the start (`_queued_so_far`), how much is stored or dropped."""
         self._waiting = 0
         self._queued_since: float | None = None
         self._lost_now: Gap | None = None
@@ -201,6 +205,7 @@ class Committer:
         """
         with self._changed:
             self._intervals.append(interval)
+            self._noted += 1
             self._note_queued()
             if len(self._intervals) > MOST_INTERVALS:
                 self._drop_whole_intervals()
@@ -210,6 +215,7 @@ class Committer:
         """Queue alarm events that no sample in the queue caused, such as acknowledgements."""
         with self._changed:
             self._note_alarms(alarms)
+            self._noted += 1
             self._changed.notify_all()
 
     def describe(self, descriptions: Iterable[PointDescription], rules: StoreRules | None = None) -> None:
@@ -221,6 +227,7 @@ class Committer:
         """
         with self._changed:
             self._descriptions.append((self._taken + len(self._batches), list(descriptions), rules))
+            self._noted += 1
             self._changed.notify_all()
 
     def _note_queued(self) -> None:
@@ -249,19 +256,26 @@ class Committer:
             )
 
     def flush(self, timeout: float = 10.0) -> bool:
-        """Have everything queued committed at once, and wait for that and for a queued correction of times.
+        """Have everything queued so far committed at once, and wait for that and for a queued correction of times.
+
+        What is queued during the wait is not waited for.
 
         Returns:
             True if all is committed and corrected; False if ``timeout`` seconds were not enough.
         """
         until = time.monotonic() + timeout
         with self._changed:
-            while self._is_due() or self._committing:
+            queued = self._queued_so_far()
+            while self._stored < queued and (self._is_due() or self._committing):
                 self._hurry = True
                 self._changed.notify_all()
                 if not self._changed.wait(min(0.05, max(0.0, until - time.monotonic()))) and time.monotonic() >= until:
                     return False
         return True
+
+    def _queued_so_far(self) -> int:
+        """Return how much was queued since the start, stored or not. Call with the lock held."""
+        return self._taken + len(self._batches) + self._noted
 
     def close(self, timeout: float = 10.0) -> None:
         """Commit everything that is queued, end the threads, and close the store. Errors are logged, not raised.
@@ -304,6 +318,7 @@ class Committer:
         with self._changed:
             others = {id(each): each for each in (*self._intervals, *(each for _, each in self._alarms))}
             self._correction = _Correction(correction, self._taken + len(self._batches), others)
+            self._noted += 1
             self._note_corrected(self.writer.newest_commit)
             self._changed.notify_all()
 
@@ -447,6 +462,7 @@ class Committer:
                 intervals = self._next_intervals()
                 alarms = self._next_alarms()
                 gap, self._lost_now = self._lost_now, None
+                queued = 0 if self._is_due() else self._queued_so_far()  # 0: this commit has only a part of it
                 self._committing = True
             told = [*intervals, gap] if gap is not None else intervals
             before, began = self._number, self._clock()
@@ -473,6 +489,7 @@ class Committer:
         with self._changed:  # only now: subscribers have what was committed
             self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False
+            self._stored = max(self._stored, queued)
             if self._correction is not None:
                 for stored in (*intervals, *(each for _, each in alarms)):
                     self._correction.others.pop(id(stored), None)

@@ -476,6 +476,7 @@ class NatsCoordinator:
         self.is_clustered: bool = False
         self._bucket, self._answer = bucket, answer
         self._jetstream = client.jetstream(timeout=answer, domain=domain)
+        self._api = f"$JS.{domain}.API" if domain else "$JS.API"
         self._keys = in_domain(f"$KV.{bucket}.", domain) if domain else f"$KV.{bucket}."
         self._watches: set[_Watch] = set()
         self._outages = OutageLog()
@@ -526,21 +527,25 @@ class NatsCoordinator:
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
         """Yield the entries whose keys begin with ``prefix``, then their changes, until closed: `Coordinator.watch`."""
-        first = True
+        first, was_complete = True, False
         while True:
             if not first:
                 yield SNAPSHOT_BEGINS
             first = False
-            async with contextlib.aclosing(self._once(prefix)) as entries:
+            async with contextlib.aclosing(self._once(prefix, was_complete=was_complete)) as entries:
                 async for entry in entries:
+                    was_complete = was_complete or entry is SNAPSHOT_ENDS
                     yield entry
             await asyncio.sleep(0.2)
 
-    async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
+    async def _once(self, prefix: str, *, was_complete: bool) -> AsyncGenerator[Entry, None]:
         """Yield the entries of the shared table, then `SNAPSHOT_ENDS`, then their changes, from one NATS consumer.
 
         Ends without an error when a message of the consumer is missing, when it is silent for `QUIET` seconds, when it
         disagrees with the leader, or after an error of the server or the connection.
+
+        Raises:
+            ConfigError: the credentials do not permit the consumer, and ``was_complete`` is False.
         """
         nats, errors = import_module("nats"), import_module("nats.js.errors")
         watch, subscription = _Watch(prefix, time.monotonic), None
@@ -580,6 +585,11 @@ class NatsCoordinator:
             )
             self._at_leader = True
         except TimeoutError as error:
+            refused = refused_subject(self.client, f"{self._api}.CONSUMER.CREATE.KV_{self._bucket}")
+            if refused and not was_complete:
+                raise ConfigError(
+                    f"the credentials do not permit to read the table {self._bucket}: {refused}", key="coordinator"
+                ) from error
             self._outages.lost(self.client.cause or str(error) or f"the server is silent for {QUIET:g} s")
             return
         except (nats.errors.Error, errors.Error, OSError) as error:

@@ -182,20 +182,24 @@ class PostgresqlCoordinator:
 
     async def watch(self, prefix: str = "") -> AsyncGenerator[Entry, None]:
         """Yield the entries whose keys begin with ``prefix``, then their changes, until closed: `Coordinator.watch`."""
-        first = True
+        first, was_complete = True, False
         while True:
             if not first:
                 yield SNAPSHOT_BEGINS
             first = False
-            async with contextlib.aclosing(self._once(prefix)) as entries:
+            async with contextlib.aclosing(self._once(prefix, was_complete=was_complete)) as entries:
                 async for entry in entries:
+                    was_complete = was_complete or entry is SNAPSHOT_ENDS
                     yield entry
             await asyncio.sleep(0.2)
 
-    async def _once(self, prefix: str) -> AsyncGenerator[Entry, None]:
+    async def _once(self, prefix: str, *, was_complete: bool) -> AsyncGenerator[Entry, None]:
         """Yield the entries, then `SNAPSHOT_ENDS`, then changes, over one connection to the database.
 
         Ends without an error when the connection is lost or the database reports an error.
+
+        Raises:
+            ConfigError: the role has no right to read the table, and ``was_complete`` is False.
         """
         pg = import_module("asyncpg")
         told: set[str] = set()
@@ -234,6 +238,10 @@ class PostgresqlCoordinator:
                     async with asyncio.timeout(max(0.0, compared + COMPARE_EVERY - loop.time())):
                         await wake.wait()
         except _errors(pg) as error:
+            if isinstance(error, pg.InsufficientPrivilegeError) and not was_complete:
+                raise ConfigError(
+                    f"the table busway_fleet cannot be read: {self._words(error)}", key="coordinator"
+                ) from error
             self._outages.lost(self._words(error))
             return
         finally:
