@@ -43,6 +43,8 @@ class AccessInForce:
     def guard(self, listeners: Sequence[Listener]) -> Policy | None:
         """Put the access rules into force before the start, and return the policy to start the server with.
 
+        Sets `is_guarded` and the lists of `allow_list`.
+
         Args:
             listeners: the listeners with which the server starts.
 
@@ -74,8 +76,8 @@ class AccessInForce:
         """Give a running server, whose listeners are bound, the policy of other access rules, from the next request on.
 
         With ``rules`` None there is no policy: listeners that other hosts can reach become read-only, unless writes
-        were allowed on the command line. Also sets `rules` and `read_only`. Call this only if `is_guarded`: another
-        server refuses a policy.
+        were allowed on the command line. Also sets `rules` and `read_only`. Call this only if `is_guarded`: a server
+        that was created without a policy refuses one.
         """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]

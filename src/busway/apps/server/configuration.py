@@ -90,7 +90,7 @@ class Configuration:
             options: options of `busway.serve`, instead of the file's.
 
         Raises:
-            ConfigError: an endpoint or option is invalid, or the file has no unit.
+            ConfigError: an endpoint or option is invalid, or the file has no unit, even if ``units`` are given.
         """
         from ...config.devices import build_units
         from ...server.serving import serve

@@ -96,7 +96,7 @@ class Reload:
     async def _apply(
         self, reloaded: "ReloadedConfiguration", server: RunningServer, audit: "AuditLog | None"
     ) -> list[str]:
-        """Apply a reloaded configuration to the running server; return a sentence for each change, or one for none."""
+        """Apply a reloaded configuration to the running server, and return the sentences that `run` returns."""
         new, rules, access = reloaded.configuration, reloaded.rules, self._access
         done = []
         if audit is not None:

@@ -186,7 +186,7 @@ class Engine:
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
         """Return the value from which a point's behaviour would continue after a restart.
 
-        None if the point has no behaviour, or one whose value follows from the time alone.
+        None if the point has no behaviour, or one that keeps no state: all but counters, lags and random walks.
 
         Args:
             point: the point.

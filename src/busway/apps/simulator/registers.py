@@ -249,8 +249,8 @@ def largest_of(form: PointForm) -> float | None:
 def begin_of(form: PointForm) -> float:
     """Return the value with which a counter in this point starts again, in its unit of measure.
 
-    This is 0 if the point's ``rollover`` is a number, else the value that 0 in the registers means. If the scale is
-    negative and the type has no negative numbers, it is the value of the largest number in the registers.
+    This is 0 if the point's ``rollover`` is a number, and for bits; else the value that 0 in the registers means. If
+    the scale is negative and the type has no negative numbers, it is the value of the largest number in the registers.
     """
     if form.form is None or not isinstance(form.section.rollover, bool):
         return 0.0

@@ -165,7 +165,7 @@ class LiveValues:
                     self._changed_at[place] = self.tick
 
     def _newly_held(self) -> list[int]:
-        """Return the positions of points whose value is held now, because it is too old, and was not in the last tick."""
+        """Return the positions of points whose value is too old now, and which are not marked as held yet."""
         now = self._moment()
         if now <= self._look_at:
             return []

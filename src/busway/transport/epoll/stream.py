@@ -168,9 +168,9 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Queue bytes after those that wait to be sent; drop them if the connection has ended or nothing waits any more.
+        """Queue bytes after those that wait to be sent; drop them once the connection has ended.
 
-        Bytes written after `close` are still sent if others wait to be sent.
+        Bytes written after `close` are still queued as long as others wait to be sent.
         """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")

@@ -171,7 +171,7 @@ class SerialConnection:
         """Wait until the last written character has left. Returns the time of that (``time.monotonic``).
 
         Raises:
-            LinkDown: the port vanished meanwhile; the bytes may have gone out.
+            LinkDown: the port is closed, or vanished meanwhile; the bytes may have gone out.
         """
         while True:
             _, device = self._opened()

@@ -2,9 +2,10 @@
 
 Knows files and OpenSSL; knows no connection.
 
-1. TLS 1.2 and 1.3 only, suites and curve of the parameters only, no compression, no renegotiation, security level 2
-   (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1).
-2. A server asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
+1. TLS 1.2 and 1.3 only, with TLS 1.2 only suites of the parameters, only curves of the parameters, no compression, no
+   renegotiation. Security level 2 (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1); 0
+   if a suite without encryption was chosen.
+2. A listener asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
    in the server's memory and not in tickets, because only there they can be deleted after a fatal alert.
 3. `WatchedContext` gives the context to each new connection. Files that have changed are read again; if they are wrong,
    the context stays as it was.

@@ -48,7 +48,7 @@ class SteadyCounter:
 
 
 class Counter:
-    """Behaviour ``counter`` whose rate is a formula: the value grows by the rate in force times the seconds it holds.
+    """Behaviour ``counter`` whose rate is a formula: from moment to moment the value grows by rate × seconds.
 
     Args:
         rate: the formula, which returns the change of the value per second at a time.

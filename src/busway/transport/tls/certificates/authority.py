@@ -88,7 +88,10 @@ class Authority:
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
     def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
-        """Return a new intermediate authority, whose certificate this one signs; it can sign no further authorities."""
+        """Return a new intermediate authority, whose certificate this one signs; it can sign no further authorities.
+
+        Arguments and errors are those of `create`.
+        """
         return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
 
     def server(
@@ -164,7 +167,7 @@ class Authority:
         return _build(name, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
-        """Issue a revocation list in PEM with these serial numbers, valid for ``days`` from now.
+        """Return a new revocation list in PEM with these serial numbers; it expires ``days`` days from now.
 
         Negative ``days`` give an expired list.
         """
