@@ -88,7 +88,7 @@ def refuse_other_unit(name: str, unit: int | None, there: Iterable[int]) -> None
         there: numbers of the units in the file.
 
     Raises:
-        ConfigError: ``unit`` is not in ``there``; the message lists these.
+        ConfigError: ``unit`` is given and not in ``there``; the message lists the numbers in the file.
     """
     numbers = list(there)
     if unit is not None and unit not in numbers:
@@ -133,11 +133,11 @@ def seconds(text: str, name: str, *, low: float = 0.001, high: float = 86_400) -
 
 
 def limits_of(kind: type[Any], option: str) -> tuple[float, float]:
-    """Return the smallest and the largest number that an option of a parameter class accepts.
+    """Return the smallest and the largest value that an option accepts, in the unit of the option (times: seconds).
 
     Args:
-        kind: the parameter class, from `busway.options`.
-        option: name of one of its options that has a `Range`.
+        kind: the class of `busway.options` that declares the option.
+        option: name of the option, whose limits must be a `Range`: ``timeout``.
     """
     from ..options.declaration import Range, declared
 
@@ -166,11 +166,13 @@ def refuse_unknown_option(value: str) -> None:
 def opened_unit(
     url: str, *, unit: str | None, timeout: str | None, retries: str | None, verbose: int
 ) -> Iterator["BlockingUnit"]:
-    """Context manager that opens a blocking link to a URL and yields one of its units; nothing is sent yet.
+    """Context manager that opens a blocking link to a URL, yields one of its units, and closes the link at the end.
+
+    Nothing is sent by that.
 
     Args:
         url: URL of the device.
-        unit, timeout, retries: texts of these options; None for the default of the link.
+        unit, timeout, retries: texts of ``--unit``, ``--timeout`` and ``--retries``; None for the default of the link.
         verbose: how often ``-v`` was given, as of `show_traffic`.
 
     Raises:

@@ -29,7 +29,10 @@ _FRAMINGS: Final = ("mbap", "rtu", "ascii")
 
 
 def names_capture(text: str) -> bool:
-    """Whether an argument names a capture file: its suffix is ``.pcap`` or similar, or the file begins like one."""
+    """Whether an argument names a capture file, by its suffix or the first bytes of the file.
+
+    The suffixes are ``.pcap``, ``.pcapng``, ``.cap`` and ``.ntar``; with one of them the file need not exist.
+    """
     from ..observe.capture_files.packet_file import is_capture_file
 
     if text.lower().endswith(_NAMES):
@@ -100,7 +103,7 @@ def say_what_was_left_out(file: "PacketFile", traffic: "CapturedTraffic", frames
     Args:
         file: the file, read to its end.
         traffic: what was found in its packets.
-        frames: number of Modbus frames or conversations that were shown; the second warning needs 0.
+        frames: number of Modbus frames or conversations that were shown; 0 means that no Modbus was found.
     """
     if file.truncated_at is not None:
         packets = counted(file.packets, "packet", "was")

@@ -34,7 +34,10 @@ A directory that is called show is written ./show.
 
 HOSTS = ("localhost", "127.0.0.1", "::1")
 ROLE = "Operator"
-"""Role of the client's certificate if ``--role`` is not given; a policy says what the role may do."""
+"""Role of the client's certificate if neither ``--role`` nor ``--without-role`` is given.
+
+What a role may do is in the policy of a server.
+"""
 DAYS = 365
 TRY_PORT = 8802
 """Port in the suggested commands. The standard port of Modbus/TCP Security, 802, would need a privileged user."""

@@ -59,7 +59,10 @@ class CloneOptions:
 
 
 def refuse_without_clone(options: CloneOptions) -> None:
-    """Raise `ConfigError` for the first option that would have no effect without ``--clone``."""
+    """Raise `ConfigError` if one of ``--out``, ``--watch``, ``--range``, ``--thorough`` and ``--force`` is given.
+
+    These options need ``--clone``; call this only if that is not given.
+    """
     given = {"--out": options.out, "--watch": options.watch, "--range": options.ranges, "--thorough": options.thorough}
     for option, value in {**given, "--force": options.force}.items():
         if value:

@@ -2,7 +2,8 @@
 
 1. ``plan`` and ``learnt`` send nothing and open no port. ``plan`` ends with code 4 if a link has no time for all its
    reads.
-2. Status goes to stdout, one line for each link and for each device in trouble; everything else goes to stderr.
+2. What ``plan``, ``learnt`` and ``dashboard`` show goes to stdout, and so does the status: a line about the samples,
+   and one for each link, each sink and each device in trouble. Everything else goes to stderr.
 3. SIGHUP reads the file again: an invalid file changes nothing, a valid one is applied link by link.
 """
 

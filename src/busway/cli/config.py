@@ -73,7 +73,8 @@ def config(
 def _kind_of(file: str) -> str:
     """Return the kind of a configuration file by its keys: ``collector``, ``gateway``, ``simulation`` or ``server``.
 
-    It is ``server`` if no key is of another kind alone; also if it is no TOML, and the check of servers says so.
+    A file with ``[[link]]`` and listeners but no ``[[unit]]`` is a ``gateway``. A file is ``server`` if it has no key
+    that only another kind has; also if it is no TOML, which the check of server files then reports.
     """
     from ..config.files import collector, gateway, simulation, system
     from ..config.files.schema import keys_of

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from ..observe.dissect import Dissection, Dissector
 
 _MOST_ASKED: Final = 4096
-"""Number of requests that may wait for their replies to be explained with them; then the oldest is forgotten."""
+"""Most requests that are kept until their replies come, which are explained by them; then the oldest is forgotten."""
 
 
 def decode_capture(name: str, *, ports: str | None, framing: str | None, as_json: bool) -> int:

@@ -27,7 +27,10 @@ def show_dissection(dissection: Dissection) -> None:
 
 
 def dissection_json(dissection: Dissection) -> dict[str, object]:
-    """Return a dissected frame as a dictionary for JSON: framing, direction, title, fields and problems."""
+    """Return a dissected frame as a dictionary for JSON: framing, direction, title, fields and problems.
+
+    ``answers`` tells whether it is the reply to the frame before it. Bytes are hexadecimal texts.
+    """
     return {
         "framing": dissection.framing.value,
         "direction": dissection.direction.value,

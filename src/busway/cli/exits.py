@@ -10,7 +10,7 @@ code  meaning
 4     refused: by the device with an exception code, by a policy (``policy test``), as a plan (``collect plan``)
 5     no connection, or it ended; a server that cannot listen
 6     the reply, a frame given to ``decode``, or a store given to ``store check`` is broken; a device died at ``check``
-7     written, but ``write --verify`` did not find it: the device holds something else, or was not read back
+7     written, but the device holds something else or could not be read back: ``write --verify``, ``fleet write``
 8     the output cannot be written: a full disk, a stream that is closed
 70    a defect of busway
 130   interrupted (Ctrl-C) before it was done
@@ -50,6 +50,6 @@ _CODES: tuple[tuple[type[ModbusError], ExitCode], ...] = (
 def exit_code_of(error: ModbusError) -> ExitCode:
     """Return the exit code for an error: 2 wrong use, 4 exception reply, 5 no connection, 6 broken reply.
 
-    All others have 3, such as `NoReply`, `WriteOutcomeUnknown` and `Overloaded`.
+    All other errors have 3, such as `NoReply`, `WriteOutcomeUnknown` and `Overloaded`.
     """
     return next((code for kind, code in _CODES if isinstance(error, kind)), ExitCode.NO_REPLY)

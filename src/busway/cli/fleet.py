@@ -305,7 +305,8 @@ async def _durability(
 ) -> "list[ServerDurability]":
     """Return for each NATS server whether it syncs to its disk before it acknowledges; empty unless it is NATS.
 
-    ``system`` is the path of the credentials of the system account, which are needed to ask all servers.
+    ``system`` is the path of the credentials of the system account, with which all servers are asked; None asks only
+    the server that this connection has.
     """
     from ..apps.fleet.coordinators.nats import NatsCoordinator
     from ..apps.fleet.durability import server_durability
@@ -314,7 +315,11 @@ async def _durability(
 
 
 async def _tell_durability(url: str, options: "CoordinatorOptions", system: str | None, table: "Coordinator") -> None:
-    """Print warnings if NATS servers may lose entries that they have acknowledged, or if too few servers keep them."""
+    """Print warnings if NATS servers may lose entries that they have acknowledged, or if too few servers keep them.
+
+    If the system account cannot be used, that is a warning too, and only what the coordinator's own connection shows is
+    checked.
+    """
     from ..apps.fleet.durability import durability_warnings
 
     try:
@@ -342,8 +347,8 @@ async def _apply(
         file: path of the collector file.
         zone: name of the zone.
         options: options of the connection.
-        times: new times for which leases hold; None leaves them as they are.
-        shards: number of shards of the zone, recorded with new times.
+        times: new times of leases for the zone; None leaves those that the zone has.
+        shards: number of shards of the zone; recorded with ``times`` if the zone has no number yet, else not used.
 
     Raises:
         ConfigError: the file is invalid, or ``times`` differ from those of the zone and a collector runs.

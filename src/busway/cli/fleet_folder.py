@@ -41,7 +41,9 @@ With a folder as coordinator they are refused.
 def chosen_coordinator(
     named: str | None, given: Mapping[str, object], environment: Mapping[str, str] | None = None
 ) -> str:
-    """Return the URL of the coordinator; if none is named, that of a folder of this user, and say so on stderr.
+    """Return the URL of the coordinator that ``--coordinator`` or the variable BUSWAY_FLEET names.
+
+    If neither names one, it is ``local:FOLDER`` with the folder of this user, which is printed on stderr.
 
     Args:
         named: the URL of ``--coordinator``; None if it is not given.

@@ -1,8 +1,9 @@
 """``busway fleet server-config ZONE``: writes the configuration of NATS servers, and a secret for each role.
 
 1. A secret is the seed of a key pair (nkey), made by the package nkeys. It is in a file of its own that only its owner
-   can read (0600), and never printed. Servers get the public key only.
-2. An existing seed is used again, and never overwritten: remove the file to make a new one.
+   can read (0600), and never printed. Servers get the public key only. An edge site has a password in such a file, too,
+   which is also in the configuration of its own server and of the central ones.
+2. An existing secret is used again, and never overwritten: remove the file to make a new one.
 3. Other existing files are overwritten with ``--force`` only; all are looked for before the first is written.
 """
 
@@ -40,7 +41,11 @@ def write_server_files(
     force: bool,
     sites: str | None = None,
 ) -> None:
-    """Write configuration files of NATS servers for zones, and a seed for each role that has none; print all paths.
+    """Write configuration files of NATS servers for zones, and the missing secrets; print the paths of all files.
+
+    Secrets are a seed ``ZONE-ROLE.nk`` for each role of each zone, the seed ``status.nk`` of the user that asks servers
+    for their state, and a password ``SITE-leaf.secret`` for each edge site. Existing secrets are used, and never
+    overwritten.
 
     Args:
         zones: names of zones, separated by commas.
@@ -49,7 +54,7 @@ def write_server_files(
         version: version of nats-server: ``2.9``.
         store: path of the folder of the streams on each server.
         tls: path of the folder of certificates on each server; None for no encryption.
-        force: whether existing configuration files may be overwritten; seeds never are.
+        force: whether existing configuration files may be overwritten.
         sites: edge sites, ``ZONE=HOST[:PORT],…``; each is a zone with a server of its own. None for no edge sites.
 
     Raises:
@@ -112,6 +117,8 @@ def write_server_files(
 
 def parsed_servers(text: str, *, any_number: bool = False) -> "list[NatsServer]":
     """Return the servers of a list ``[NAME=]HOST[:PORT],…``; those without a name are n1, n2, n3 by their position.
+
+    PORT is that for clients, 4222 if it is missing; the ports for routes and for leaf nodes follow from it.
 
     Args:
         text: the list.

@@ -3,8 +3,8 @@
 1. With ``--stream`` a collector sends its samples into the stream, and keeps them in its store until every sink has
    them; it runs no sink of the file itself.
 2. A sink is a process of its own, configured by its ``[[sink]]`` table in the zone's configuration. How far it has read
-   the stream is kept under its name. It follows changes of the configuration; one that it cannot use is reported, and
-   it continues with the one before.
+   the stream is kept under its name. It follows changes of the configuration; if it cannot use a new configuration, it
+   reports that and continues with the earlier one.
 """
 
 import asyncio
@@ -40,7 +40,7 @@ async def open_stream(stack: AsyncExitStack, table: "Coordinator", zone: str, re
     """Open the stream of a zone for the samples of one collector, and follow how far the sinks of the stream have read.
 
     Args:
-        stack: exit stack that ends the following when it closes.
+        stack: exit stack; when it closes, the task ends that follows how far the sinks have read.
         table: the coordinator.
         zone: name of the zone.
         replicas: number of servers that keep each message.
@@ -68,9 +68,10 @@ def _tell_end_of_cursors(watch: "asyncio.Task[None]") -> None:
 
 
 def print_stream_status(member: "FleetCollector") -> None:
-    """Print how many commits of a collector wait to be sent into the stream, and by how many its sinks are behind.
+    """Print how many commits of a collector wait to be sent into the stream, and by how many the sinks are behind.
 
-    Nothing is printed for a collector without a stream.
+    Samples that are too long for a message or were lost are printed too, if there are any. Nothing is printed for a
+    collector without a stream.
     """
     if member.outbox is None:
         return
@@ -90,7 +91,8 @@ async def run_sink(
 ) -> None:
     """Pass the samples of a zone's stream on to one of its sinks until a signal comes.
 
-    It follows changes of the configuration, and prints its status regularly.
+    It follows changes of the configuration, and prints its status regularly and at the end. If passing on ends with an
+    error, that is raised.
 
     Args:
         table: the coordinator.
@@ -101,7 +103,8 @@ async def run_sink(
         as_json: whether the status is printed as JSON.
 
     Raises:
-        ConfigError: the zone has no configuration or no such sink, or the coordinator is not NATS.
+        ConfigError: the zone has no configuration or no such sink, the sink cannot work without a store, or the
+            coordinator is not NATS.
     """
     from ..apps.fleet.control_entries import read_configuration
     from ..apps.fleet.lease_driver import end_tasks

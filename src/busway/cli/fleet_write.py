@@ -48,8 +48,8 @@ async def write_point(
     Args:
         table: the coordinator of the zone.
         zone: name of the zone.
-        words: device, point and value.
-        key: identifies the write, which is sent once for each key; None for a new key.
+        words: three texts: name of the device, name of the point, and value (see `value_of`).
+        key: identifies the write, which is sent to the device at most once for each key; None for a new key.
         by: name of who writes; None for the account of this process.
         seconds: time within which the write must be sent to the device; later it is not sent.
         as_json: whether to print the answer as JSON.
@@ -113,7 +113,7 @@ def value_of(text: str) -> Any:  # JSON
 
 
 def print_answer(answer: dict[str, Any], *, as_json: bool) -> int:
-    """Print a collector's answer to a write, and return the exit code.
+    """Print a collector's answer to a write, and return the exit code: see rule 3 of this module.
 
     The answer has at least ``device``, ``point``, ``value`` and ``state``, perhaps ``reason`` and ``read_back``.
     """

@@ -284,13 +284,13 @@ def _standing(gateway: "Gateway") -> str:
 
 
 async def _drain(gateway: "Gateway", seconds: float, at_once: asyncio.Event, manager: "Manager") -> None:
-    """Wait until the gateway has answered all requests that it has received, but no longer than ``seconds``.
+    """Let the gateway accept nothing more, and wait until it has answered the requests that it has received.
 
-    Prints how many requests are left unanswered, if any.
+    Prints on stderr for how many requests it waits, and how many are left unanswered, if any.
 
     Args:
         gateway: the gateway.
-        seconds: the longest wait.
+        seconds: the longest wait, in seconds.
         at_once: ends the wait when it is set.
         manager: the service manager, which is told that the program stops.
     """

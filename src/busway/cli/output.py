@@ -28,7 +28,8 @@ class TableRow:
     Attributes:
         address: the address of the value.
         value: the value that was read or written; None if it could not be read.
-        raw: bytes of its registers in wire order; for one bit one byte, 0 or 1; empty if it could not be read.
+        raw: bytes of its registers in wire order; for a bit that was read from a register, both bytes of the register;
+            for a coil, a discrete input and a written bit one byte, 0 or 1; empty if it could not be read.
         type: name of its value type; ``bit`` for one bit.
         reason: why it could not be read; empty if it was read or written.
         written: True for a value that was written, False for one that was read.
@@ -62,7 +63,7 @@ class TableRow:
 
     @property
     def raw_text(self) -> str:
-        """The value's registers in hexadecimal, four digits each; a bit as 0 or 1; empty for a value without bytes."""
+        """The bytes ``raw`` as text: registers in hexadecimal, four digits each; one byte as 0 or 1; empty if none."""
         return str(self.raw[0]) if len(self.raw) == 1 else self.raw.hex(" ", 2)
 
 
@@ -73,7 +74,8 @@ def value_rows(place: Address, form: ValueType[Any] | None, values: Sequence[Any
         place: address of the first value.
         form: value type; None for coils and discrete inputs.
         values: the values.
-        raw: their bytes in wire order, one value after the other; for each bit one byte, 0 or 1.
+        raw: bytes of their registers in wire order, one value after the other; without ``form`` one byte for each
+            value, 0 or 1.
     """
     size = 1 if form is None else 2 * form.registers
     rows = []
@@ -130,9 +132,10 @@ def fewest_digits(value: float, size: int) -> float:
 
 
 def float32_digits(value: Any) -> Any:
-    """Return a float that is exactly a number of 32 bits with the fewest digits for 32 bits: 0.1 for 0.10000000149.
+    """Return a float with the fewest digits that give the same float of 32 bits: 0.1 for 0.10000000149.
 
-    Other values are returned unchanged, also floats of more bits, which were stored while the point had another type.
+    A value that is no float, or that 32 bits cannot hold exactly, is returned unchanged; a store has such values from
+    times when the point had another type.
     """
     from ..points.conversion import is_float32
 
@@ -407,7 +410,7 @@ def warn(sentence: str) -> None:
 
 
 def say_problems(sentence: str, problems: str) -> None:
-    """Print one sentence on stderr, and below it the lines of ``problems``, one for each problem."""
+    """Print one sentence on stderr, also with ``--quiet``, and below it the lines of ``problems``, one for each."""
     warn(sentence)
     for line in problems.split("\n"):
         print(printable(line), file=sys.stderr, flush=True)

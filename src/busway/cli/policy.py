@@ -86,7 +86,7 @@ def policy(
 
 
 def _access_rules(file: str) -> "AccessRules":
-    """Return the address lists and rules of a policy file, or those in a configuration file.
+    """Return the address lists and rules of a policy file, or those in a configuration or gateway file.
 
     Raises:
         ConfigError: the file cannot be read, is invalid, or has no policy.
@@ -113,10 +113,12 @@ def _access_rules(file: str) -> "AccessRules":
 
 
 def _checked_host(text: str) -> str:
-    """Return the address given by ``--peer`` in the form in which a server sees the addresses of clients.
+    """Return the host given by ``--peer``, without brackets and port; an IPv4-mapped address becomes the IPv4 address.
+
+    An IPv6 address stays as it is written; rules compare it by number.
 
     Raises:
-        ConfigError: the text is not a numeric address of one host.
+        ConfigError: the text is not a numeric address of one host, with or without a port.
     """
     from ..options.networks import Networks, host_of_peer
 
@@ -252,7 +254,10 @@ def _show_rules(rules: "AccessRules", *, as_json: bool) -> None:
 
 
 def _facts(rule: "Rule") -> dict[str, str]:
-    """Return the conditions of an access rule by name, in the notation of policy files; empty if it has none."""
+    """Return the keys of an access rule with their values as texts, in the notation of policy files.
+
+    Name and action are left out, and so are keys that the rule does not have or that have their default.
+    """
     found: dict[str, str] = {}
     if rule.peers is not None:
         found["peers"] = ", ".join(rule.peers)

@@ -192,7 +192,7 @@ def _iso(nanoseconds: int) -> str:
 def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> int:
     """Write tables of samples or buckets to a new Parquet file, print the number of rows, and return the exit code.
 
-    If it fails, the file is removed.
+    If writing fails or is interrupted, the unfinished file is removed. A file that existed before is not touched.
 
     Raises:
         ConfigError: the file exists, or cannot be written.
@@ -226,7 +226,7 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
 
 
 def _plain(table: Any) -> Any:
-    """Return a table whose columns of values (also minimum, maximum) are of type float64.
+    """Return an Arrow table with its columns ``value``, ``minimum`` and ``maximum`` converted to float64.
 
     So all tables that are written to one Parquet file have equal column types.
     """

@@ -41,7 +41,8 @@ class PointRecord:
     Attributes:
         point: the point.
         reading: value and quality; without value, the reason for that.
-        raw: its registers in wire order; for a bit one byte, 0 or 1; empty if it was not read or is computed.
+        raw: the bytes of its registers in wire order; for a coil or discrete input one byte, 0 or 1; empty if it was
+            not read or is computed.
     """
 
     point: Point
@@ -269,7 +270,10 @@ def _exists(point: Point, records: Mapping[str, PointRecord]) -> bool:
 
 
 def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
-    """Return the bytes of one point from the data of a reply, in wire order; for a bit one byte, 0 or 1."""
+    """Return the bytes of a point's registers from the data of a reply, in wire order.
+
+    For a coil or discrete input that is one byte, 0 or 1.
+    """
     first = point.start - decoder.start
     if point.table.holds_bits:
         return bytes([data[first // 8] >> (first & 7) & 1])
@@ -277,7 +281,10 @@ def _items(decoder: ReadDecoder, point: Point, data: bytes) -> bytes:
 
 
 def reason_of(error: ModbusError) -> int:
-    """Return the `Reason` (or the code of an exception) for a point that has no value because of this error."""
+    """Return the number that tells why a point has no value because of this error.
+
+    It is a `Reason`, or for an exception reply that of `exception_reason`.
+    """
     if isinstance(error, ExceptionReply):
         return exception_reason(error.code)
     if isinstance(error, BadReply):
@@ -301,6 +308,7 @@ def read_points(reader: PointReader, *, unit: int | None, as_json: bool, as_csv:
 
     Raises:
         ConfigError: ``as_json`` and ``as_csv`` are both True.
+        InvalidRequest: a request cannot be sent to this unit.
     """
     with closing(_PointWriter(unit, as_json=as_json, as_csv=as_csv, repeats=period is not None)) as writer:
         if period is None:

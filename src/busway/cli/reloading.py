@@ -1,4 +1,4 @@
-"""Makes a running service read its files again at SIGHUP; on an error the old settings stay and it is printed."""
+"""Makes a running service read its files again at SIGHUP; an error is printed, and the old settings stay."""
 
 import asyncio
 from collections.abc import AsyncIterator, Callable
@@ -18,6 +18,8 @@ async def read_again_on_hangup(
     service: "Service", told: Callable[[bool], None] = lambda is_over: None
 ) -> AsyncIterator[None]:
     """Context manager during which each SIGHUP makes a service read its configuration again; prints the result.
+
+    A reload that still runs at the end of the block is cancelled.
 
     Args:
         service: the service; it need not run yet.

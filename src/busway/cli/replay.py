@@ -108,9 +108,10 @@ class _Wanted:
     force: bool
 
     def check(self) -> None:
-        """Raise `ConfigError` if an option needs ``--simulate``, ``--values`` is invalid, or the file exists.
+        """Check the options. Raises `ConfigError` if one is invalid or has no effect.
 
-        An existing file is accepted with ``--force``.
+        It is raised if ``--values`` is neither ``first`` nor ``last``; if the file of ``--simulate`` exists and
+        ``--force`` is missing; and without ``--simulate`` if any of the other options is given.
         """
         if self.values not in (None, "first", "last"):
             raise ConfigError(f"first or last is needed, not {self.values!r}", key="--values")

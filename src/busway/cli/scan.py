@@ -125,9 +125,10 @@ def _listed(text: str | None) -> list[str | None]:
 
 
 def _refuse_busy_line(endpoint: Endpoint, listen: float) -> None:
-    """Listen to a serial line for ``listen`` seconds before a scan, and raise `ConfigError` if there is traffic.
+    """Listen to a serial line for at most ``listen`` seconds before a scan; raise `ConfigError` if there is traffic.
 
-    Nothing is sent. With Modbus TCP framing it returns at once: other traffic cannot be heard there.
+    Nothing is sent. With Modbus TCP framing, and for a line over UDP, it returns at once: other traffic cannot be heard
+    there. Raises `LinkDown` if the line cannot be opened.
     """
     refuse_busy_line(
         endpoint,

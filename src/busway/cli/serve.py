@@ -123,7 +123,8 @@ def _reader(file: str | None, unit: int | None, changes: dict[str, Any]) -> "Cal
         changes: options of listeners that override those of the file.
 
     Raises:
-        ConfigError: ``file`` is a URL. The function itself raises it if the file is invalid or has other units.
+        ConfigError: ``file`` is a URL. The returned function raises it if the file is invalid, or if ``unit`` is given
+            and the file has other units only.
     """
     from ..apps.server.configuration import parse_configuration
     from ..config.reading import read_text

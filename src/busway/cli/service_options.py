@@ -98,7 +98,8 @@ def access_rules(policy: str | None) -> "Callable[[DeclaredServer], AccessRules 
 
     Args:
         policy: text of ``--policy``: a file, which the function reads each time, or ``read-only``; None for the rules
-            that the configuration has. The function returns None if that has none.
+            that the configuration has. The function returns None if the configuration has none, and raises
+            `ConfigError` if the policy file is invalid.
     """
     from ..apps.server.overrides import declared_rules
 

@@ -12,8 +12,8 @@ from typing import Any
 def stop_event() -> Iterator[asyncio.Event]:
     """Context manager that yields an event, which Ctrl-C (SIGINT) or SIGTERM sets.
 
-    The first of each of the two signals only sets the event; the second has its usual effect. Enter it in the running
-    event loop. Outside the main thread, which alone gets signals, the event is never set.
+    The first Ctrl-C and the first SIGTERM only set the event; the second of the same signal has its usual effect. Enter
+    it in the running event loop. Outside the main thread, which alone gets signals, the event is never set.
     """
     loop = asyncio.get_running_loop()
     event = asyncio.Event()
@@ -37,7 +37,8 @@ def stop_event() -> Iterator[asyncio.Event]:
 def stop_events() -> Iterator[tuple[asyncio.Event, asyncio.Event]]:
     """Context manager that yields two events: the first Ctrl-C or SIGTERM sets the first, the next signal the second.
 
-    A third one has its usual effect. Enter it in the running event loop.
+    A third signal has its usual effect. Enter it in the running event loop. Outside the main thread, which alone gets
+    signals, the events are never set.
     """
     loop = asyncio.get_running_loop()
     first, second = asyncio.Event(), asyncio.Event()
@@ -82,8 +83,8 @@ def on_hangup(call: Callable[[], None]) -> Iterator[None]:
 def stop_flag() -> Iterator[threading.Event]:
     """Context manager that yields a flag, which Ctrl-C (SIGINT) or SIGTERM sets; for code without an event loop.
 
-    The first of each of the two signals does not interrupt the running code, so no received data are lost; the second
-    has its usual effect.
+    The first Ctrl-C and the first SIGTERM do not interrupt the running code, so no received data are lost; the second
+    of the same signal has its usual effect. Outside the main thread, the flag is never set.
     """
     flag = threading.Event()
     before: dict[int, Any] = {}  # what signal.signal gave

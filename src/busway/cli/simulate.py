@@ -4,7 +4,8 @@
    A listener that the network reaches is read-only unless there is a policy, or ``--allow-writes``.
 2. SIGHUP reads policy, address lists and certificates again; units and behaviours stay those of the start.
 3. ``--fault`` switches on a fault of the file, or adds a fault profile. What a fault does is printed on stderr, and if
-   it has a schedule, when it begins and ends. A fault that can never strike is refused.
+   it has a schedule, when it begins and ends. A fault of ``--fault`` that can never strike is refused; for one that the
+   file switches on there is a warning.
 4. With ``--api`` the address of the page goes to stderr once it answers, with the token behind ``#`` if the program has
    created the token. A token from a file is not shown.
 """

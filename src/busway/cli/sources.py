@@ -82,8 +82,8 @@ def chosen_source(
         changes: options of listeners that override those of the file.
 
     Raises:
-        ConfigError: none of the three sources is named or several are, there is no such device, or ``unit`` is given
-            with ``device`` or is no number 0…255.
+        ConfigError: none of the three sources is named or several are, there is no such device, ``unit`` is given with
+            ``device``, or it is no number 0…255 (with ``map_file`` that error comes from `Chosen.load`).
     """
     from ..config.profiles import PREFIX, ready_made
 

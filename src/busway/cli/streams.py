@@ -43,6 +43,8 @@ class Guarded:
     def write(self, text: str) -> int:
         """Write a text to the stream, and return its length in characters.
 
+        After a failure nothing is written any more, and with ``is_needed`` each call raises the error again.
+
         Raises:
             ReaderGoneError: the reader of stdout has closed it.
             OutputLostError: stdout cannot be written.

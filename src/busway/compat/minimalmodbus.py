@@ -121,7 +121,7 @@ class InstrumentPort:
         parity: ``N``, ``E`` or ``O``.
         bytesize: data bits, 7 or 8.
         stopbits: stop bits, 1 or 2.
-        timeout: seconds that a reply may take; None for an hour.
+        timeout: seconds that a reply may take, at least 0.001; None for an hour.
         write_timeout: has no effect.
     """
 
@@ -168,9 +168,14 @@ class InstrumentPort:
     def link(self, mode: str, local_echo: bool) -> BlockingLink:
         """Return the link with the current settings; a link with other settings is closed and replaced.
 
+        The port is opened by the link's first request.
+
         Args:
             mode: ``rtu`` or ``ascii``.
             local_echo: whether the port receives what it sends.
+
+        Raises:
+            ConfigError: a setting has a value that no link accepts.
         """
         # `Any`: the options of a link, chosen by name
         options: dict[str, Any] = {
@@ -220,7 +225,8 @@ class Instrument:
 
     Attributes:
         address, mode, close_port_after_each_call: as given; may be changed at any time.
-        serial: settings of the port; may be changed at any time.
+        serial: settings of the port, by pyserial's names (`InstrumentPort`); may be changed at any time. Instruments
+            created with the same name of a port share them.
         handle_local_echo: whether the port receives what it sends; False by default.
         debug, precalculate_read_size, clear_buffers_before_each_transaction: have no effect.
 
@@ -287,7 +293,7 @@ class Instrument:
     def read_bits(self, registeraddress: int, number_of_bits: int, functioncode: int = 2) -> list[int]:
         """Return bits, each 0 or 1: discrete inputs (function code 2) or coils (1), ``registeraddress`` first.
 
-        At most 2000. If ``address`` of the instrument is 0 (broadcast), nothing can be read: ``ValueError`` is raised.
+        1…2000 bits. If ``address`` of the instrument is 0 (broadcast), nothing can be read: ``ValueError`` is raised.
         """
         _one_of("functioncode", functioncode, (1, 2))
         kind = ReadCoils if functioncode == 1 else ReadDiscreteInputs
@@ -313,7 +319,7 @@ class Instrument:
     def read_registers(self, registeraddress: int, number_of_registers: int, functioncode: int = 3) -> list[int]:
         """Return registers as numbers 0…65535: holding registers (function code 3) or input registers (4).
 
-        At most 125, from ``registeraddress`` on.
+        1…125 registers, from ``registeraddress`` on.
         """
         _one_of("functioncode", functioncode, (3, 4))
         kind = ReadHoldingRegisters if functioncode == 3 else ReadInputRegisters

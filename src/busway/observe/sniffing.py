@@ -285,8 +285,9 @@ class Listening:
         """Wait for bytes from the line, and return the events that they or the silence complete; often none.
 
         Returns as soon as bytes have come, or a silence has ended a frame or the wait for a reply. Returns at ``until``
-        (seconds of the clock) at the latest, and never later than after a fifth of a second, also while a vanished port
-        is awaited. So an empty list does not mean that ``until`` has come.
+        (seconds of the clock) at the latest, and after a fifth of a second at most, also while a vanished port is
+        awaited; only the call that opens it again can take up to twice that. So an empty list does not mean that
+        ``until`` has come.
 
         Raises:
             LinkDown: the port vanished and is not to be opened again, or the connection ended.

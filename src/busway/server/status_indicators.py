@@ -6,7 +6,7 @@ Knows when something happened; knows no bytes and no clock.
 1. Communication: on while frames come or go.
 2. Error: steady for an internal fault (a responder failed, no new connection can be accepted), flashing for a fault of
    communication or configuration (a damaged frame, an absent port). With both, it is steady.
-3. Device status: on when the listener is open, flashing in listen-only mode, off otherwise.
+3. Device status: on when the listener is open, flashing while one of its units is in listen-only mode, off otherwise.
 """
 
 from dataclasses import dataclass
@@ -58,7 +58,10 @@ class Diagnosis:
         self.internal_fault: float = _NEVER
 
     def indicators(self, now: float, *, listen_only: bool = False) -> StatusIndicators:
-        """Return the states of the three status indicators at ``now``."""
+        """Return the states of the three status indicators at ``now`` (seconds).
+
+        ``listen_only``: whether one of the listener's units is in listen-only mode.
+        """
         error = StatusIndicator.OFF
         if now < self.internal_fault + FAULT_SHOWN:
             error = StatusIndicator.ON

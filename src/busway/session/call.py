@@ -389,7 +389,7 @@ def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> B
     """Return the plan for sending ``count`` consecutive requests to one unit together.
 
     ``first`` is the position of the first of these requests in ``requests``. The plan is kept with that request object:
-    the next call with it and equal following requests returns the same plan. The caller must check ``fits`` of the plan.
+    the next call with it and equal following requests returns the same plan. The caller must check ``fits`` of it.
     """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])

@@ -7,8 +7,8 @@ times are ``now`` in seconds, and the driver of a session calls `TcpClientSessio
 2. A reply belongs to the request in flight whose transaction identifier it carries, and must fit that request in unit,
    function, length and echo; otherwise the request ends with `BadReply`. A reply with another identifier is dropped and
    counted, unless ``transaction_policy`` accepts it (rule 5).
-3. The identifier of a request that timed out or was cancelled is remembered, and not used again on this connection (of
-   more than 4096 the oldest is forgotten). Its late reply is dropped, and shows how slow the device is.
+3. The identifier of a request that got no reply in time, even a cancelled one, is remembered and not used again on this
+   connection (of more than 4096 the oldest is forgotten). Its late reply is dropped, and shows how slow the device is.
 4. A read is repeated after a timeout or a lost connection. A write that was sent is repeated only if ``write_retries``
    says so or its call is ``idempotent``; otherwise it ends as `WriteOutcomeUnknown`.
 5. Where transactions cannot be told apart (option ``transaction_policy`` automatic or ignore), a timeout ends the
@@ -205,7 +205,10 @@ class TcpClientSession:
     # Events of the connection.
 
     def connected(self, now: float) -> None:
-        """Tell the session that a new connection is open: from now on `transmit` returns requests to send."""
+        """Tell the session that a new connection is open: from now on `transmit` returns requests to send.
+
+        With the option ``connect_delay`` it does so only after that many seconds.
+        """
         self._connected = True
         self._buffer = StreamBuffer()
         self._expired.clear()
@@ -273,7 +276,8 @@ class TcpClientSession:
     def transmit(self, now: float) -> list[bytes]:
         """Return what to send now, in order; it counts as sent at ``now``. Empty if nothing is to be sent.
 
-        Each element is one frame, or several joined frames unless the option ``single_adu_segments`` is on.
+        Each element is one frame, or several joined frames unless the option ``single_adu_segments`` is on. If bytes of
+        an unfinished frame were received and no request is in flight, it sends nothing and sets ``recycle``.
         """
         out: list[bytes] = []
         queue = self._queue
@@ -349,9 +353,9 @@ class TcpClientSession:
         return self.breakers is None or self.breakers.suspended_for(call.unit, now) is None
 
     def _next_batch(self, call: Call, at_most: int, now: float) -> list[bytes]:
-        """Send up to ``at_most`` requests of a call as one pipelined batch, and return a list with the joined frames.
+        """Make up to ``at_most`` requests of a call a pipelined batch in flight; return a list with the joined frames.
 
-        The list is empty if they cannot be batched; then nothing has changed, and they have to be sent singly.
+        The list is empty if they cannot be batched; then they have to be sent singly.
         """
         requests = len(call.requests)
         if requests == 1 or call.again or call.is_write or self.parameters.single_adu_segments:
@@ -407,9 +411,10 @@ class TcpClientSession:
         return transaction.to_bytes(2, "big") + encoded.tail
 
     def _adaptive_timeout(self, call: Call, now: float) -> float:
-        """Return the timeout in seconds for a request, while some unit of the link is doubted.
+        """Return the timeout in seconds for a request that is sent while some unit of the link does not answer.
 
-        It is that of the call; for the probe of a suspended unit it can be shorter (`Breakers.asked`).
+        It is that of the call. If the request is the probe of a suspended unit, it can be shorter (`Breakers.asked`),
+        and the state of the unit's circuit breaker becomes PROBING.
         """
         assert self.breakers is not None
         usual = self._usual(call.unit)
@@ -418,7 +423,8 @@ class TcpClientSession:
     def _usual(self, unit: int) -> float:
         """Return the seconds that a unit usually takes to answer.
 
-        For a unit that has not answered yet it is the time of the slowest unit of the link; 0 if no unit has answered.
+        For a unit that has not answered yet it is the time of the slowest unit of the link; 0 if no unit has answered,
+        and on a link without circuit breakers.
         """
         return self._pace.get(unit) or max(self._pace.values(), default=0.0)
 
@@ -499,7 +505,8 @@ class TcpClientSession:
     def _receive_batches(self, buffer: bytes, size: int, now: float) -> int:
         """Match replies to pipelined batches as long as they come in order. Returns the offset after the last match.
 
-        This is the hot path of `execute_many`: 0.5 µs per reply if all of a batch have arrived, 0.9 if only some have.
+        At the first frame that is not the expected reply, all batches are split into single requests in flight. This is
+        the hot path of `execute_many`: 0.5 µs per reply if all of a batch have arrived, 0.9 if only some have.
         """
         batches = self._batches
         at = good = 0
@@ -676,7 +683,11 @@ class TcpClientSession:
     # Replies that do not fit plainly.
 
     def _odd_frame(self, transaction: int, protocol: int, unit: int, adu: bytes, now: float) -> None:
-        """Handle a received frame that is not plainly the reply to a request in flight (TCP/IP §4.4.1.4)."""
+        """Handle a received frame that is not plainly the reply to a request in flight (TCP/IP §4.4.1.4).
+
+        It can be an exception reply, a late reply, the reply to a cancelled request, one that does not fit its request,
+        or one with a foreign transaction identifier.
+        """
         self._split_batches()
         awaited = self._pending.get(transaction)
         if awaited is None:
@@ -746,8 +757,8 @@ class TcpClientSession:
     def _tolerated(self, transaction: int, protocol: int, unit: int, adu: bytes) -> RequestInFlight | None:
         """Return the request in flight that accepts a reply with another transaction identifier; None if none does.
 
-        It must be the only one in flight. With ``transaction_policy`` strict it accepts no such reply; with automatic
-        the reply must fit it in unit and content; with ignore it need not.
+        It must be the only one in flight, and ``protocol`` must be 0. With ``transaction_policy`` strict no such reply
+        is accepted; with automatic the reply must fit the request in unit and content; with ignore it need not.
         """
         policy = self.parameters.transaction_policy
         if policy is MismatchPolicy.STRICT or len(self._pending) != 1 or protocol or self.recycle:

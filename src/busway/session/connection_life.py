@@ -109,7 +109,7 @@ class ConnectionLife:
     def interrupted(self, now: float) -> None:
         """Record that an attempt to connect was cancelled; the pause before the next attempt is as after a failed one.
 
-        Unlike after `failed`, waiting calls keep waiting, and new ones are not refused.
+        Unlike after `failed`, waiting calls keep waiting, and no new ones are refused because of it.
         """
         self._move(ConnectionEvent.FAILED, now, "interrupted")
 
@@ -158,7 +158,8 @@ class ConnectionLife:
 
         Waiting calls stay in the queue. They fail only if several connections in a row brought no valid reply, and the
         session had not itself asked for a new connection (``recycle``). Even then a call of which a request is about to
-        be repeated stays. If nothing was asked on this connection and no call waits, it ends as after `released`.
+        be repeated stays. If nothing was asked on this connection and no call waits, state and pause change as after
+        `released`.
         """
         conversation = self._conversation
         if conversation.has_calls or conversation.counters.requests != self._asked_before:

@@ -178,7 +178,10 @@ class LineDiagnostics:
 
     @property
     def counters(self) -> Counters:
-        """Counters of the whole line: what was heard since the start, and the sums of the units' own counters."""
+        """Counters of the whole line: what was heard since the start, and the sums of the units' own counters.
+
+        A unit's own counters begin at its last restart or clear. The object is new at each access.
+        """
         self.fold()
         total = _with_heard(Counters(), self.heard, HeardCounters())
         for state in self._distinct():
@@ -401,7 +404,7 @@ class CommunicationState:
         """Count a reply of this unit, and carry out the restart that its request may have asked for.
 
         ``exception``: the exception code of the reply; None for a normal reply. ``counts``: whether a normal reply
-        raises the event count; False for function 11, which does not count itself.
+        raises the event count; False for functions 11 and 12, which do not count themselves.
         """
         line = self.line
         if line.exchanged or line.arrived or line.departed:
@@ -418,7 +421,10 @@ class CommunicationState:
             self._log.appendleft(event)
 
     def failed(self, exception: int) -> None:
-        """Count a request to this unit, perhaps a broadcast, that ended with an exception code."""
+        """Count a request to this unit that ended with an exception code, even if no reply is sent, as to a broadcast.
+
+        Code 06 counts as busy, 07 as NAK, every other as an exception. The event log is not changed.
+        """
         if exception == ExceptionCode.SERVER_DEVICE_BUSY:
             self.own.server_busy_count += 1
         elif exception == ExceptionCode.NEGATIVE_ACKNOWLEDGE:

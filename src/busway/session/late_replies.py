@@ -164,7 +164,7 @@ class UnitDoubt:
         return bool(self.owed) and self.owed[-1].request is request and self.owed[-1].sent == sent
 
     def is_older(self, pdu: bytes) -> bool:
-        """Whether a received PDU is counted as one of the late replies in ``older``, of which only the number is known.
+        """Whether a received PDU counts as one of the late replies in ``older``, of which only the number is known.
 
         False for a reply to 08/00, whose data identify its request.
         """
@@ -184,7 +184,10 @@ class UnitDoubt:
             del self.older[function]
 
     def candidates(self, pdu: bytes) -> list[OwedReply]:
-        """Return the replies in ``owed`` that a received PDU could be, the earliest first; it counts as that (rule 2)."""
+        """Return the replies in ``owed`` that a received PDU could be, the earliest first.
+
+        The caller takes the PDU for the first of them (rule 2).
+        """
         return [owed for owed in self.owed if owed.may_be(pdu)]
 
     def came(self, reply: OwedReply) -> None:
@@ -389,7 +392,7 @@ class Doubts:
     The record outlives connections, and is passed on to the next link to the same endpoint.
 
     Attributes:
-        units: the record of each unit that a request was sent to.
+        units: the record of each unit that has answered a request, or owes or has owed a reply.
     """
 
     __slots__ = ("_number", "units")

@@ -106,8 +106,8 @@ class RequestObserver(Protocol):
         """Called with the outcome of a request that the fast path did not answer.
 
         The outcome is a reply, `SILENCE` if there is none, or None if the client disconnected before it. Not called for
-        requests that were not decoded: with function 0, for a unit in listen-only mode, or refused with 06 because too
-        many were in progress.
+        requests that were not decoded: with function 0, refused with 06 because too many were in progress, or (other
+        than function 08) for a unit in listen-only mode.
         """
 
 
@@ -178,7 +178,7 @@ class RequestPipeline:
 
         It is an exception reply if the request is not permitted or the responder raises `Refusal`; 01 for function 0.
         Any other exception is added to ``failures``, and the outcome is exception reply 04. For a unit in listen-only
-        mode it is `SILENCE`, and only function 08 is executed; also for the request that sets this mode.
+        mode it is `SILENCE`, also for the request of function 08 that begins or ends this mode.
         """
         function = context.function
         was_listen_only = context.diagnostics.listen_only

@@ -6,7 +6,8 @@ Knows outcomes and times; knows no socket. ``jitter`` is passed in (it returns a
 2. After a connection that could not be opened, or ended without a valid reply, there is a pause. It doubles each time.
    Only a valid reply resets it: a peer that accepts connections and closes them does not work.
 3. A connection that ends without any request sent, or is closed because it is unused, changes neither pause nor count.
-4. Every change of state is reported once. Failed attempts in a row are counted, and reported when the peer answers.
+4. A change of state gives one log message at most. Of several failures in a row only the first gives one; the message
+   when the peer answers again has their number.
 """
 
 from collections.abc import Callable

@@ -6,9 +6,9 @@ RTU and ASCII differ only in the framing that is passed in.
 1. States: idle → waiting for a reply (unicast) or for the turnaround (broadcast) → idle. One request is in flight.
 2. A reply of another unit keeps the timer running. So does a damaged frame: it is counted, and the request may be
    repeated as after a timeout.
-3. After a timeout the line is drained: nothing is sent before it has been silent for ``quiet_window``, or before
-   ``drain_limit`` is over. The unit that did not answer gets no request for ``quiet_window`` after the timeout, unless
-   its late reply comes before. Frames received while the line is drained are late and dropped.
+3. After a timeout the line is drained: nothing is sent until it has been silent for ``quiet_window``, at the latest
+   until ``drain_limit`` has passed. The unit that did not answer gets no request for ``quiet_window`` after that,
+   unless its late reply comes before. Frames received while the line is drained are late and dropped.
 4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
    sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.
@@ -452,7 +452,10 @@ class SerialClientSession:
         return not request.is_write and self._is_in_doubt(doubt, call)
 
     def _askable_at(self, call: Call, now: float) -> float:
-        """Return the earliest time to send the next request of this call, given pauses and late replies of its unit."""
+        """Return the earliest time to send the next request of this call, given pauses and late replies of its unit.
+
+        It can be in the past. Circuit breakers and silences of the line are not considered.
+        """
         at = self._not_asked_before.get(call.unit, now)
         doubt = self.doubts.units.get(call.unit)
         if doubt is None or not doubt.pending or self._serial.trust_reply_order:
@@ -618,7 +621,8 @@ class SerialClientSession:
     def _is_of_another(self, awaited: _RequestInFlight, doubt: UnitDoubt, pdu: bytes) -> bool:
         """Whether a reply that does not fit the request in flight is the late reply to an older request.
 
-        If False, it is a broken reply to the request in flight, whose function code it has.
+        If False, it is a broken reply to the request in flight, whose function code it has. Always True while a marker
+        request is in flight.
         """
         last = doubt.last
         return (
@@ -915,8 +919,8 @@ class SerialClientSession:
     def _not_marked(self, awaited: _RequestInFlight, marker: Marker, now: float) -> None:
         """Handle a marker request without reply: queued calls that had to wait for it fail if no attempt is left.
 
-        Each queued call of the unit that is still in doubt counts the marker; it fails when it has counted more markers
-        than it has ``retries``.
+        Each queued call to the unit whose next request is still in doubt counts the marker in ``Call.markers``. It
+        fails when it has counted more markers than it has ``retries``.
         """
         doubt = self.doubts.of(awaited.unit)
         doubt.not_marked(marker.kind)

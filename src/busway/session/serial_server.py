@@ -344,7 +344,10 @@ class SerialServerSession:
         context._finish = None
 
     def _broadcast(self, pdu: bytes) -> None:
-        """Execute a broadcast on every unit that is not in listen-only mode; every unit counts the broadcast."""
+        """Execute a broadcast on every unit that is not in listen-only mode; every unit counts the broadcast.
+
+        A broadcast of a request that cannot be broadcast, such as a read, is not executed and counts as failed.
+        """
         units = [unit for unit in range(1, LAST_SERIAL_UNIT + 1) if unit in self._units]
         self._diagnostics.received_broadcast(units)
         request = self._pipeline.functions.decode_request(pdu)

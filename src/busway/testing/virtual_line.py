@@ -1,8 +1,8 @@
 """A simulated serial bus without real time: ports, characters with durations, collisions and cut wires.
 
 Knows character times and which port hears which; knows no clock, no thread and no device: a call that needs the time
-gets it as an argument, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line real
-ports.
+gets it as an argument, so that hours on a line pass in seconds and every run is the same. `PacedLine` gives the line
+real ports.
 
 1. A character is received when its last bit has passed, by every other port, and by its sender if that has an echo.
 2. Two ports that send at once damage each other's characters. A port receives nothing while it sends (a driver that

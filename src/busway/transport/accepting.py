@@ -52,8 +52,8 @@ async def accept_from(
         loop: the event loop.
         epoll_set: watches the listening socket and the connections; None to let the event loop do that.
         backlog: connections that the system may hold until they are accepted.
-        failed: called with the error if a waiting client cannot be accepted. Without an epoll set the event loop logs
-            the error instead.
+        failed: called with the error if a waiting client cannot be accepted; then nothing is accepted for a second.
+            Without an epoll set the event loop logs the error instead.
 
     Raises:
         OSError: the socket cannot listen, or cannot be watched.

@@ -12,10 +12,10 @@ RESERVED: Final = 128
 
 
 def is_reserved(descriptor: int) -> bool:
-    """Whether a file descriptor is one of those kept for Modbus connections; any other user must close it.
+    """Whether a file descriptor is one of those kept for Modbus: then a connection for anything else must be closed.
 
-    ``descriptor`` is the number that the system gave to a new connection. Always False on Windows, and where the number
-    of descriptors has no limit.
+    ``descriptor`` is the number that the system gave to the new connection. Always False on Windows, and where the
+    number of descriptors has no limit.
     """
     if sys.platform == "win32":
         return False

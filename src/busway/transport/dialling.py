@@ -38,7 +38,7 @@ async def open_stream(
     """Open a TCP connection for an asyncio protocol and return its transport.
 
     Args:
-        protocol: creates the protocol of the connection, an `asyncio.BufferedProtocol`; called before anything else.
+        protocol: creates the protocol of the connection, an `asyncio.BufferedProtocol`; called once, before connecting.
         host: host name or address of the peer.
         port: its TCP port.
         local_address: local address to connect from; None lets the system choose.

@@ -45,7 +45,8 @@ class Interface:
 def interfaces_with(host: str) -> tuple[Interface, ...]:
     """Return the network interfaces that have the address ``host``; for ``0.0.0.0`` and ``::`` all of that family.
 
-    Empty on systems other than Linux.
+    One element for each address. ``host`` is a numeric address, an IPv6 one in its shortest form; a zone (``%eth0``) is
+    ignored. Empty on systems other than Linux.
     """
     if sys.platform != "linux":
         return ()
@@ -86,7 +87,7 @@ def _netmask(asking: socket.socket, label: bytes, address: bytes) -> str:
 
 
 def _gateways() -> dict[str, str]:
-    """Return the default gateway of each network interface, by the interface's name."""
+    """Return the default IPv4 gateway of each network interface that has one, by the interface's name."""
     found: dict[str, str] = {}
     for line in _lines(_ROUTES)[1:]:
         name, destination, gateway, flags = line.split()[:4]

@@ -3,8 +3,8 @@
 Knows sockets; knows no Modbus and no event loop. Errors are left as the system raises them; the server adds which
 listener could not be opened.
 
-1. An empty host means every address, of IPv4 and of IPv6, and both get the same port. A family that the system does not
-   have is left out.
+1. An empty host means every address, of IPv4 and of IPv6, and both get the same port. A family or address that the
+   system does not have is left out if another one is left.
 2. An IPv6 socket accepts IPv6 alone, so that an IPv4 client is always seen under its IPv4 address.
 """
 
@@ -27,8 +27,8 @@ def bound_sockets(
 ) -> list[socket.socket]:  # Any: as getaddrinfo gives them
     """Return a bound, non-blocking socket for each address of a listener; not listening yet.
 
-    Addresses of a family that the system lacks are left out; if all are, the error is raised. With port 0 the system
-    chooses the port, the same for all sockets.
+    Addresses that this system lacks, or whose family it lacks, are left out; if all are, the error is raised. With port
+    0 the system chooses the port, the same for all sockets.
 
     Args:
         addresses: results of ``getaddrinfo``, all of one socket type and one port.

@@ -21,15 +21,22 @@ class Level(IntEnum):
     """What a check may do to a device. A run up to a level includes the checks of all lower levels."""
 
     READ = 0
-    """The check sends undamaged requests that only read, also invalid ones that the device has to refuse."""
-    DIAG = 1
-    """The check may also send diagnostics, unknown function codes, damaged frames and broken streams."""
-    WRITE = 2
-    """The check may also write to the scratch items: the registers and coils that the user has named for this."""
-    DISRUPTIVE = 3
-    """The check may also stop the device, reset its counters, or send invalid writes.
+    """The check sends undamaged requests that only read, also invalid ones that the device has to refuse.
 
-    A faulty device that executes such a write, instead of refusing it, may change items beyond the scratch items.
+    Some of them go to other units, and on a serial line to all units.
+    """
+    DIAG = 1
+    """The check may also send diagnostics, unknown function codes, damaged frames, broken streams and TLS handshakes
+    that the device must refuse."""
+    WRITE = 2
+    """The check may also write to the scratch items: the registers and coils that the user has named for this.
+
+    Invalid writes are among its requests; they, too, name scratch items only.
+    """
+    DISRUPTIVE = 3
+    """The check may also reset counters, write to all units of a line by broadcast, or send writes to other items.
+
+    A correct device refuses such a write to other items; a faulty device that executes it changes them.
     """
 
 
@@ -67,11 +74,11 @@ class Facet(Enum):
 
     Attributes:
         ANSWERED: a reply came in time, or silence where the check accepts silence.
-        CLEAN: nothing but the reply came: no other bytes, no second reply.
+        CLEAN: nothing but the reply came: no other bytes, no second reply, no echo of the request.
         TRANSACTION: the reply has the transaction identifier of the request.
         PROTOCOL: the protocol identifier of the reply is 0.
-        UNIT: the unit identifier of the reply is that of the request.
-        FORM: function code and length of the reply fit the request.
+        UNIT: the unit identifier of the reply is that of the request; any is right after a request to 0 or 255 on TCP.
+        FORM: the reply is a whole frame, and its function code, length and counts fit the request.
         CONTENT: the reply is one that the check accepts.
     """
 
@@ -142,7 +149,7 @@ class Accepts:
         reply: whether a normal reply is accepted. Its length is compared with the request if the request is valid.
         exact: the only PDU that a normal reply may have; None for any.
         exceptions: the exception codes that are accepted in an exception reply.
-        silence: whether no answer is accepted.
+        silence: whether the device may leave the request unanswered.
         closed: whether the device may close the connection instead of answering.
         wrong_with: function that takes the PDU of a normal reply and returns what is wrong with it, empty if nothing
             is; None for no further test.
@@ -247,8 +254,8 @@ class Check:
         steps: what is sent, and which answers are accepted.
         facet: for a basic check, the only facet of the replies that it judges; None for other checks.
         function: the function code that the check is about, which a device need not have; None for none.
-        opens: True if the check shows whether the device has ``function`` at all. If it does not pass, the later checks
-            of this function are not made.
+        opens: True if the check shows whether the device has ``function`` at all. If it fails, or the device answers
+            01, the later checks of this function are not made, nor others that need it.
     """
 
     id: str
@@ -272,7 +279,7 @@ class Check:
 
     @property
     def writes(self) -> bool:
-        """Whether the check sends a request of a writing function, so that the scratch items must be saved first."""
+        """Whether one of `requests` has a function code that writes, so that the scratch items must be saved first."""
         return any(pdu[0] in _WRITING for pdu in self.requests)
 
 

@@ -25,7 +25,10 @@ from .check import FrameDamage
 
 @dataclass(frozen=True, slots=True)
 class Frame:
-    """One received frame: unit identifier, PDU and all its bytes (``raw``); on MBAP also the other header fields."""
+    """One received frame: unit identifier, PDU and all its bytes (``raw``).
+
+    ``transaction`` and ``protocol`` are those of the MBAP header; 0 on RTU and ASCII.
+    """
 
     unit: int
     pdu: bytes
@@ -94,7 +97,7 @@ class RtuSearch:
     def receive(self, data: bytes, function: int) -> list[Frame]:
         """Take received bytes, and return the frames that are now complete.
 
-        A frame that does not begin at the first byte is found only if its function code is ``function``.
+        A frame behind other bytes is found only if its function code is ``function``, or that of an exception to it.
         """
         self._kept += data
         return self._found(function, is_over=False)

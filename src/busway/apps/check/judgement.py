@@ -35,8 +35,8 @@ class CheckedExchange:
         frames: the frames that came back, in order.
         rest: received bytes that are in no whole frame.
         closed: whether the device closed or refused the connection.
-        is_deaf: whether the device left a correct read unanswered that was sent after the request; it had to answer
-            that.
+        is_deaf: True if a correct read that followed the request was not answered, although the device had to answer
+            it.
     """
 
     ask: Ask
@@ -80,7 +80,7 @@ def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
 
 
 def is_refused_function(exchange: CheckedExchange) -> bool:
-    """Whether the first reply is exception 01, by which a device says that it does not have the function."""
+    """Whether the reply is exception 01, by which a device says that it does not have the function of the request."""
     own = [one for one in exchange.frames if one.transaction in (0, exchange.transaction)]
     return bool(own) and own[0].pdu == bytes((exchange.ask.pdu[0] | 0x80, 1))
 

@@ -73,7 +73,7 @@ def markdown(summary: Summary) -> str:
 
 
 def as_json(summary: Summary) -> str:
-    """Return the report as JSON text, with all evidence; `baseline_of` reads it for comparison with a later run."""
+    """Return the report as JSON text, with all evidence; `baseline_of` reads it to compare a later run with it."""
     report = {
         "schema": SCHEMA,
         "endpoint": summary.endpoint,
@@ -140,7 +140,10 @@ _STYLE: Final = (
 
 
 def as_html(summary: Summary) -> str:
-    """Return the report as one HTML page that has no scripts and loads nothing."""
+    """Return the report as one HTML page that has no scripts and loads nothing.
+
+    It has a table of the checks of each clause; failed, warned and aborted checks show their bytes.
+    """
     title = html.escape(f"Check of {summary.endpoint}, unit {summary.unit}")
     parts = [
         f'<!doctype html>\n<html lang="en"><head><meta charset="utf-8"><title>{title}</title>',

@@ -4,7 +4,7 @@ Knows connections, frames, judgements and the clock; knows no single check.
 
 1. Basic checks come first. A facet that failed there is not judged again in other checks. After a wrong unit or
    protocol identifier, and on a serial line after extra bytes, the other checks are made all the same; after any other
-   failed basic check they are all undecided.
+   failed basic check all later checks are undecided, also basic ones.
 2. Then checks run from safe to risky. After each, the probe is read: if the device no longer answers, all further
    checks are aborted.
 3. To find out that a request stays unanswered, a run does not wait for the whole timeout: after ``quiet`` seconds, or
@@ -53,7 +53,7 @@ from .wire import Dialer, Wire
 _OVERLOOKED: Final = frozenset({Facet.UNIT, Facet.PROTOCOL})
 """Facets that do not hide other faults: if a basic check finds one of them wrong, the other checks are still made.
 
-If it finds another facet wrong, all other checks are undecided.
+If it finds another facet wrong, all later checks are undecided.
 """
 _LINES_TOO: Final = frozenset({Facet.CLEAN})
 """Facets that do not hide other faults on serial lines: extra bytes, which the search for frames skips there."""
@@ -168,7 +168,8 @@ class _Conversation:
         """Send one request, and return it with what came back until its reply, the timeout or the connection's end.
 
         Opens the connection if there is none. If the device closes it, the exchange says so. If silence is accepted, a
-        read of the probe follows the request, and the exchange has what came before the reply to that read.
+        read of the probe follows the request (rule 3), and the exchange has the frames that came before the reply to
+        that read.
 
         Raises:
             LinkDown: no connection can be made.
@@ -394,6 +395,8 @@ class CheckRun:
 
         Raises:
             LinkDown: no connection to the device can be made at the beginning; nothing was sent.
+            ConfigError: a serial port does not support its settings, or a client certificate for a changed TLS
+                handshake cannot be read.
         """
         self._talk.open()
         scratch = _Scratch(self._talk, self._target)

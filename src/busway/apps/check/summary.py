@@ -23,7 +23,8 @@ class Summary:
         unit: identifier of the unit that was checked.
         level: name of the highest level of the checks, in lower case: ``read``.
         results: the result of each check, in the order in which they ran.
-        baseline: outcome of each check of the earlier run, by the check's name; empty if there is none to compare with.
+        baseline: outcome of each check of the earlier run (a value of `Outcome`), by the check's name; empty if there
+            is no earlier run to compare with.
     """
 
     endpoint: str
@@ -66,14 +67,15 @@ class Summary:
 
 
 def baseline_of(report: Any, name: str) -> dict[str, str]:
-    """Return the outcome of each check of an earlier run, by the check's name, from the JSON report of that run.
+    """Return the outcomes in the JSON report of an earlier run, as values of `Outcome`, by the name of the check.
 
     Args:
         report: the decoded JSON.
         name: name of the report's file, for errors.
 
     Raises:
-        ConfigError: the JSON is no report of `busway check`, or has another schema version.
+        ConfigError: the JSON is no report of `busway check`, has another schema version, or has a check without name or
+            outcome.
     """
     checks = report.get("checks") if isinstance(report, dict) else None
     if not isinstance(checks, list) or report.get("schema") != SCHEMA:

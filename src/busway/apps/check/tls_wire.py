@@ -124,8 +124,9 @@ def _given(change: TlsChange, given: Mapping[TlsChange, ClientCertificate]) -> C
     """Return the client certificate that the user has given for a changed handshake.
 
     Raises:
-        CannotOffer: the user has given none, it does not have the fault to be tested (such as being expired), or the
-            package that reads certificates is not installed.
+        CannotOffer: the user has given none; it is expired where another fault is tested, or not expired where that is
+            tested; it has a role where a missing role is tested; or the package that reads certificates is not
+            installed. Whether it is revoked, or its role is denied, is not checked.
         ConfigError: the file of the certificate cannot be read.
     """
     word = next(word for word, one in CERTIFICATES.items() if one is change)

@@ -1,4 +1,4 @@
-"""Connections over which checks send unchanged bytes: TCP, TLS and serial ports, opened as a client's link opens them.
+"""Connections over which checks send any bytes as they are: TCP, TLS and serial ports, opened as by a client's link.
 
 Knows the connectors of the client; knows no request and no frame.
 """
@@ -64,7 +64,8 @@ class Dialer(Protocol):
     def changed(self, change: TlsChange) -> "Dialer":
         """Return a dialer whose connections have a changed TLS handshake; on a serial port this dialer itself.
 
-        Its `open` raises `CannotOffer` if this machine cannot make the changed handshake.
+        Its `open` raises `CannotOffer` if this machine cannot make the changed handshake, or the user's certificate for
+        it is missing or unsuitable.
         """
 
 
@@ -81,7 +82,8 @@ def dialer_for(
     Args:
         url: the endpoint.
         options: options of the link, in addition to those in the URL.
-        certificates: client certificates that the user has given for checks of TLS handshakes.
+        certificates: client certificates that the user has given for checks of TLS handshakes, by the change that each
+            is for; None for none.
 
     Raises:
         ConfigError: the URL or an option is invalid, or the endpoint is neither TCP, TLS nor a serial port.
@@ -153,6 +155,7 @@ class _ChangedDialer(_RealTime):
             LinkDown: the device cannot be reached, or refuses the handshake.
             CannotOffer: this machine cannot make the handshake, or the user's certificate for it is missing or
                 unsuitable.
+            ConfigError: a certificate or key cannot be read.
         """
         from .tls_wire import changed_channel
 
@@ -173,7 +176,10 @@ class NetworkWire:
         self._buffer = bytearray(_RECEIVE_SIZE)
 
     def send(self, data: bytes) -> None:
-        """Send bytes, in one write if the socket takes them at once. Raises `LinkDown` if the connection has ended."""
+        """Send bytes, in one write if the socket takes them at once; else wait, without limit, until it takes the rest.
+
+        Raises `LinkDown` if the connection has ended.
+        """
         rest = data
         if self._trace is not None:
             self._trace.sent(data)
@@ -258,7 +264,11 @@ class SerialWire:
         self._trace = _trace(settings, None)
 
     def send(self, data: bytes) -> None:
-        """Send bytes and wait until they have left the port. Raises `LinkDown` if the port has gone."""
+        """Send bytes and wait until they have left the port.
+
+        Raises:
+            LinkDown: the port has gone, or holds bytes back for more than 10 s; bytes may have gone out.
+        """
         if self._trace is not None:
             self._trace.sent(data)
         self._port.write(data)

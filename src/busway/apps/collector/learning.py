@@ -399,7 +399,8 @@ class MapLearner:
         """Learn from the result of the test read that `question` returns. To be called only while `is_asking`.
 
         If test reads examine a silence, a test read without a reply stays the next one; `SILENCES` silences of it in a
-        row count as a refusal.
+        row count as a refusal. Any other failure that is no refusal ends all test reads, and so does each failure of
+        the control read, which shows whether the device answers.
 
         Args:
             outcome: the result of the read.

@@ -142,7 +142,8 @@ def plan_reads(
     Returns:
         Reads that fetch every wanted item, apart from those in ``unreadable``. Each item that is fetched is listed in
         one read, the first that covers it; an atomic group is in one read as a whole. If the rules say ``one_point``,
-        each wanted item or group has a read of its own, which lists no items of ``others``.
+        a read fetches one wanted item or group, or several with exactly the same range, and lists nothing of
+        ``others``.
     """
     due = _by_table(wanted)
     idle = _by_table(others)

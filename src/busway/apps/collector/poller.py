@@ -79,7 +79,7 @@ class _CompiledRead:
         request: the request to send.
         decoder: makes values from the data of the reply.
         group: the device and the points, in the order of the values.
-        data: the data of the last reply, from which `PolledDevice.registers_of` takes registers; empty before the first.
+        data: the data of the last reply, kept for `PolledDevice.registers_of`; empty before the first.
         at: sample time of that reply, nanoseconds since 1970 UTC.
         exponents: names of the points in the read that are scale factors of other points.
         scaled: for each point in the read whose scale factor is in another read: its place among the values, and the

@@ -336,8 +336,8 @@ class LinkSchedule:
     def _due_read(self, now: float) -> Turn | None:
         """Return the next read that is due now: of a round, a first read of a new device, or a probe; None if none is.
 
-        First reads and probes come after the rounds, but before them if probes have used no time for so long that one
-        timeout is saved up (rule 4).
+        First reads and probes come after the rounds; but before them while a whole timeout is saved up for probes
+        (rule 4).
         """
         if self._credit >= self.timeout - 1e-9:  # not even overload keeps a device from its first answer for ever
             asked = self._first_contact() or self._probe(now)
@@ -607,7 +607,8 @@ class LinkSchedule:
     def blocking(self) -> float:
         """Longest time in seconds for which other reads hold up a round: that of the longest read plus a timeout.
 
-        The longest read is that of a poll class, leased points not included. Writes are not counted.
+        The longest read is taken from the plans for all poll classes together, without leased points. Writes are not
+        counted.
         """
         longest = (
             read.seconds

@@ -1,10 +1,11 @@
-"""The control service of a running server or gateway: shows its status over a socket that only its user can reach.
+"""The control service of a running server or gateway: shows its status to its own user, resets counters and reloads.
 
 `addresses` knows where such sockets are, `control_socket` creates them, `service` answers requests, `client` sends
 them; `json_status` turns a status into JSON.
 
 1. The socket is a Unix domain socket of mode 0600 in a directory of mode 0700. On systems without Unix sockets, or if
-   the user asks for it, it is HTTP on loopback, with a token in a file of mode 0600. Other hosts cannot reach it.
+   the user asks for it, it is HTTP on loopback, with a token in a file of mode 0600. Other hosts cannot reach it, and
+   of the users of this host only its own and root.
 2. The status is collected in the event loop of the program, and sent by another thread.
 """
 

@@ -58,10 +58,12 @@ ControlAddress = UnixAddress | LoopbackAddress
 def parse_control_address(text: str) -> ControlAddress:
     """Parse the address of a control service: a socket path, ``127.0.0.1:0``, or ``http://127.0.0.1:4711``.
 
-    A text that is no URL, and has a slash or no ``:PORT`` at its end, is the path of a Unix socket.
+    A text that is no URL, and has a slash or no ``:PORT`` at its end, is the path of a Unix socket. The host
+    ``localhost`` becomes ``127.0.0.1``.
 
     Raises:
-        ConfigError: the text is empty, has another scheme or no valid port, or its host is not a loopback address.
+        ConfigError: the text is empty, is a URL of another scheme or without a valid port, or its host is neither
+            ``localhost`` nor a numeric loopback address.
     """
     scheme, separator, _ = text.partition("://")
     if separator and scheme != "http" and os.sep not in scheme:
@@ -98,7 +100,8 @@ def control_directory(environment: Mapping[str, str] | None = None) -> Path:
         environment: environment variables to use instead of those of the process.
 
     Raises:
-        ConfigError: the directory cannot be created, belongs to another user, or is open to others.
+        ConfigError: the directory cannot be created, its path is no directory, it belongs to another user, or it is
+            open to others.
     """
     path = _candidates(environment)[0]
     try:
@@ -134,7 +137,7 @@ def _candidates(environment: Mapping[str, str] | None) -> list[Path]:
 
 
 def _problem(path: Path) -> str:
-    """Return as a sentence why an existing directory is not private to this user; empty if it is private."""
+    """Return as a sentence why an existing path is no directory that is private to this user; empty if it is one."""
     found = path.lstat()
     if not stat.S_ISDIR(found.st_mode):
         return f"{path} is no directory"

@@ -34,7 +34,9 @@ _CONNECT_SECONDS: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Running:
-    """A server or gateway with a control service, by the address of this service.
+    """Address and token of the control service of one server or gateway; the program need not run any more.
+
+    ``str()`` gives the address.
 
     Attributes:
         address: address of the control service.
@@ -51,8 +53,9 @@ class Running:
 def find_running(*directories: Path) -> list[Running]:
     """Return the running programs whose control sockets or token files are in these directories.
 
-    The order is that of the directories; within one, programs with a Unix socket come first, sorted by name, then those
-    on loopback. A connection to each is tried for at most a second; programs that do not accept it are left out.
+    The order is that of the directories; within one, programs with a Unix socket come first, then those on loopback,
+    each sorted by the name of the file. A connection to each is tried for at most a second. A program on loopback is
+    left out if the connection fails; a Unix socket only if no program listens there, so a busy one is in the list.
     """
     found: list[Running] = []
     for directory in directories:
@@ -67,11 +70,13 @@ def find_one(text: str, *directories: Path) -> Running:
     """Return the program that a text names; whether it runs is not checked.
 
     Args:
-        text: path of the control socket, URL, or name of a socket in one of the directories (a process id).
+        text: path of the control socket, URL, or name of a socket in one of the directories (a process id). A name
+            that no directory has is taken as a path.
         directories: where sockets and token files are searched.
 
     Raises:
-        ConfigError: the text is no address of this host, or the directories have no token for the URL.
+        ConfigError: the text is no address of a control service on this host, or the directories have no token for the
+            URL.
     """
     address = parse_control_address(text)
     if isinstance(address, LoopbackAddress):
@@ -91,21 +96,20 @@ def find_one(text: str, *directories: Path) -> Running:
 def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
     """Ask a running program for a resource of its control service, and return the decoded JSON.
 
-    A response that is no JSON, such as the metrics, is returned as str.
-
-    Blocks until the response has come.
+    A successful response that is no JSON, such as the metrics, is returned as str. Blocks until the response has come.
 
     Args:
         running: the program.
         resource: ``/status``, ``/connections``, ``/metrics`` (GET), ``/reset-counters`` or ``/reload`` (POST).
         method: ``GET`` or ``POST``.
-        timeout: seconds for each step: to connect, to send, to receive.
+        timeout: seconds for each step: to connect, to send, to receive. A program may take 30 s to reload.
 
     Raises:
         LinkDown: no program answers at the address.
         NoReply: the response did not come in time, the program's event loop is stuck, or the program is about to end.
-        ConfigError: the token is wrong, the resource does not exist, or the request failed; the message says why.
-        BadReply: the response is not valid HTTP or JSON.
+        ConfigError: the token is wrong, there is no such resource or method, or the request failed; the message says
+            why.
+        BadReply: the response is not valid HTTP or JSON, or an error that is not in JSON.
     """
     connection = _Connection(running.address, timeout)
     try:

@@ -66,9 +66,11 @@ class Bound:
 
 
 def bind_default(directory: Path) -> Bound:
-    """Create a control socket in a directory, named after this process; on systems without Unix sockets, on loopback.
+    """Create and bind a Unix control socket in a directory, named after this process; it does not listen yet.
 
-    Sockets that dead programs have left in the directory are removed first.
+    Further sockets of the process get the first free number appended. Sockets that dead programs have left in the
+    directory are removed first. On systems without Unix sockets, a loopback socket with a free port is bound, and its
+    token file is in the directory.
 
     Raises:
         ConfigError: the path of the socket is too long.
@@ -141,7 +143,8 @@ def bind_loopback(address: LoopbackAddress, directory: Path) -> Bound:
 def is_alive(path: Path) -> bool:
     """Whether a program listens at a Unix control socket.
 
-    False only if the connection is refused or the file is missing; True also if it does not accept within a second.
+    False only if the connection is refused or the file is missing. After any other failure the result is True, also if
+    the connection is not accepted within a second.
     """
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         probe.settimeout(_CONNECT_SECONDS)

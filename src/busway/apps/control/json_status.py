@@ -11,10 +11,11 @@ from typing import Any
 
 
 def plain(value: Any) -> Any:
-    """Return a status as data for `json.dumps`: numbers, texts, lists, dictionaries and None.
+    """Return a status as data for `json.dumps`: booleans, numbers, texts, lists, dictionaries and None.
 
-    Dataclasses become dictionaries; enum members their value if it is a text, else their name in lower case; bytes
-    hexadecimal text; times texts in ISO 8601; infinity and NaN None. Other objects become their ``str``.
+    Dataclasses become dictionaries, and keys of dictionaries texts; tuples and sets become lists; enum members their
+    value if it is a text, else their name in lower case; bytes hexadecimal text; dates and times (`datetime`) texts in
+    ISO 8601; infinity and NaN None. Other objects become their ``str``.
     """
     if isinstance(value, Enum):
         return value.value if isinstance(value.value, str) else value.name.lower()

@@ -2,8 +2,9 @@
 
 Knows resources and requests; knows no server: a `Subject` is any object with a status.
 
-1. ``GET /status`` is the whole status, ``GET /connections`` a part of it, ``GET /metrics`` the metrics for a scraper.
-   ``POST /reset-counters`` and ``POST /reload`` work only for subjects that have these methods.
+1. ``GET /`` lists the resources, ``GET /status`` is the whole status, ``GET /connections`` a part of it. ``GET
+   /metrics`` exists if a function for metrics is given, ``POST /reload`` if one for reloading is given or the subject
+   is `Reloadable`. ``POST /reset-counters`` works for a `Resettable` subject.
 2. The subject is asked in its own event loop. If the loop does not answer within `GATHER_SECONDS` (`RELOAD_SECONDS` for
    a reload), the response is an error that says so.
 3. Over loopback each request must carry the token and a ``Host`` of loopback, which a foreign web page cannot do.
@@ -44,7 +45,10 @@ class Subject(Protocol):
     """Interface of the server or gateway whose status a control service shows."""
 
     def status(self) -> Any:
-        """Return the current status as a dataclass. Called in the event loop of the server or gateway."""
+        """Return the current status as a dataclass. Called in the event loop of the server or gateway.
+
+        ``GET /connections`` shows its attribute ``connections``; nothing if it has none.
+        """
 
 
 @runtime_checkable
@@ -68,7 +72,10 @@ class Reloadable(Protocol):
 
 
 Reload = Callable[[], Any]
-"""A function or coroutine function that reads the files again; the client gets its result as JSON."""
+"""A function or coroutine function that reads the files again; the client gets its result as JSON.
+
+It is called without arguments in the subject's event loop.
+"""
 AnswerMetrics = Callable[[HttpRequest], HttpResponse]
 
 
@@ -80,19 +87,20 @@ class Control:
 
     Args:
         subject: a server, a gateway, or another object with a ``status()``.
-        at: path of a Unix domain socket, or an address of loopback such as ``127.0.0.1:0``. None: a new socket in the
-            directory where `busway status` looks for sockets.
+        at: path of a Unix domain socket, or an address of loopback such as ``127.0.0.1:0``. None: a new socket in
+            ``directory``.
         name: name of the program in its status, to tell several programs apart.
-        directory: directory for sockets and token files; None for that of `control_directory`.
+        directory: directory for token files, and for the socket if ``at`` is None; None for that of
+            `control_directory`, where `busway status` looks.
         reload: function that reads the files again; None: the ``reload`` of a `Reloadable` subject, or no reload.
-        metrics: function that answers requests for metrics, such as `MetricsEndpoint.answer`; None: there are no
-            metrics.
+        metrics: function that answers requests for metrics, such as `MetricsEndpoint.answer`, called in a thread of
+            the service; None: there are no metrics.
 
     Attributes:
         address: address of the service while it runs; None otherwise.
 
     Raises:
-        ConfigError: ``at`` is not an address of this host.
+        ConfigError: ``at`` is not an address that `parse_control_address` accepts.
     """
 
     def __init__(
@@ -134,7 +142,8 @@ class Control:
         To be called in the subject's event loop.
 
         Raises:
-            ConfigError: another file is at the path, or the directory does not belong to the user alone.
+            ConfigError: another file is at the path, the path is too long, this system has no Unix domain sockets, or
+                the directory does not belong to the user alone.
             LinkDown: the address cannot be bound, or another program answers there.
         """
         if self._service is not None:
@@ -152,7 +161,10 @@ class Control:
         self._service.start()
 
     async def stop(self) -> None:
-        """Stop answering, remove the control socket, and wait until the service's threads have ended."""
+        """Stop answering, remove the control socket, and wait until the service's threads have ended.
+
+        Requests that still wait for the event loop end with an error. Does nothing if the service does not run.
+        """
         service, self._service = self._service, None
         bound, self._bound = self._bound, None
         self.address = None
@@ -225,11 +237,12 @@ class Control:
         Blocks until then; called in threads of the service.
 
         Args:
-            work: the function; what it raises is raised here.
-            seconds: how long to wait for the result; then it is cancelled.
+            work: the function, called without arguments; what it raises is raised here.
+            seconds: how long to wait for the result; then a coroutine is cancelled.
 
         Raises:
-            HttpError: the event loop has ended (status 503), or the result did not come in time (504).
+            HttpError: the event loop has ended or `stop` was called (status 503), or the result did not come in time
+                (504).
         """
         assert self._loop is not None
 

@@ -64,7 +64,10 @@ CLOCK_LIMIT: Final = 5.0
 MOST_OPEN: Final = 64
 """Most proposals of leases that are open (without an outcome) at once; others wait."""
 MOST_LEAVING: Final = 8
-"""Most shards that one collector hands on at once to level loads or to drain; at its end it releases all at once."""
+"""Most shards that one collector hands on at once to level loads or to drain.
+
+It is no limit for shards that the collector must give away because it ends or may own none.
+"""
 
 
 class Step(Enum):

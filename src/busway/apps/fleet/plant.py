@@ -105,8 +105,9 @@ class LinkTimes:
     def transaction(self) -> float:
         """Seconds from the permission of a transaction until none of its bytes can reach the device any more.
 
-        A transaction of a poller has one request, without retries. The time that a frame waits for its turn on a serial
-        line is not included: permission is asked again when the frame is sent, with `after_sending`.
+        A transaction of a poller is one request, or several that are sent together, without retries. The time that a
+        frame waits for its turn on a serial line is not included: permission is asked again when the frame is sent,
+        with `after_sending`.
         """
         return self.connecting + self.after_sending
 

@@ -95,7 +95,7 @@ class Batch(Call):
         keys: if the reads may be shared, the key of each.
         shared: the table in which other clients find the batch by these keys; None if it has no reads to share.
         place: the range of the read whose values are to be remembered; None if none are.
-        since: number of changes of the unit (`ReadCache.changes`) when the batch was made.
+        since: number of changes of the unit (`ReadCache.changes`) when the batch was made; 0 without ``place``.
         read_at: when the batch was made, in monotonic seconds; 0 without ``place``.
     """
 

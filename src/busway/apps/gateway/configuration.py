@@ -87,7 +87,10 @@ class GatewayConfiguration:
 
     @property
     def control(self) -> str | None:
-        """Path or address of the gateway's control socket; None for the default one, or if the file switches it off."""
+        """Path or address of the gateway's control socket; None for the default one, or if the file switches it off.
+
+        ``file.control_parameters.enabled`` tells which.
+        """
         return self.common.control
 
     @property
@@ -202,7 +205,7 @@ def simple_gateway(
         client_deadline: seconds within which each request is answered, 0.001…3600; None for no limit.
 
     Raises:
-        ConfigError: an invalid URL, or an invalid option in it.
+        ConfigError: a URL, an option in it or in ``changes`` is invalid, or the upstream leads back to a listener.
     """
     for url in listeners:
         listener_settings(Listener(url), limits=ListenerParameters())

@@ -177,7 +177,7 @@ class Forwarder:
 
     @property
     def open_requests(self) -> int:
-        """Number of requests forwarded to this upstream that have no answer yet."""
+        """Number of requests forwarded to this upstream that have no answer yet; a shared read counts once."""
         return sum(batch.left for batch in self.open)
 
     async def wait_until_answered(self) -> None:

@@ -140,7 +140,10 @@ class Gateway:
         self._started = time.monotonic()
 
     async def stop(self) -> None:
-        """Close all listeners and upstreams at once; requests without a reply get none. `start` may be called again."""
+        """Close all listeners, then all upstreams, without waiting for forwarded requests, which get no reply any more.
+
+        Replies that are ready are still sent, as by `Server.stop`. `start` may be called again.
+        """
         listeners, self._listeners = self._listeners, {}
         for each in listeners.values():
             await each.server.stop()
@@ -299,14 +302,18 @@ class Gateway:
                 each.authorizer.replace_policy(policy)
 
     def reload_security(self) -> None:
-        """Read the certificate files of all listeners again, for new connections (`Server.reload_security`)."""
+        """Read the certificate files of all listeners again, for new connections (`Server.reload_security`).
+
+        Raises:
+            ConfigError: a file cannot be used; its listener keeps the old files.
+        """
         for each in self._running.values():
             each.server.reload_security()
 
     def end_unauthorized(self) -> int:
         """Abort the connections of hosts that may no longer connect to their listener.
 
-        Returns the number of connections aborted.
+        Returns the number of connections, TLS handshakes and UDP peers that were ended.
         """
         return sum(each.server.end_unauthorized() for each in self._running.values())
 

@@ -49,8 +49,8 @@ class GatewayListenerCounters:
     Attributes:
         no_route: requests refused because no route takes them (0A), or because only a part of their addresses is in the
             range of a route (02).
-        refused: requests that a route refused; broadcasts, once for each upstream that a route refused them; and
-            requests from or to unit 0 that the policy refused because of the units that they reach.
+        refused: requests that a route refused, broadcasts once for each upstream; and requests that the policy refused
+            here: broadcasts, requests that a route turns into broadcasts, requests to the own unit by unit 0.
         dropped: requests that a route dropped: they got no reply.
         own: requests that the gateway's own unit answered.
         malformed: requests that broke a rule of their function, such as a wrong length; answered with an exception.
@@ -167,8 +167,9 @@ class ListenerRouter:
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Return the outcome of a request: its reply, how it is forwarded, or silence.
 
-        Requests to the gateway's own unit that no route takes are answered by its device. Malformed requests, and
-        requests without a route, get an exception code.
+        Requests that no route takes are answered by the gateway's own unit if they are for its number or for unit 0 (no
+        broadcasts). Malformed requests, and other requests without a route, get an exception code. A request that its
+        route refuses gets the route's code; one that it drops gets silence.
         """
         if isinstance(request, MalformedRequest):
             self.counters.malformed += 1

@@ -41,6 +41,9 @@ _CLIENTS_REMEMBERED = 4096
 class UpstreamCounters:
     """Counters of the requests of clients to one upstream of a gateway, since the start or the last reset.
 
+    A request that joins a read in flight is counted in ``shared``, and in no other counter unless its client is
+    answered at its own deadline or disconnects.
+
     Attributes:
         forwarded: requests that a link accepted, to be queued or sent.
         answered: requests with a normal reply of the device, and broadcasts that were sent.
@@ -71,7 +74,8 @@ class SuspendedUnit:
     Attributes:
         unit: unit identifier on the upstream.
         state: state of the breaker: ``open`` or ``probing``.
-        next_probe: seconds until a request is sent to the unit again, to probe it; 0 if the next request is the probe.
+        next_probe: seconds until a request may be sent to the unit again, to probe it; 0 if the next request is the
+            probe. With the state ``probing``: seconds until the probe that was sent times out.
     """
 
     unit: int
@@ -85,7 +89,7 @@ class LinkStatus:
 
     Attributes:
         state: state of the connection: a value of `ConnectionState`.
-        in_flight: number of requests in flight.
+        in_flight: number of requests in flight; on serial links 0 or 1.
         queued: number of requests in the queue; on serial links number of calls, each of which may be a batch of
             requests.
         counters: counters of the link; the live object, which goes on counting.

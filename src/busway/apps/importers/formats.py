@@ -44,7 +44,9 @@ def import_file(
         The points found, and what could not be carried over.
 
     Raises:
-        ConfigError: the file cannot be read, its format is unknown, or its contents do not have this format.
+        ConfigError: the file cannot be read, its format is unknown, its text cannot be parsed in this format, the count
+            of a repeated group is missing (SunSpec), or PyYAML is not installed (Home Assistant). A text that can be
+            parsed but has no points is no error here, but one of `ImportedDevice.sections`.
     """
     if format is not None and format not in FORMATS:
         raise ConfigError(f"there is no such format, but {', '.join(FORMATS)}", key=format)

@@ -33,7 +33,8 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
         The points, by unit; and as ``omissions`` what could not be carried over.
 
     Raises:
-        ConfigError: the text is no YAML or has tags such as ``!include``, or PyYAML is not installed.
+        ConfigError: the text is no YAML, has more than plain data (such as the tag ``!include``), or is too large; or
+            PyYAML is not installed.
     """
     document = parse_yaml(text, name)
     data, root = document.data, ()

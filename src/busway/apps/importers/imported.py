@@ -97,8 +97,8 @@ class ImportedDevice:
     def sections(self) -> list[SimulatedUnitSection]:
         """Check the imported points, and return the units that they form, sorted by number.
 
-        Invalid points are left out and added to ``omissions``. Of several points with one name, all but the first get a
-        number appended.
+        Invalid points are left out and added to ``omissions``, again at each call. Of several points of a unit with one
+        name, all but the first get a number appended.
 
         Raises:
             ConfigError: no valid point is left, or a unit is invalid as a whole.
@@ -154,6 +154,8 @@ class ImportedDevice:
 
     def text(self, source: str) -> str:
         """Return the text of the device file; comment lines at its top list what was not carried over.
+
+        The points are checked first, as by `sections`.
 
         Args:
             source: name of the imported file, for the first comment line.

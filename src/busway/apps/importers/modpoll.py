@@ -3,8 +3,8 @@
 Knows modpoll's columns and types. Addresses of modpoll count from 0. The first half of an order such as ``BE_LE`` is
 that of the bytes in a register, the second half that of the registers.
 
-A ``ref`` belongs to the ``poll`` before it, and that to the ``device`` before it. If one of these lines is invalid, the
-points that belong to it are left out: which unit and table they have is not known.
+A ``ref`` belongs to the ``poll`` before it, and that to the ``device`` before it; without one the unit is 1. If one of
+these lines is invalid, the points that belong to it are left out: which unit and table they have is not known.
 """
 
 import csv

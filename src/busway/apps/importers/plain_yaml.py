@@ -18,11 +18,11 @@ Place = tuple[str | int, ...]
 LONGEST: Final = 1_000_000
 MOST_NODES: Final = 100_000
 LONGEST_NUMBER: Final = 1000
-"""The time for a number of base 60, such as ``1:30:00``, grows with the square of its length."""
+"""Most characters of a number. The time to convert one of base 60, ``1:30:00``, grows with the square of its length."""
 _TAG: Final = "tag:yaml.org,2002:"
 _CONVERTED: Final = frozenset({"null", "bool", "int", "float"})
 _KEPT: Final = frozenset({"str", "timestamp", "value", "seq", "map"})
-"""YAML types that are not converted: scalars of these types stay texts as written, such as dates; lists; mappings."""
+"""YAML types that need no conversion: lists, mappings, and scalars that stay texts as written, such as dates."""
 
 
 @dataclass(slots=True)
@@ -30,7 +30,7 @@ class YamlDocument:
     """The data of a YAML text, and the line of each key and list item.
 
     Attributes:
-        data: dictionaries, lists, texts, numbers, booleans and None. All keys are texts.
+        data: dictionaries, lists, texts, numbers, booleans and None; None for an empty document. All keys are texts.
         lines: line numbers from 1, by path: a tuple of keys and list indices from the root.
     """
 
@@ -52,7 +52,8 @@ def parse_yaml(text: str, name: str) -> YamlDocument:
         name: the file's name, for errors.
 
     Raises:
-        ConfigError: the text is no YAML, is more than plain data, or is too large; or PyYAML is not installed.
+        ConfigError: the text is no YAML, has several documents or more than plain data, or is too large; or PyYAML is
+            not installed.
     """
     require("yaml", "a file of YAML")
     yaml = import_module("yaml")

@@ -21,8 +21,9 @@ _TYPES: Final = {
     **{name.upper(): name for name in ("int16", "uint16", "int32", "uint32", "int64", "uint64")},
 }  # fmt: skip
 _SCALED: Final = {"FIXED": "int", "UFIXED": "uint", "FLOAT32": "uint"}
-"""Types of the register style that have no size of their own: it follows from the number of addresses.
+"""Types of the register style that have no size of their own, each with the beginning of its value type.
 
+The size follows from the number of addresses, 16 bits for each: FIXED with two addresses is ``int32``.
 FLOAT32 is an old name of UFIXED (an integer) in this style. In the other styles it is a float of IEEE 754.
 """
 _KNOWN: Final = {

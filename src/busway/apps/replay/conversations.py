@@ -29,7 +29,7 @@ class Troubles:
         count: how many there were.
         first: the first one.
         worst: for late and slow replies, the one with the longest response time; None for other kinds.
-        seconds: response time of ``worst``; 0.0 for other kinds.
+        seconds: response time of ``worst``, in seconds; 0.0 for other kinds.
     """
 
     count: int
@@ -40,7 +40,7 @@ class Troubles:
 
 @dataclass(slots=True)
 class CapturedConversation:
-    """Summary of all exchanges between one client and one unit of a capture.
+    """Summary of all exchanges between one client and one unit of one server in a capture.
 
     Attributes:
         client: address of the client; empty for a serial line.
@@ -51,10 +51,10 @@ class CapturedConversation:
         requests: number of requests by function code, broadcasts included.
         replies: number of replies to requests, exceptions included.
         exceptions: number of exceptions by function code and exception code.
-        items: ranges of registers and bits that were requested, by function code and table.
+        items: ranges of registers and bits that well-formed requests named, by function code and table.
         waiting: number of requests that still waited for a reply when the capture ended.
         broadcasts: number of broadcasts, which no unit answers.
-        times: statistics of the response times.
+        times: statistics of the response times, in seconds.
         slowest_packet: number of the packet with the slowest reply; 0 without replies.
         troubles: what was wrong, by kind.
     """

@@ -6,7 +6,8 @@ Knows frames of a capture and the rules of replies; knows no file. `conversation
    have no identifier: over a network a reply belongs to the request before it, on a line `busway.observe.pairing`
    decides.
 2. A request waits until its reply comes, its identifier is used again after ``reply_window`` seconds, or the connection
-   ends. A reply that comes after ``reply_window`` is late. A request that has waited for less than ``reply_window``
+   ends; over a network without identifiers also until the next request. A reply that comes after ``reply_window`` is
+   late. A request that has waited for less than ``reply_window``
    when the capture ends is no trouble.
 3. A missing reply is not the device's fault if the capture lacks bytes of that direction: the trouble says so.
 4. At most `MOST_WAITING` requests of a connection wait; then the oldest counts as unanswered.
@@ -94,15 +95,20 @@ class Trouble:
 class CapturedExchange:
     """A request and its reply in a capture; or only one of them; or bytes that are no frame.
 
+    On a serial line, a request that is sent again while the first still waits is an exchange with a trouble only:
+    ``asked`` and ``answered`` are None.
+
     Attributes:
         channel: the connection or line.
-        unit: unit identifier of the request, or of a reply without request; None for bytes whose unit is unknown.
+        unit: unit identifier of the request, or of a reply without request. For bytes that are no frame, that of a
+            request that waits for its reply; None if none does.
         time: time of the first frame or of the bytes, seconds since 1970.
         asked: the frame of the request; None if there is none.
         request: the decoded request, a `MalformedRequest` if it is malformed; None without request or if its function
             code is not 1…127.
         answered: the frame of the reply; None if there is none.
-        reply: the decoded reply; None without reply, or if it is malformed or of another function.
+        reply: the decoded reply; None without reply, or if it is malformed, of another function, or does not fit the
+            request.
         seconds: response time, from request to reply; None if one of them is missing.
         troubles: what is wrong with the exchange; empty if nothing is.
         is_open: whether the request still waited for its reply when the capture ended.
@@ -252,9 +258,10 @@ class _Waiting:
         )
 
     def unanswered(self, why: str = "") -> CapturedExchange:
-        """Return an exchange that has this request and no reply, with a trouble that says so.
+        """Return an exchange that has this request and no reply, with the trouble `TroubleKind.NO_REPLY`.
 
-        ``why`` is appended to the text of the trouble.
+        If the capture lacks bytes that may have been the reply, the trouble is `TroubleKind.MISSING` instead. ``why``
+        is appended to its text.
         """
         kind, text = TroubleKind.NO_REPLY, f"to {function_name(self.asked.pdu[0])}{_place(self.request)}{why}"
         if self.lacks_bytes:

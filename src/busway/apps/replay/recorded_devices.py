@@ -100,7 +100,7 @@ class RecordedDevices:
     def add(self, exchange: CapturedExchange) -> None:
         """Record the values, the exception and the response time of one exchange.
 
-        Broadcasts, replies without a request and bytes of an unknown unit are ignored.
+        Broadcasts, replies without a request and bytes that are no frame are ignored.
         """
         if exchange.unit is None or exchange.asked is None or exchange.is_broadcast:
             return
@@ -227,7 +227,8 @@ class _RecordedUnit:
     def add(self, exchange: CapturedExchange) -> None:
         """Record one exchange with a request to this unit.
 
-        Replies that are malformed or of another unit, and requests beyond the end of a table, are ignored.
+        A reply that is malformed, of another unit or function, or does not fit its request is ignored, and so is a
+        request beyond the end of a table. Where `_Limits` has no room, nothing new is recorded.
         """
         asked, request = exchange.asked, exchange.request
         assert asked is not None
@@ -375,7 +376,8 @@ class _RecordedUnit:
     def _unlike(self) -> Iterator[tuple[int, int, list[Span]]]:
         """Yield the exceptions that the simulated unit would not give by itself, so that they need a fault.
 
-        Each is (function code, most frequent exception code, refused items that this function never read or wrote).
+        Each is (function code, most frequent exception code, refused items that this function never read or wrote). The
+        last is empty for a function without items.
         """
         missing = self._missing_functions()
         for (function, spans), codes in self.refusals.items():
@@ -392,7 +394,7 @@ class _RecordedUnit:
         return all(offset in self._first[span.table] for offset in range(span.address, span.address + span.count))
 
     def _never_given(self, function: int, span: Span) -> Iterator[Span]:
-        """Yield the parts of a refused range of items that no other request of this function has read or written."""
+        """Yield the parts of a refused range of items that this function has never read or written successfully."""
         at, end = span.address, span.address + span.count
         for first, behind in self._given.get(function, {}).get(span.table, ()):
             if at < first < end:

@@ -26,7 +26,7 @@ class AccessInForce:
 
     Attributes:
         rules: the access rules in force; None without a policy.
-        allow_list: the hosts that may connect to any listener; a listener may have a further list of its own.
+        allow_list: tells which hosts may connect to any listener; a listener can have a further list of its own.
         is_guarded: whether the server is given a policy, so that it can be replaced later; set by `guard`.
         read_only: URLs of the listeners that are read-only because there is no policy; set by `replace_policy`, once
             the listeners are bound.
@@ -42,6 +42,8 @@ class AccessInForce:
 
     def guard(self, listeners: Sequence[Listener]) -> Policy | None:
         """Put the access rules into force before the start, and return the policy to start the server with.
+
+        Sets `is_guarded` and the lists of `allow_list`.
 
         Args:
             listeners: the listeners with which the server starts.
@@ -74,7 +76,8 @@ class AccessInForce:
         """Give a running server, whose listeners are bound, the policy of other access rules, from the next request on.
 
         With ``rules`` None there is no policy: listeners that other hosts can reach become read-only, unless writes
-        were allowed on the command line. Also sets `rules` and `read_only`.
+        were allowed on the command line. Also sets `rules` and `read_only`. Call this only if `is_guarded`: a server
+        that was created without a policy refuses one.
         """
         self.rules = rules
         exposed = [url for url in server.endpoints if reaches_network(url)]

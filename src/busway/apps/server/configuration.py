@@ -56,7 +56,8 @@ class Configuration:
         tls: TLS options of the listeners that have none of their own; None if ``[security]`` has no certificate.
         access: rules on what may be requested, and on who may connect; None without ``[policy]``.
         audit: path of the audit log; None if there is none.
-        control: path or address of the control socket; None for the default one, or if ``[control]`` switches it off.
+        control: path or address of the control socket; None for the default one, or if ``[control]`` switches it off
+            (``file.control_parameters.enabled`` is False).
         links: the links by name.
         warnings: warnings about the file, each with file, line and key.
         changes: options of all listeners, by name, that replace the file's.
@@ -89,7 +90,7 @@ class Configuration:
             options: options of `busway.serve`, instead of the file's.
 
         Raises:
-            ConfigError: an endpoint or option is invalid, or the file has no unit.
+            ConfigError: an endpoint or option is invalid, or the file has no unit, even if ``units`` are given.
         """
         from ...config.devices import build_units
         from ...server.serving import serve

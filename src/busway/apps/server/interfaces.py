@@ -78,7 +78,10 @@ class DeclaredServer(Protocol):
 
     @property
     def control(self) -> str | None:
-        """Path or address of the control socket; None for the default one, or if the file switches it off."""
+        """Path or address of the control socket; None for the default one, or if the file switches it off.
+
+        ``file.control_parameters.enabled`` tells which.
+        """
 
     @property
     def at_once(self) -> frozenset[str]:
@@ -89,7 +92,7 @@ class DeclaredServer(Protocol):
 
         Args:
             listen: endpoints or listeners instead of the file's; empty to use the file's.
-            options: options of `busway.serve`, instead of the file's.
+            options: options of `busway.serve` or `Gateway`, instead of the file's.
         """
 
     async def apply_to(self, running: Any, listen: Sequence[Listener], *, policy: Policy | None) -> list[str]:

@@ -55,9 +55,11 @@ class Reload:
         self._access = access
 
     async def run(self, server: RunningServer, audit: "AuditLog | None") -> list[str]:
-        """Read the configuration again, apply it, and return a sentence for each change.
+        """Read the configuration again, apply what can change without a restart, and return a sentence for each change.
 
-        Returns one sentence that says so if nothing has changed. Call this again only after it has returned.
+        Reopening the audit log and reading certificates again are among the sentences, and so are changed sections that
+        only the next start will see. Without any sentence, the list is ``["nothing has changed"]``. Call this again
+        only after it has returned.
 
         Args:
             server: the running server.
@@ -79,7 +81,10 @@ class Reload:
         return done
 
     def exclude_rules_from_gc(self) -> None:
-        """Exclude more than 10,000 access rules from garbage collection: each collection would visit them all."""
+        """Exclude all existing objects from garbage collection if there are more than 10,000 access rules in force.
+
+        Each collection would visit all rules. With fewer rules, does nothing.
+        """
         rules = self._access.rules
         if rules is not None and len(rules.policy.rules) > _MANY_RULES:
             keep_uncollected()
@@ -91,7 +96,7 @@ class Reload:
     async def _apply(
         self, reloaded: "ReloadedConfiguration", server: RunningServer, audit: "AuditLog | None"
     ) -> list[str]:
-        """Apply a reloaded configuration to the running server; return a sentence for each change, or one for none."""
+        """Apply a reloaded configuration to the running server, and return the sentences that `run` returns."""
         new, rules, access = reloaded.configuration, reloaded.rules, self._access
         done = []
         if audit is not None:
@@ -175,7 +180,7 @@ def read_again(
 def _differences(old: DeclaredServer, new: DeclaredServer) -> list[str]:
     """Return the names of the sections that differ in two configurations and need a restart.
 
-    Address lists of listeners do not count, because a reload replaces them.
+    The sections in ``new.at_once``, and address lists of listeners, do not count, because a reload replaces them.
     """
     found = []
     for name in type(old.file).model_fields:

@@ -24,11 +24,11 @@ class Service:
     """A server with its policy, audit log, metrics and control socket; ``async with`` starts and stops all of them.
 
     Args:
-        read: reads and checks the configuration; called by the constructor, and again by `reload`.
+        read: reads and checks the configuration; called by the constructor, and again by `reload` in a thread.
         overrides: command-line options that replace parts of the configuration.
 
     Attributes:
-        configuration: the configuration with which the service was started.
+        configuration: the configuration with which the service was started; a reload does not replace it.
         server: the server; set when the ``async with`` block is entered.
         metrics: URL of the metrics, set when the block is entered; empty if none are offered.
 
@@ -109,8 +109,9 @@ class Service:
     async def reload(self) -> list[str]:
         """Read the configuration again, apply what can change without a restart, and return a sentence for each change.
 
-        Returns one sentence that says so if nothing has changed. Call this in the event loop of the server, which goes
-        on answering meanwhile; a second call waits for the first.
+        Reopening the audit log and reading certificates again are among the sentences. Without any sentence, the list
+        is ``["nothing has changed"]``. Call this in the event loop of the server, which goes on answering meanwhile; a
+        second call waits for the first.
 
         Raises:
             ConfigError, LinkDown: the files have an error, or a file or port that they name cannot be opened; the

@@ -9,9 +9,9 @@ writes to the device.
    little. ``thorough`` divides every block.
 3. A value is recorded in its unit of measure if writing it gives the same registers again, and as registers otherwise:
    the clone gives the same replies as the device.
-4. If a device is watched for a while, numbers that changed get a behaviour: a whole number that only grew becomes a
-   counter with the observed rate, any other number a random walk within the observed range. Bits and numbers with names
-   stay constant.
+4. If a device is watched for a while, numbers that changed get a behaviour: one that only grew, and is no float,
+   becomes a counter with the observed rate, any other number a random walk within the observed range. Bits and numbers
+   with names stay constant.
 5. A point that the device refuses is left out, and a remark says so. A device that does not answer ends the cloning;
    the error names the point or range that was asked for.
 """
@@ -215,8 +215,8 @@ class _Watched:
     def learnt(self) -> SimulatedPointSection:
         """Return the point with a behaviour that fits the observed changes; the point itself if there were none.
 
-        A whole number that never fell gets a counter, any other number a random walk. The range of the point is
-        extended to the values that were seen.
+        A number that never fell, and whose type is no float, gets a counter; any other number gets a random walk. The
+        range of the point is extended to the values that were seen, except of a point with ``scale_from``.
         """
         if not self.has_changed or self._time <= 0:
             return self.point
@@ -252,8 +252,9 @@ class _Recorder:
     def record(self, point: SimulatedPointSection, remarks: list[str]) -> list[SimulatedPointSection]:
         """Read a point from the device, and return a list with this point, which has the value that was read.
 
-        If its registers hold no valid value of its type, the list has a point for each register instead, and a remark
-        is added to ``remarks``. Raises `ModbusError` if the device refuses the read or does not answer.
+        If its registers hold no valid value of its type, or writing the value would give other registers, the list has
+        a point for each register instead, and a remark is added to ``remarks``. Raises `ModbusError` if the device
+        refuses the read or does not answer.
         """
         place, form = point.place, point.form
         if form is None:
@@ -331,7 +332,7 @@ def _keys_of(point: SimulatedPointSection) -> dict[str, Any]:
 
 
 def _register_point(point: SimulatedPointSection, index: int, value: int) -> SimulatedPointSection:
-    """Return a point of type ``uint16`` for one register of a point whose registers hold no valid value of its type.
+    """Return a point of type ``uint16`` for one register of a point that cannot be recorded by its value.
 
     Args:
         point: the point that has the register.

@@ -110,7 +110,11 @@ def _bytes(data: bytes, *, running: bool) -> Any:
 
 
 def written(value: Any) -> str:
-    """Return a Python value as text in TOML syntax, on one line. Raises `TypeError` for types that TOML lacks."""
+    """Return a Python value as text in TOML syntax, on one line. Raises `TypeError` for types that TOML lacks.
+
+    ``${`` in a text becomes ``$${``, so that a reader does not take it for a parameter. Entries None of a mapping are
+    left out.
+    """
     if isinstance(value, bool):
         return "true" if value else "false"
     if isinstance(value, float):

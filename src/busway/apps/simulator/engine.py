@@ -173,7 +173,10 @@ class Engine:
             self._push(group.due(), rank, units.setdefault(id(group.device), len(units)), group)
 
     def deadline(self) -> float | None:
-        """Return when `run` is to be called next, in seconds of the simulation; None if no point has a behaviour."""
+        """Return when `run` is to be called next, in seconds of the simulation; None if no point has a behaviour.
+
+        This is when the next points change or a setting by hand ends.
+        """
         return self._heap[0][0] if self._heap else None
 
     def drives(self, point: SimulatedPoint) -> bool:
@@ -183,7 +186,7 @@ class Engine:
     def state_of(self, point: SimulatedPoint, time: float) -> float | None:
         """Return the value from which a point's behaviour would continue after a restart.
 
-        None if the point has no behaviour, or one whose value follows from the time alone.
+        None if the point has no behaviour, or one that keeps no state: all but counters, lags and random walks.
 
         Args:
             point: the point.
@@ -229,8 +232,8 @@ class Engine:
     def _leave_out(self, until: float) -> None:
         """Skip the moments before ``until`` that were missed, and count them.
 
-        Each group of points goes on with its last moment that is not after ``until``. Does nothing if the next group
-        has missed no moment.
+        Each group of points goes on with its last moment that is not after ``until``. Does nothing if the next entry of
+        the schedule is a release, or a group that has missed no moment.
         """
         first = self._heap[0][4] if self._heap else None
         if not isinstance(first, _Group) or (first.step + 1) * first.every > until:
@@ -292,8 +295,8 @@ class Engine:
     def release(self, point: SimulatedPoint, time: float) -> None:
         """Let a point that was set by hand follow its behaviour again, from its next moment on.
 
-        A behaviour that depends on its last value continues from the present value of the point. Does nothing for other
-        points. May be called in any thread.
+        A behaviour that depends on its last value continues from the present value of the point. Does nothing for a
+        point that was not set by hand or has no behaviour. May be called in any thread.
 
         Args:
             point: the point.

@@ -35,7 +35,12 @@ class Points:
         return iter(self._sections)
 
     def __getitem__(self, name: str) -> Any:  # what the point's type says
-        """Return the value of a point in its unit of measure. Raises `InvalidRequest` if there is no such point."""
+        """Return the value of a point in its unit of measure.
+
+        Raises:
+            InvalidRequest: there is no such point.
+            BadReply: its registers hold no valid value of its type.
+        """
         section = self._section(name)
         return section.physical(self._device.read(section.place, section.form))
 

@@ -15,7 +15,9 @@ from ...values import Address, format_address
 
 
 def item_keys(tables: Mapping[Table, Mapping[int, int]]) -> dict[str, Any]:  # Any: what TOML has
-    """Return the keys of a ``[[unit]]`` section that declare items with their values.
+    """Return the keys of a ``[[unit]]`` section that declare items with their values; tables without items have none.
+
+    A table without holes has its own key, such as ``coils``; the items of other tables are in the key ``point``.
 
     Args:
         tables: for each table, the values of its items (bits: 0 or 1) by address, counted from 0.

@@ -117,7 +117,7 @@ def read_what_fits(path: str) -> tuple[list[tuple[int, dict[str, Any]]], list[Co
     """Read those rows of a CSV file that can be read as keys of points, and return the errors in the others.
 
     Args:
-        path: path of the file. Unknown columns are left out of all rows.
+        path: path of the file. Unknown columns are left out of all rows and reported as errors.
 
     Returns:
         Two lists: line number and keys of each row that could be read, the keys not yet checked by the schema; and the

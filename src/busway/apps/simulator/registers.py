@@ -237,7 +237,7 @@ def largest_of(form: PointForm) -> float | None:
     """Return the value at which a counter in this point starts again from `begin_of`, in its unit of measure.
 
     This is the point's ``rollover`` if that is a number, else the first value that is too large for the registers. None
-    for bits and floats: never.
+    for bits and floats: never. A ``rollover`` of the behaviour itself has priority over this result.
     """
     if form.form is None or form.form.name.startswith("float"):
         return None
@@ -249,8 +249,8 @@ def largest_of(form: PointForm) -> float | None:
 def begin_of(form: PointForm) -> float:
     """Return the value with which a counter in this point starts again, in its unit of measure.
 
-    This is 0 if the point's ``rollover`` is a number, else the value that 0 in the registers means. If the scale is
-    negative and the type has no negative numbers, it is the value of the largest number in the registers.
+    This is 0 if the point's ``rollover`` is a number, and for bits; else the value that 0 in the registers means. If
+    the scale is negative and the type has no negative numbers, it is the value of the largest number in the registers.
     """
     if form.form is None or not isinstance(form.section.rollover, bool):
         return 0.0

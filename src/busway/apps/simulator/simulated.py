@@ -44,8 +44,8 @@ class SimulatedPoint:
         memory: the block of the device's memory that holds the value.
         offset: where the value begins in that block, in bytes (for one bit: in bits).
         held: number of the latest setting by hand or by a Modbus client, 1 or more, while the point keeps that value; 0
-            while it follows its behaviour.
-        number: the value in the unit of measure, as formulas use it; NaN if it is no number.
+            while it follows its behaviour, and always 0 without a behaviour.
+        number: the value in the unit of measure, as formulas use it; 0 or 1 for one bit, NaN if it is no number.
         stored: the value before scaling, as the registers hold it: a value of the type, or ``bool``; None if the
             registers hold no valid value of the type.
         changed_at: when the value changed or was set last, in seconds of the simulation.
@@ -110,7 +110,7 @@ class SimulatedPoint:
 
     @property
     def notation(self) -> str:
-        """Address of the point as people write it: ``4x101``."""
+        """Address of the point as people write it, counted from 1: ``4x101``."""
         return format_address(self.form.section.place)
 
     @property
@@ -166,7 +166,10 @@ class SimulatedPoint:
 
     @property
     def is_held(self) -> bool:
-        """Whether the point was set by hand or by a Modbus client, and keeps that value against its behaviour."""
+        """Whether the point was set by hand or by a Modbus client, and keeps that value against its behaviour.
+
+        False for a point without a behaviour.
+        """
         return self.held > 0
 
     @property

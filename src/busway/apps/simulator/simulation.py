@@ -200,7 +200,8 @@ class Simulation:
         """Register a function to be called with each group of new values.
 
         Args:
-            callback: called with the list of changes, in the thread that made them; its errors are logged.
+            callback: called with the list of changes (`PointChanged`), in the thread that made them; its errors are
+                logged.
 
         Returns:
             A function that unregisters ``callback``.
@@ -322,7 +323,10 @@ class Simulation:
 
     @property
     def control(self) -> str | None:
-        """The path or address of the control socket; None for the default one, or if the file switches it off."""
+        """The path or address of the control socket; None for the default one, or if the file switches it off.
+
+        ``file.control_parameters.enabled`` tells which.
+        """
         return self.declaration.configuration.control
 
     @property
@@ -472,6 +476,8 @@ class Simulation:
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
         """Hold points at values that were just set, and return the changes for the functions of `watch`.
 
+        Returns an empty list if no function is registered.
+
         Args:
             points: points whose registers have their new value.
             who: name of the writer.
@@ -507,7 +513,8 @@ class Simulation:
     def _begin(self) -> None:
         """Give all points their first values, or their saved values if the file names a state file that exists.
 
-        Values that cannot be restored become warnings. Raises `ConfigError` if the state file is no such file.
+        Values, or a state file, that cannot be restored become warnings. Raises `ConfigError` if the file at that path
+        is no state of a simulation, or is reached by a link of another user.
         """
         path = self.declaration.state
         kept = None

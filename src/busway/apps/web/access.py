@@ -326,7 +326,7 @@ def _has_body(headers: dict[str, list[str]]) -> bool:
 def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
     """Return a ``receive`` that raises `Refused` (413) once a body exceeds `BODY_LIMIT` bytes.
 
-    Raises `Refused` (413) at once if ``Content-Length`` announces more.
+    Raises `Refused` (413) at once if ``Content-Length`` announces more or is no number.
     """
     announced = _single(headers, "content-length")
     if announced and (not announced.isdecimal() or int(announced) > BODY_LIMIT):

@@ -409,7 +409,7 @@ def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: f
 def _held_trend(answer: TrendAnswer, last: tuple[Value | None, int, int] | None) -> TrendAnswer:
     """Extend a chart to the time at which the point was read last, with its last value. Changes and returns ``answer``.
 
-    For points of which the store keeps only changes.
+    For points of which the store keeps only changes. An empty chart gets the last value at its begin, too.
 
     Args:
         answer: the chart.

@@ -62,7 +62,7 @@ class Viewer:
 
     Attributes:
         caller: name and role, as they were when the WebSocket was opened.
-        seen: the tick up to which changes were sent; -1: no values of the present list of points were sent yet.
+        seen: the tick up to which changes were sent; -1: the next message has all values, as the list of points is new.
         revision: the revision of the list of points that the viewer was sent last; -1 before the first message.
         shown: positions of the points that the page shows.
         told: by position of a shown point, its registers as sent last.
@@ -130,7 +130,8 @@ class CollectorStream:
     def refresh(self) -> LiveValues:
         """Return the last values of all points, after taking over the collector's configuration if that was replaced.
 
-        If the list of points has changed, `points`, `values` and `revision` are new; otherwise only the limits are.
+        If the new configuration has another list of points, `points`, `values` and `revision` are new; otherwise only
+        the limits are.
         """
         if self._collector.configuration is not self._configuration:
             self._configuration = self._collector.configuration
@@ -251,7 +252,7 @@ class CollectorStream:
     def _raw(self, viewer: Viewer) -> dict[int, str]:
         """Return the registers of shown points that differ from those sent last, as hexadecimal text by position.
 
-        Records these registers as sent.
+        Records these registers as sent. Bits, computed points and points that were not read yet have no registers.
         """
         found: dict[int, str] = {}
         for device, places in self._by_device(viewer.shown).items():

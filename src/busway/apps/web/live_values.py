@@ -135,8 +135,8 @@ class LiveValues:
     def advance(self) -> bool:
         """Begin a new tick with the changes since the last tick, and return True.
 
-        Returns False, without a new tick, if there is no change: no commit has come, no further value is held, and
-        commits fail or succeed as before.
+        Returns False, without a new tick, if there is no change: no commit with samples or intervals has come, no
+        further value is held, and commits fail or succeed as before.
         """
         with self._lock:
             is_quiet = not self._waiting and not self._unapplied and self._is_behind() == self._was_behind
@@ -165,7 +165,7 @@ class LiveValues:
                     self._changed_at[place] = self.tick
 
     def _newly_held(self) -> list[int]:
-        """Return the positions of points whose value is held now and was not when this was last computed."""
+        """Return the positions of points whose value is too old now, and which are not marked as held yet."""
         now = self._moment()
         if now <= self._look_at:
             return []

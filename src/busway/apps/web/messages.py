@@ -43,7 +43,7 @@ def plain_value(value: Any) -> Plain:
     """Return a value in a form that JSON can represent (`Plain`).
 
     NaN, infinities and integers beyond ±2**53 become texts; bytes become hexadecimal text; values of unknown classes
-    become ``str(value)``.
+    become ``str(value)``. The items of a list or tuple are treated likewise; a list within a list becomes a text.
     """
     if isinstance(value, bool) or value is None or isinstance(value, str):
         return value

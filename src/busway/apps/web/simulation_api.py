@@ -253,7 +253,7 @@ class Api:
         return self.shown(self._place(unit, name))
 
     async def set_point(self, unit: str, name: str, new: NewValue) -> PointAnswer:
-        """Set the value of a point, which then ignores its behaviour until it is released. Returns the point."""
+        """Set the value of a point, which keeps it until it is released or `resume_after` ends. Returns the point."""
         place = self._place(unit, name)
         self.subject.set(self.order[place].key, given_value(new.value), WHO)
         return self.shown(place)

@@ -144,7 +144,7 @@ class PageSubject(Protocol):
         """The faults of the simulation."""
 
     def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says
-        """Set the value of a point; its behaviour does not change it until `release`.
+        """Set the value of a point, which keeps it until `release` or for its behaviour's ``resume_after`` seconds.
 
         Args:
             key: key of the point: ``UNIT/NAME``.

@@ -123,7 +123,7 @@ class Traffic:
         self._is_on = False
 
     def start(self) -> None:
-        """Record frames of connections opened from now on; this object then passes the frames on to a capture file.
+        """Record the frames of connections opened from now on, and pass them on to the capture file if there is one.
 
         Raises:
             ConfigError: this object is recording already.
@@ -185,7 +185,8 @@ class Traffic:
     def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
         """Return the recorder for the bytes of a new Modbus connection. Called by `busway.observe.trace`.
 
-        A connection that is not to the server's ports, or opened after `stop`, is passed to the capture file alone.
+        The bytes of a connection whose local port is none of the server's, or that is opened after `stop`, go to the
+        capture file alone, or nowhere if there is none.
         """
         onward = None if self._before is None else self._before.connection(ends)
         local = ends.local
@@ -321,14 +322,14 @@ class _Connection:
         self._requests = _Requests()
 
     def received(self, data: bytes) -> None:
-        """Record the frames in bytes that a Modbus connection received."""
+        """Record the frames in bytes that a Modbus connection received: requests of the client."""
         if self._onward is not None:
             self._onward.received(data)
         for passed in self._frames(self._incoming, data, is_reply=False):
             self._requests.asked(passed.transaction, passed)
 
     def sent(self, data: bytes) -> None:
-        """Record the frames in bytes that a Modbus connection sent."""
+        """Record the frames in bytes that a Modbus connection sent: replies to the client."""
         if self._onward is not None:
             self._onward.sent(data)
         for passed in self._frames(self._outgoing, data, is_reply=True):

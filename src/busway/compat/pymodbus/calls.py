@@ -102,21 +102,30 @@ class ModbusClientMixin:
         return self._ask(ReadInputRegistersRequest, names, address, count, device_id)
 
     def write_coil(self, address: int, value: bool, device_id: int = 1, **names: Any) -> Any:
-        """Write one coil, function 05."""
+        """Write one coil, function 05; the response repeats ``address`` and the state, in ``.bits`` and ``.value``."""
         return self._ask(WriteSingleCoilRequest, names, address, value, device_id)
 
     def write_register(self, address: int, value: int | bytes, device_id: int = 1, **names: Any) -> Any:
-        """Write one holding register, function 06."""
+        """Write one holding register, function 06; the response repeats ``address`` and ``value``.
+
+        ``value`` is a number 0…65535, or two bytes, the higher first.
+        """
         return self._ask(WriteSingleRegisterRequest, names, address, value, device_id)
 
     def write_coils(self, address: int, values: Iterable[bool] | bool, device_id: int = 1, **names: Any) -> Any:
-        """Write coils from ``address`` on, function 15."""
+        """Write coils from ``address`` on, function 15; one value alone is one coil.
+
+        The response has ``address`` and ``count``.
+        """
         return self._ask(WriteMultipleCoilsRequest, names, address, values, device_id)
 
     def write_registers(
         self, address: int, values: Iterable[int | bytes] | int, device_id: int = 1, **names: Any
     ) -> Any:
-        """Write holding registers from ``address`` on, function 16."""
+        """Write holding registers from ``address`` on, function 16; one value alone is one register.
+
+        Each value is a number 0…65535, or two bytes, the higher first. The response has ``address`` and ``count``.
+        """
         return self._ask(WriteMultipleRegistersRequest, names, address, values, device_id)
 
     def mask_write_register(
@@ -140,8 +149,8 @@ class ModbusClientMixin:
     ) -> Any:
         """Write holding registers, then read some, function 23; the response has those read in ``.registers``.
 
-        ``values`` are written from ``write_address`` on. ``address``, if given and not 0, replaces ``read_address`` and
-        ``write_address``.
+        ``values`` (or ``write_registers``), numbers 0…65535, are written from ``write_address`` on. ``address``, if
+        given and not 0, replaces ``read_address`` and ``write_address``.
         """
         if address:
             read_address = write_address = address
@@ -155,11 +164,14 @@ class ModbusClientMixin:
         return self._ask(ReadFifoQueueRequest, names, address, device_id)
 
     def read_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
-        """Read parts of files, function 20; the response has their data in ``.records``, in the same order."""
+        """Read parts of files, function 20; each of ``records`` names a part, with its ``record_length``.
+
+        The response has a `FileRecord` with ``record_data`` for each in ``.records``, in the order of ``records``.
+        """
         return self._ask(ReadFileRecordRequest, names, records, device_id)
 
     def write_file_record(self, records: Sequence[FileRecord], device_id: int = 1, **names: Any) -> Any:
-        """Write parts of files, function 21: the ``record_data`` of each record."""
+        """Write parts of files, function 21: the ``record_data`` of each record; the response repeats ``.records``."""
         return self._ask(WriteFileRecordRequest, names, records, device_id)
 
     # --- identification and diagnostics -------------------------------------------------------------------------------
@@ -181,11 +193,14 @@ class ModbusClientMixin:
         return self._ask(ReadExceptionStatusRequest, names, device_id)
 
     def diag_get_comm_event_counter(self, device_id: int = 1, **names: Any) -> Any:
-        """Read the counter of events, function 11; the response has it in ``.count``."""
+        """Read the counter of events, function 11; the response has it in ``.count``, and ``.status``."""
         return self._ask(GetCommEventCounterRequest, names, device_id)
 
     def diag_get_comm_event_log(self, device_id: int = 1, **names: Any) -> Any:
-        """Read the log of communication events, function 12; the response has it in ``.events``."""
+        """Read the log of communication events, function 12; the response has it in ``.events``, the newest first.
+
+        It also has ``.status``, ``.event_count`` and ``.message_count``.
+        """
         return self._ask(GetCommEventLogRequest, names, device_id)
 
     def report_device_id(self, device_id: int = 1, **names: Any) -> Any:
@@ -223,12 +238,12 @@ class ModbusClientMixin:
         word_order: str = "big",
         string_encoding: str = "utf-8",
     ) -> Any:
-        """Return the value in registers: a number, a list of numbers if there are several, a text, or a list of bits.
+        """Return the value in registers: a number, a list of numbers unless there is one, a text, or a list of bits.
 
         Args:
             registers: the registers, as a response has them.
             data_type: a member of ``DATATYPE``.
-            word_order: ``big``: the highest register of a value comes first; ``little``: the lowest.
+            word_order: ``little``: the lowest register of a value comes first; any other text: the highest.
             string_encoding: encoding of a text, whose zero bytes at the end are left out.
 
         Raises:
@@ -253,9 +268,11 @@ class ModbusClientMixin:
     ) -> list[int]:
         """Return the registers of a number, a list of numbers, a text or bits; opposite of `convert_from_registers`.
 
+        A zero byte or zero bits fill up the last register of a text or of bits.
+
         Raises:
-            TypeError: ``data_type`` is no member of ``DATATYPE``, or does not fit the value.
-            struct.error: a number is out of the range of its type.
+            TypeError: ``data_type`` is no member of ``DATATYPE``, or is STRING or BITS and ``value`` no text or list.
+            struct.error: a value is no number of the type, or out of its range.
         """
         code, width = checked(data_type)
         if data_type is RegisterDataType.BITS:

@@ -57,7 +57,7 @@ class CommParams:
     Attributes:
         host, port: host and port of the server; for a serial port ``host`` is its name, and ``port`` None.
         timeout_connect: seconds allowed for connecting, and for each reply.
-        reconnect_delay: seconds before the first attempt to connect again.
+        reconnect_delay: seconds before the first attempt to connect again; at least 0.001. No effect on a serial port.
         reconnect_delay_max: has no effect.
         source_address: (address, port): local address of the connection; the port has no effect. None for any.
         baudrate, parity, bytesize, stopbits: settings of a serial port; None for other clients.
@@ -177,10 +177,11 @@ class _Client(ModbusClientMixin):
         return self._traced(False, response)
 
     def _failed(self, request: ModbusPDU, error: ModbusError, silent: bool) -> ModbusPDU | None:
-        """Return an exception response for an error that is one; None if no reply came and ``silent`` is True.
+        """Return an exception response if the device answered with an exception, or None; raise any other error.
 
-        Raises the exception of pymodbus for any other error; `InvalidRequest` and `ConfigError` are raised unchanged.
-        ``silent`` is the argument ``no_response_expected`` of ``execute``.
+        None if no valid reply came and ``silent`` is True; that is the argument ``no_response_expected`` of
+        ``execute``. The exception of pymodbus for the error is raised; `InvalidRequest` and `ConfigError` are raised
+        unchanged.
         """
         if isinstance(error.__cause__, ExceptionReply):  # 0B of a gateway to a write
             error = error.__cause__
@@ -223,7 +224,10 @@ class ModbusBaseSyncClient(_Client):
         return self.connected
 
     def connect(self) -> bool:
-        """Connect unless the client is connected, and return whether it is now. A failure is logged, not raised."""
+        """Connect unless the client is connected, and return whether it is now.
+
+        A failure to connect is logged, not raised; ``ConfigError`` is raised for an option that no link accepts.
+        """
         if self._link is None:
             self._link = connect(self._endpoint, shared=False, **self._options)
         if self._link.is_connected:
@@ -289,7 +293,10 @@ class ModbusBaseClient(_Client):
         return self._link is not None and self._link.is_connected
 
     async def connect(self) -> bool:
-        """Connect unless the client is connected, and return whether it is now. A failure is logged, not raised."""
+        """Connect unless the client is connected, and return whether it is now.
+
+        A failure to connect is logged, not raised; ``ConfigError`` is raised for an option that no link accepts.
+        """
         if self._link is None:
             self._link = open_link(self._endpoint, shared=False, **self._options)
         if self._link.is_connected:

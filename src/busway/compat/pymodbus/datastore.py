@@ -3,7 +3,8 @@
 Knows values and addresses; knows no server.
 
 1. A context adds 1 to the address of a request before it asks its blocks, unless ``zero_mode`` is set.
-2. Nothing is copied: a block may belong to several contexts, and the server asks for values when a request comes.
+2. A block is never copied: it may belong to several contexts, and the server asks for its values when a request comes.
+   But a block copies the list or dict that it is created from.
 3. A subclass may override ``getValues`` and ``setValues`` of blocks and contexts. Both may return an exception code.
 """
 
@@ -44,11 +45,11 @@ class BaseModbusDataBlock:
         raise NotImplementedError
 
     async def async_getValues(self, address: int, count: int = 1) -> Any:
-        """Return the result of `getValues`."""
+        """Return the result of `getValues`. For programs: a server calls `getValues` itself."""
         return self.getValues(address, count)
 
     async def async_setValues(self, address: int, values: Any) -> Any:
-        """Call `setValues` and return its result."""
+        """Call `setValues` and return its result. For programs: a server calls `setValues` itself."""
         return self.setValues(address, values)
 
     def __str__(self) -> str:
@@ -61,9 +62,11 @@ class BaseModbusDataBlock:
 class ModbusSequentialDataBlock(BaseModbusDataBlock):
     """Data block of consecutive addresses.
 
+    Its default value is that of the first value's type (0 or False), until `default` sets another.
+
     Args:
         address: address of the first value.
-        values: a list of values, or one value.
+        values: a list of values, or one value; a list is copied.
     """
 
     def __init__(self, address: int, values: Any) -> None:
@@ -97,9 +100,9 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
         return self.values[start : start + count]
 
     def setValues(self, address: int, values: Any) -> Any:
-        """Replace the values from ``address`` on: one value, or a list.
+        """Replace the values from ``address`` on: one value, or a list or tuple of values.
 
-        The addresses are not checked here: call `validate` before.
+        The addresses are not checked here: call `validate` before. Values beyond the end lengthen the block.
         """
         new = list(values) if isinstance(values, list | tuple) else [values]
         start = address - self.address
@@ -190,11 +193,11 @@ class ModbusBaseDeviceContext:
         raise NotImplementedError
 
     async def async_getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
-        """Return the result of `getValues`."""
+        """Return the result of `getValues`. For programs: a server calls `getValues` itself."""
         return self.getValues(fc_as_hex, address, count)
 
     async def async_setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
-        """Call `setValues` and return its result."""
+        """Call `setValues` and return its result. For programs: a server calls `setValues` itself."""
         return self.setValues(fc_as_hex, address, values)
 
 
@@ -236,17 +239,26 @@ class ModbusDeviceContext(ModbusBaseDeviceContext):
             block.reset()
 
     def validate(self, fc_as_hex: int, address: int, count: int = 1) -> bool:
-        """Whether the block of the function code has all of ``count`` addresses from ``address`` (of a request) on."""
+        """Whether the block of the function code has all of ``count`` addresses from ``address`` (of a request) on.
+
+        Raises ``KeyError`` for a function code without a block.
+        """
         block, at = self._placed(fc_as_hex, address)
         return bool(block.validate(at, count))
 
     def getValues(self, fc_as_hex: int, address: int, count: int = 1) -> Any:
-        """Return ``count`` values of the function code's block, or an exception code."""
+        """Return ``count`` values of the function code's block from ``address`` of a request on.
+
+        An exception code that the block returns instead is returned, to refuse the request with.
+        """
         block, at = self._placed(fc_as_hex, address)
         return block.getValues(at, count)
 
     def setValues(self, fc_as_hex: int, address: int, values: Any) -> Any:
-        """Replace values of the function code's block. Returns None, or an exception code."""
+        """Replace the values of the function code's block from ``address`` of a request on.
+
+        Returns None, or an exception code to refuse the request with.
+        """
         block, at = self._placed(fc_as_hex, address)
         return block.setValues(at, values)
 

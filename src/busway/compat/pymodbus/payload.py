@@ -31,7 +31,7 @@ class BinaryPayloadBuilder:
     A method ``add_…`` raises ``struct.error`` for a number that does not fit.
 
     Args:
-        payload: bytes to begin with.
+        payload: a list of ``bytes`` objects to begin with.
         byteorder: order of the bytes of each register.
         wordorder: order of the registers of each value.
         repack: whether `to_registers` applies ``byteorder`` to the registers once more.
@@ -173,7 +173,8 @@ class BinaryPayloadDecoder:
     def fromCoils(cls, coils: Sequence[bool], byteorder: str = Endian.LITTLE, _wordorder: str = Endian.BIG) -> Self:
         """Return a decoder of a list of bits, the first as the highest bit of the first byte.
 
-        If the number of bits is no multiple of 8, zero bits are put before them. ``_wordorder`` has no effect.
+        If the number of bits is no multiple of 8, as many zero bits as the remainder are put before them, as in
+        pymodbus: 10 bits become 12, in two bytes. ``_wordorder`` has no effect.
 
         Raises:
             ParameterException: ``coils`` is no list.

@@ -182,6 +182,8 @@ class ContextResponder:
     def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
         """Execute a request on the context of its unit, and return the reply; `SILENCE` if no reply is to be sent.
 
+        An exception that the context raises is logged, and the reply is exception 04.
+
         Raises:
             Refusal: the request is answered with this exception code.
         """
@@ -224,6 +226,7 @@ class ModbusBaseServer:
     Raises:
         TypeError: an argument that no release of pymodbus has.
         ParameterException: ``custom_pdu`` is not empty, or ``framer`` names no framing.
+        RuntimeError: no event loop is running.
     """
 
     carrier: ClassVar[str]
@@ -315,7 +318,8 @@ class ModbusTlsServer(ModbusBaseServer):
     """Server over TLS (Modbus/TCP Security).
 
     ``sslctx`` is what ``generate_ssl`` of a TLS client returned; or ``certfile`` and ``keyfile`` name the files.
-    ``authority`` names the file with the authorities of clients' certificates, which are always verified.
+    ``authority`` names the file with the authorities of clients' certificates; it is needed, because clients are always
+    verified.
     """
 
     carrier: ClassVar[str] = "tls"

@@ -156,6 +156,9 @@ class ChannelEnding(Enum):
 class ChannelEnd:
     """The end of a connection or line in a capture file; no event of the channel follows.
 
+    It comes at the end of the file, or when a new connection has the same addresses or the channel is forgotten; not as
+    soon as a connection is closed or reset.
+
     Attributes:
         channel: the connection or line.
         time: the latest time of all packets up to then, in seconds since 1970.

@@ -121,7 +121,7 @@ class MetricsObserver:
             context: unit, function and client of the request.
             request: the request.
             outcome: the reply; a `Deferral` such as `SILENCE` if none is sent; None if the client disconnected. A
-                reply to a broadcast or in listen-only mode is not sent, and counts as no reply.
+                reply to a broadcast, or of a unit in listen-only mode, is not sent and counts as no reply.
             seconds: from the request to its outcome; counted only for replies.
         """
         if context.executed is not None:  # a broadcast: each unit executes it, and none answers

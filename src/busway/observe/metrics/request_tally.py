@@ -47,7 +47,10 @@ class Unanswered(Enum):
     BROADCAST = "broadcast"
     """A broadcast on a serial line; counted for each unit that it reached."""
     SILENT = "silent"
-    """The responder decided to send no reply, or the server is in listen-only mode."""
+    """The responder decided to send no reply, or the unit was set to listen-only mode before the reply was sent.
+
+    Further requests to a unit in listen-only mode are not counted, except those of function 08.
+    """
     GONE = "gone"
     """The client disconnected before the reply was there."""
 

@@ -79,6 +79,8 @@ class EpollStream(asyncio.Transport):
     def begin(self) -> None:
         """Call the protocol's `connection_made`, and start reading the socket.
 
+        If `connection_made` raises, the connection is closed and the error reported to the event loop.
+
         Raises:
             OSError: the system cannot watch another descriptor; then `connection_lost` is called too.
         """
@@ -166,7 +168,10 @@ class EpollStream(asyncio.Transport):
             self._keep(memoryview(data).cast("B")[sent:])
 
     def _write_behind(self, data: bytes | bytearray | memoryview) -> None:
-        """Queue bytes after those that wait to be sent; drop them if the connection is closing."""
+        """Queue bytes after those that wait to be sent; drop them once the connection has ended.
+
+        Bytes written after `close` are still queued as long as others wait to be sent.
+        """
         if not isinstance(data, bytes | bytearray | memoryview):
             raise TypeError(f"data argument must be a bytes-like object, not {type(data).__name__!r}")
         if self._finished:

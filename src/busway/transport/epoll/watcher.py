@@ -11,8 +11,8 @@ ready sockets and calls their watchers. A transaction, with 16 connections and 1
    and other callbacks are not delayed. The others are called first in the next turn, because the system keeps the
    order.
 2. Epoll is level-triggered: a watcher that does not read everything is called again.
-3. A watcher that was removed in the same turn is not called. Watchers close their descriptors in a later turn, so that
-   the system cannot give the same number to a new socket meanwhile.
+3. A watcher that was removed in the same turn is not called. Connections close their descriptors in a later turn, so
+   that the system cannot give the same number to a new socket meanwhile; only acceptors close theirs at once.
 4. The epoll object exists only while something is watched, so it need not be closed.
 """
 
@@ -80,12 +80,18 @@ class EpollSet:
         self._watched[descriptor] = member
 
     def watch_for(self, descriptor: int, events: int) -> None:
-        """Change the events for which a watched descriptor is watched: `READABLE`, `WRITABLE` or both."""
+        """Change the events for which a descriptor is watched, to `READABLE`, `WRITABLE` or both.
+
+        The descriptor must be watched already.
+        """
         assert self._epoll is not None  # since it is watched
         self._epoll.modify(descriptor, events)
 
     def forget(self, descriptor: int) -> None:
-        """Stop watching a descriptor; call this before the descriptor is closed."""
+        """Stop watching a descriptor, which must be watched: its watcher is not called any more.
+
+        Call this before the descriptor is closed.
+        """
         assert self._epoll is not None  # since it is watched
         del self._watched[descriptor]
         with contextlib.suppress(OSError):  # it was closed elsewhere, and the system has forgotten it already
@@ -108,7 +114,7 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Ask epoll which descriptors are ready, and call their watchers."""
+        """Ask epoll which descriptors are ready, and call their watchers, at most `MEMBERS_OF_A_LOOK`."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched

@@ -123,7 +123,8 @@ class BlockingSerialPort:
             timeout: seconds; 0 does not wait, None waits for ever.
 
         Returns:
-            The bytes, and how many of them the port marked as damaged. No bytes when the time is over.
+            The bytes, and how many of them the port marked as damaged. No bytes when the time is over, or if only the
+            beginning of a damage mark has come so far.
 
         Raises:
             LinkDown: the port vanished, or is closed.
@@ -196,7 +197,7 @@ class BlockingSerialPort:
             When it left (``time.monotonic``).
 
         Raises:
-            LinkDown: the port vanished, or the time is over; the bytes may have gone out.
+            LinkDown: the port vanished or is closed, or the time is over; the bytes may have gone out.
         """
         self._opened()
         emission = self._device.emission

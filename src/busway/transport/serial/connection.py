@@ -3,7 +3,8 @@
 Knows asyncio and `serialx`; knows no Modbus.
 
 1. Received bytes go to one callback, together with how many of them the port marked as damaged.
-2. ``write`` returns when the last character will have left: silences on the line are measured from there.
+2. ``write`` does not wait. It returns the time at which the last character will have left, because silences on the line
+   are measured from then.
 3. If a port vanishes, the callback ``lost`` is called once, and the descriptor is closed. `open_when_there` can wait
    for the port to come back.
 """
@@ -170,7 +171,7 @@ class SerialConnection:
         """Wait until the last written character has left. Returns the time of that (``time.monotonic``).
 
         Raises:
-            LinkDown: the port vanished meanwhile; the bytes may have gone out.
+            LinkDown: the port is closed, or vanished meanwhile; the bytes may have gone out.
         """
         while True:
             _, device = self._opened()

@@ -63,9 +63,9 @@ class OpenDevice:
     __slots__ = ("_descriptor", "_ioctl", "_marks", "_settings", "direction", "emission")
 
     def __init__(self, descriptor: int | None, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> None:
-        """Lock a port that `serialx` has just opened, and set up its direction and damage marks.
+        """Lock a port that `serialx` has just opened, and set up its direction and damage marks, as the settings say.
 
-        ``descriptor`` is None on systems whose ports have none; then nothing is set up.
+        ``descriptor`` is None on systems whose ports have none; then nothing is locked or set up.
 
         Raises:
             OSError: the port is gone.
@@ -102,12 +102,12 @@ class OpenDevice:
         return None if self._descriptor is None else read_counters(self._descriptor, self._ioctl)
 
     def turn_to_sending(self) -> None:
-        """Switch the RS-485 driver to sending by RTS. Raises `OSError` if the port is gone."""
+        """Set the port's RTS signal to the level for sending on RS-485. Raises `OSError` if the port is gone."""
         if self._descriptor is not None:
             set_rts(self._descriptor, self._settings.rts_on_send, self._ioctl)
 
     def turn_to_receiving(self) -> None:
-        """Switch the RS-485 driver to receiving by RTS. Raises `OSError` if the port is gone."""
+        """Set the port's RTS signal to the level for receiving on RS-485. Raises `OSError` if the port is gone."""
         if self._descriptor is not None:
             set_rts(self._descriptor, self._settings.rts_after_send, self._ioctl)
 

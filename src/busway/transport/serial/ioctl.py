@@ -24,9 +24,9 @@ def system_ioctl(descriptor: int, request: int, buffer: bytearray) -> None:
 
 
 def asked(ioctl: Ioctl, descriptor: int, request: int, buffer: bytearray) -> bool:
-    """Make an ioctl call by the function ``ioctl``; return whether the driver offers it to this user.
+    """Make an ioctl call by the function ``ioctl``. Returns False if the driver lacks it or denies it to this user.
 
-    Other errors are raised as `OSError`.
+    The result of a call that succeeded is in ``buffer``. Other errors are raised as `OSError`.
     """
     try:
         ioctl(descriptor, request, buffer)

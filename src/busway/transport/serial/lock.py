@@ -91,7 +91,7 @@ def _who_locked(place: str, processes: Path) -> int | None:
 
 
 def _who_opened(status: os.stat_result, processes: Path) -> Iterator[int]:
-    """Return the numbers of other processes that have the port open, as far as this process may see them."""
+    """Yield the numbers of other processes that have the port open, as far as this process may see them."""
     for directory in _listed(processes):
         if not directory.name.isdigit() or int(directory.name) == os.getpid():
             continue

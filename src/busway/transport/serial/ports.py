@@ -79,7 +79,8 @@ def list_ports() -> list[FoundPort]:
 def resolve_port(name: str, listing: Callable[[], Iterable[FoundPort]] = list_ports) -> str:
     """Return the path with which to open a port that is given by path, ``by-id`` name or USB identity.
 
-    A USB identity is looked up in ``listing``; a path is returned unchanged, whether it exists or not.
+    A USB identity, with or without ``usb:``, is looked up in ``listing``. Any other name is returned unchanged, whether
+    it exists or not; only a Windows name such as ``/com3`` becomes ``COM3``.
 
     Raises:
         LinkDown: no device with this USB identity is plugged in now.

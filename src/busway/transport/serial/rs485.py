@@ -41,6 +41,8 @@ class DriverDirection(Enum):
 def settle_direction(descriptor: int, settings: SerialSettings, ioctl: Ioctl = system_ioctl) -> DriverDirection:
     """Set up, by its settings, how an open RS-485 port is switched between sending and receiving; return how that is.
 
+    With ``rs485=automatic`` its driver does it if it can, otherwise this program by RTS; RTS is then set to receiving.
+
     Raises:
         ConfigError: the settings ask for the kernel's RS-485 mode, and this port does not have it; or its driver does
             not offer the delays or RTS levels of the settings.

@@ -15,7 +15,8 @@ SELECT_LIMIT = 1024
 def wait_ready(reading: Sequence[int], writing: Sequence[int], timeout: float | None) -> list[int]:
     """Wait until a descriptor in ``reading`` can be read, or one in ``writing`` written; return those that are ready.
 
-    A descriptor that has ended is ready too. The list is empty if ``timeout`` seconds have passed; None waits for ever.
+    At least one descriptor must be given. One that has ended is ready too. The list is empty if ``timeout`` seconds
+    have passed; None waits for ever.
     """
     if max((*reading, *writing)) < SELECT_LIMIT:
         readable, writable, _ = select.select(reading, writing, [], timeout)

@@ -2,9 +2,10 @@
 
 Knows files and OpenSSL; knows no connection.
 
-1. TLS 1.2 and 1.3 only, suites and curve of the parameters only, no compression, no renegotiation, security level 2
-   (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1).
-2. A server asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
+1. TLS 1.2 and 1.3 only, with TLS 1.2 only suites of the parameters, only curves of the parameters, no compression, no
+   renegotiation. Security level 2 (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1); 0
+   if a suite without encryption was chosen.
+2. A listener asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
    in the server's memory and not in tickets, because only there they can be deleted after a fatal alert.
 3. `WatchedContext` gives the context to each new connection. Files that have changed are read again; if they are wrong,
    the context stays as it was.
@@ -53,7 +54,7 @@ def server_context(parameters: TlsParameters) -> ssl.SSLContext:
 def web_context(parameters: TlsParameters) -> ssl.SSLContext:
     """Build the ``ssl`` context of a web page for browsers, which need not present a client certificate.
 
-    They are asked for one, which must be valid if they present it, only if ``authority`` is set.
+    If ``authority`` is set, they are asked for one, and one that they present must be valid.
 
     Raises:
         ConfigError: the option for the certificate is missing, or a file cannot be used; the error names the option,
@@ -244,7 +245,7 @@ class WatchedContext:
         self.parameters = parameters
         self.name = name
         self.generation: int = 0
-        """How often the files were read again."""
+        """How often the files were read again with success."""
         self._make = make
         self._clock = clock
         self._looked = clock()
@@ -255,7 +256,7 @@ class WatchedContext:
         """Return the ``ssl`` context for a new connection; never raises.
 
         At most once a second it checks whether the files have changed, and reads them again. If they cannot be used,
-        that is logged, and the earlier context is returned.
+        that is logged once, and the earlier context is returned until the files have changed again.
         """
         now = self._clock()
         if now - self._looked >= _LOOK_SECONDS:

@@ -12,8 +12,9 @@ Knows transports and a `TlsStream`; knows no Modbus, and no certificate.
 2. The layer has no task; one timer limits the handshake, and the wait after a refusal.
 3. A handshake that fails is answered with a TLS alert. The connection stays open for a moment after that: if it were
    closed while bytes of the peer are unread, the system would reset it, and the peer would not see the alert.
-4. Exactly one of the callbacks ``established`` and ``failed`` is called. After ``established``, the upper protocol gets
-   ``connection_lost``, with a `TlsFailure` if TLS ended the connection.
+4. Exactly one of the callbacks ``established`` and ``failed`` is called; both only if ``established`` calls `refuse`.
+   The upper protocol that ``established`` returned gets ``connection_lost``, with a `TlsFailure` if TLS ended the
+   connection.
 """
 
 import asyncio
@@ -53,7 +54,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         timeout: seconds for the handshake.
         established: called with the layer when the handshake is complete; returns the upper protocol, or None if it has
             called `refuse`.
-        failed: called with the layer and the failure if the handshake failed.
+        failed: called once with the layer and the failure if the handshake failed or was refused (`refuse`).
         gone: called with the layer when the TCP connection has ended, after all other calls.
 
     Attributes:
@@ -123,8 +124,8 @@ class TlsLayer(asyncio.BufferedProtocol):
     def connection_lost(self, exc: Exception | None) -> None:
         """Handle the end of the TCP connection below the TLS layer.
 
-        Calls ``failed`` if the handshake was not complete, ``connection_lost`` of the upper protocol if there is one,
-        and then ``gone``.
+        Calls ``failed`` if the handshake was neither complete nor refused, ``connection_lost`` of the upper protocol if
+        there is one, and then ``gone``.
         """
         state, self.state = self.state, TlsState.CLOSED
         self._stop_timer()
@@ -172,9 +173,10 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._deliver()
 
     def refuse(self, failure: TlsFailure) -> None:
-        """End a failed or unwanted handshake: send what TLS has to say, close soon after, and call ``failed``.
+        """End a failed or unwanted handshake: send the TLS alert (or close_notify), and call ``failed``.
 
-        The peer has a second to read the alert, or the end of the stream. Does nothing after the handshake.
+        The connection is closed a second later, so that the peer can read these bytes. Does nothing after the
+        handshake.
         """
         if self.state is not TlsState.HANDSHAKE:
             return

@@ -85,7 +85,7 @@ class TlsSocket:
         return self._socket.fileno()
 
     def get_extra_info(self, name: str) -> object:
-        """Return a detail of the connection, ``socket`` or ``ssl_object``, as asyncio transports do."""
+        """Return a detail of the connection, ``socket`` or ``ssl_object``; None for any other name."""
         return {"socket": self._socket, "ssl_object": self._stream.ssl_object}.get(name)
 
     def recv_into(self, buffer: bytearray, /) -> int:

@@ -106,8 +106,8 @@ class TlsStream:
         """Return the reason for the end of a connection that had no TLS failure.
 
         It is ``error``, the error of the network (None without one). But if a client never received a decrypted byte,
-        it is a `TlsFailure`: many TLS 1.3 servers refuse a certificate by closing without an alert, when the client's
-        handshake is already complete.
+        and ``error`` is None or a `ConnectionError`, it is a `TlsFailure`: many TLS 1.3 servers refuse a certificate by
+        closing without an alert, when the client's handshake is already complete.
         """
         if self._server_side or self.heard or not (error is None or isinstance(error, ConnectionError)):
             return error

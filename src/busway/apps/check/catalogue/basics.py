@@ -13,7 +13,7 @@ def basic_checks(target: Target, probe: bytes) -> list[Check]:
     """Return the basic checks, which read the probe and judge one facet of the reply each.
 
     Args:
-        target: the device to be checked.
+        target: the device to be checked; its framing decides which checks there are.
         probe: the PDU of the request that reads the target's probe.
     """
     once = Ask(probe, _ANY)

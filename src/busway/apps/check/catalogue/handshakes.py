@@ -14,9 +14,9 @@ _ACCEPTED: Final = {
     TlsChange.DENIED_ROLE: Accepts(exceptions=frozenset({1})),
     TlsChange.NO_ROLE: Accepts(exceptions=frozenset({1}), closed=True),
 }
-"""What may come back after the changed handshakes that a device may accept: exception 01, or a closed connection.
+"""What a device may answer after those changed handshakes that it need not refuse: exception 01.
 
-After all other changes the device must close the connection or stay silent.
+Without a role it may also close the connection. After all other changes it must close the connection or stay silent.
 """
 _CHANGES: Final = {
     TlsChange.PLAIN: ("tls-plain", "M1", "answers no request that comes without TLS"),

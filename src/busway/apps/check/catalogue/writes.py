@@ -1,7 +1,7 @@
 """Checks of the functions that write: 05, 06, 15, 16, 22 and 23.
 
-They write to the scratch items only. A device that wrongly executes an invalid request may write elsewhere: checks with
-such requests are of the level disruptive.
+They write to the scratch items only. If a device that wrongly executes an invalid request could write elsewhere, the
+check is of the level disruptive; so is the broadcast, which other units of the line execute too.
 """
 
 from typing import Final, Protocol

@@ -18,7 +18,7 @@ from .events import AlarmEvent, AlarmEventKind, AlarmKey, RaisedAlarm, renamed_k
 from .machine import AlarmMachine
 
 _Places = tuple[tuple[int, tuple[AlarmMachine, ...]], ...]
-"""The points of one group that have alarms: for each, its position in the group, and its alarms' state machines."""
+"""The points of one `PointGroup` that have alarms: for each, its position in the group, and its alarms' machines."""
 
 
 class AlarmBook:

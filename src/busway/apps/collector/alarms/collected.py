@@ -208,7 +208,10 @@ class CollectorAlarms:
         self._tell(self._book.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
-        """Return the alarm events that the samples of a read cause; the caller stores events and samples together."""
+        """Pass the samples of a read to the alarms of their points, and return the alarm events that they cause.
+
+        Empty if they cause none. The caller stores events and samples together.
+        """
         events = self._book.take(batch, self._now() - batch.half_width / NANOSECONDS)
         if events:
             self._note(events)

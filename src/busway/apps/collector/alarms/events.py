@@ -87,7 +87,8 @@ class AlarmEvent:
         at: nanoseconds since 1970 UTC; the time of the sample if a sample caused the event.
         value: the point's value; None if no sample caused the event.
         by: who acknowledged the alarm; empty for other events.
-        needs_acknowledgement: in an event `AlarmEventKind.RAISED`, whether a person has to acknowledge the alarm.
+        needs_acknowledgement: in an event `AlarmEventKind.RAISED`, whether a person has to acknowledge the alarm; not
+            used in other events.
         text: the condition of the alarm in words: ``above 80 °C``.
     """
 
@@ -116,7 +117,8 @@ class RaisedAlarm:
         state: its state, neither normal nor pending.
         since: nanoseconds since 1970 UTC at which it was raised.
         value: the value with which it was raised.
-        acknowledged_by, acknowledged_at: who acknowledged it, and when, nanoseconds since 1970 UTC; None if not yet.
+        acknowledged_by, acknowledged_at: who acknowledged it, and when, nanoseconds since 1970 UTC; None if not yet, or
+            if it needs no acknowledgement.
         cleared_at: when the value came back, nanoseconds since 1970 UTC; None while it has not.
     """
 

@@ -7,7 +7,7 @@ of a command       meaning
 =================  ======================================================================================
 ``time``           when it ended or was refused, UTC
 ``event``          ``command``
-``by``, ``origin`` who gave it, and by which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``,
+``by``, ``origin`` who gave it, and on which way it came: ``page``, ``api``, ``program``, ``mqtt``, ``nats``,
                    ``sparkplug``, ``fleet``
 ``key``            the name of the command
 ``device``,

@@ -1,7 +1,7 @@
 """The interface through which collectors of a fleet share the keys of commands, so that each command is sent once.
 
 A collector takes the key of a command for all collectors before it sends the command. Knows commands and results; knows
-no fleet. A collector that works alone has none: its journal is enough.
+no fleet. A collector that works alone needs no such object: its journal is enough.
 """
 
 from typing import Protocol
@@ -35,7 +35,7 @@ class KeyClaims(Protocol):
     def known(self, result: CommandResult) -> CommandResult | None:
         """Return the result of the first command with the key of ``result``, if this collector knows it; else None.
 
-        Takes no key, and asks no other collector.
+        Takes no key, and waits for nothing: only `claim` tells that a key is new.
         """
 
     async def finish(self, result: CommandResult) -> None:

@@ -196,7 +196,9 @@ class CommandResult:
     def content(self) -> dict[str, Any]:  # JSON
         """Return the result of the command as JSON data, for responses and lists.
 
-        ``old`` is the old value without its quality and time; an empty reason is null. The expiry is left out.
+        The keys are ``key``, ``at`` (seconds since 1970 UTC), ``by``, ``origin``, ``device``, ``point``, ``old``,
+        ``value``, ``state``, ``read_back`` and ``reason``. ``old`` is the old value without its quality and time, or
+        None; an empty reason is None. The expiry is left out.
         """
         command = self.command
         return {

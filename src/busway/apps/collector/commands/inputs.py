@@ -107,8 +107,9 @@ class InputStatus:
     Attributes:
         name: the name of the sink whose table asks for its commands.
         taken: number of messages received since the start, also those that another collector of the fleet answers.
-        refused: number of messages that were refused here: dropped, retained, not understood, not permitted, or not to
-            be armed or confirmed. A command whose result is a refusal by the runner is not counted.
+        refused: number of messages that were refused here: dropped, retained, not understood, not permitted, not to be
+            armed or confirmed, or for a link without an owner or with a new one (rule 5). A command whose result is a
+            refusal by the runner is not counted.
         error: why it is not connected; None while it is connected.
     """
 
@@ -252,9 +253,9 @@ class CommandReceiver:
             message: the message.
 
         Returns:
-            The answer as JSON: the result of the command, or why it is refused; for an armed command its key, its
-                expiry and the question to confirm. None if this collector does not answer: the device is not its own,
-                or another collector of the fleet answers.
+            The answer as JSON: the result of the command (`CommandResult.content`), or why it is refused; for an armed
+                command its key, its expiry and the question to confirm. None if this collector does not answer: the
+                device is not its own, or another collector of the fleet answers.
         """
         self._taken += 1
         device = None

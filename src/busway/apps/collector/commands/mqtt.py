@@ -4,7 +4,8 @@ Knows topics and properties; the protocol is aiomqtt's (``busway[mqtt]``).
 
 1. The session is clean: a broker keeps no commands while this collector is not connected.
 2. The answer goes to the response topic of the message, with its correlation data; without one, to the topic of the
-   command with ``/result`` behind it. No answer goes to a topic of commands, or to one with wildcards or ``$``.
+   command with ``/result`` behind it. No answer goes to a topic of commands, or to one that has wildcards or
+   begins with ``$``.
 3. Collectors of a fleet share their subscription: the broker gives each message to one of them. It has QoS 0, because
    the broker may give to another collector what one has not acknowledged at the end of its connection.
 4. Messages that the broker has retained are not asked for. A message that is published with the retain flag while this
@@ -77,7 +78,7 @@ class MqttCommands:
 
         Args:
             group: the name under which the collectors share messages; empty if each collector gets all of them.
-            member: the name of this collector, which is added to the client identifier.
+            member: the name of this collector; it is added to the client identifier, if that was given.
 
         Returns:
             True if the subscription is shared, so that each message goes to one collector only: ``group`` is not empty.

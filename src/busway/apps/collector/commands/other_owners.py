@@ -1,6 +1,6 @@
 """The interface through which a collector of a fleet deals with commands for links that another collector owns.
 
-Knows commands; knows no fleet. A collector that works alone has none: all links of its file are its own.
+Knows commands; knows no fleet. A collector that works alone needs no such object: all links of its file are its own.
 """
 
 from typing import Any, Protocol

@@ -46,6 +46,9 @@ class PointRead:
     def own(self, data: bytes) -> bytes:
         """Return the point's own part of a reply's data: the bytes of its registers, or for a bit one byte, 0 or 1.
 
+        Args:
+            data: the data of the reply to `request`.
+
         Raises:
             InvalidRequest: ``data`` has more or fewer bytes than the request asked for.
         """

@@ -110,7 +110,8 @@ class PointWrite:
             data: the bytes that the read ``shown`` returned for its point (`PointRead.own`).
 
         Returns:
-            Whether the data are the written value; and the value that was decoded from them, with its quality.
+            Whether the data are the written value, False if they hold no value; and the value that was decoded from
+                them, with its quality.
         """
         assert self.shown is not None
         place = self.shown.point

@@ -335,7 +335,7 @@ class CommandRunner:
         Raises:
             NoSuchPoint: there is no such point.
             NotPolledNow: the link is not polled by this collector at this moment.
-            InvalidRequest: the command is against a rule; the message says which.
+            InvalidRequest: an argument is out of its limits, or the command is against a rule; the message says which.
             Overloaded: too many commands wait to be confirmed.
         """
         now, moment = self._now(), self._moment()
@@ -625,7 +625,7 @@ class CommandRunner:
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *values)
 
     def _append(self, result: CommandResult) -> None:
-        """Write the line of a command's result to the audit log, at once."""
+        """Append the line of a command's result to the audit log, and have it written to the file at once."""
         self._audit.append(command_line(result, self._audit.timestamp()))
         self._audit.flush()
 
@@ -731,10 +731,10 @@ class CommandRunner:
         return None if turn.before is None else OldValue(turn.before, Quality.GOOD.label, self._now())
 
     async def _confirmed(self, result: CommandResult, write: PointWrite, poller: LinkPoller) -> CommandResult:
-        """Read a written point back at the times `SHOWN_AFTER` until the device shows the value; return the result.
+        """Read a written point back, after each pause of `SHOWN_AFTER`, until the device shows the value.
 
-        The command is done if the value is shown. Else the last read decides: failed if it showed another value,
-        unknown if it failed.
+        Returns the result of the command: done if the value is shown. Else the last read decides: failed if it showed
+        another value, unknown if it failed. Unknown also if the link is closed before.
         """
         value: CommandValue | None = None
         problem: ModbusError | None = None

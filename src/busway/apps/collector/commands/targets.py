@@ -67,7 +67,8 @@ class CollectedTargets:
     def last(self, device: str, point: str) -> OldValue | None:
         """Return the last stored value of a point, with its quality and time; None if there is no sample of it.
 
-        The quality is the one to show now: it is no longer good if the device is not read.
+        The quality is the one to show now (`LastValues.last`): it is no longer good if the device is not read, the
+        value is held, or the store cannot be written. The time is seconds since 1970 UTC.
         """
         found = self._values.last(device, point)
         if found is None:

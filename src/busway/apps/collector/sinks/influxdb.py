@@ -89,7 +89,10 @@ class InfluxSink:
         await self._post(line_of(sample, self._measurement) for sample in samples)
 
     async def send_alarms(self, alarms: Sequence[CommittedAlarm]) -> None:
-        """Post alarm events to the database; when it returns, the server has accepted them. Raises like `send`."""
+        """Post alarm events to the database; when it returns, the server has accepted them.
+
+        Raises errors like `send`.
+        """
         await self._post(alarm_line_of(alarm, self._alarm_measurement) for alarm in alarms)
 
     async def _post(self, lines: Iterable[str]) -> None:
@@ -106,7 +109,8 @@ class InfluxSink:
 def line_of(sample: CommittedSample, measurement: str) -> str:
     """Return a sample as one line of InfluxDB line protocol, with its time in nanoseconds.
 
-    Without a value, or with NaN or an infinity, the line has the field ``reason`` alone.
+    A text is in the field ``text``. Without a value, or with NaN or an infinity, the line has the field ``reason``
+    alone.
 
     Args:
         sample: the sample.

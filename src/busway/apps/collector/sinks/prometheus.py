@@ -51,7 +51,8 @@ _FORGET_ABOVE: Final = 10_000
 class LastValues:
     """The last stored sample of each point. Safe from any thread.
 
-    The thread that commits calls `update` with each commit.
+    If a report rule drops the sample of a later read, the stored value is shown with the time of that read. The thread
+    that commits calls `update` with each commit.
 
     Args:
         is_behind: returns whether commits have failed or hung for some seconds, so that newer samples wait (rule 4).
@@ -80,7 +81,9 @@ class LastValues:
         self._intervals: dict[str, StateInterval] = {}
 
     def update(self, commit: Commit) -> None:
-        """Take over the samples and intervals of a commit that the store has just made, except skipped rounds.
+        """Take over the samples and intervals of a commit that the store has just made.
+
+        Intervals that stand for skipped rounds (`Reason.SKIPPED`) are ignored.
 
         If the commit has a correction of times, the known samples and intervals are corrected before (rule 7).
         """

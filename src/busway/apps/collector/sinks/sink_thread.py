@@ -110,9 +110,9 @@ class SinkThread:
     def remove(self, name: str, timeout: float = 10.0) -> None:
         """Stop sending to a sink, and wait until its delivery has ended.
 
-        The cursor stays in the manifest: a sink of the same name that is added later continues there.
-        The batch that is being sent may arrive first, within `FINISH` seconds, so that it is not sent again. If the
-        delivery has not ended after ``timeout`` seconds, this is logged, and the method returns.
+        The cursor stays in the manifest: a sink of the same name that is added later continues there. The batch that is
+        being sent may arrive first, within `FINISH` seconds, so that it is not sent again. If the delivery has not
+        ended after ``timeout`` seconds, this is logged, and the method returns.
         """
         running = self._running.pop(name)
         ended = asyncio.run_coroutine_threadsafe(_finish(running), self._loop)

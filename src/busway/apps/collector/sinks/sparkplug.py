@@ -298,7 +298,7 @@ class SparkplugSink:
             raise SinkDown(f"the broker {self._where} cannot be reached: {error}") from error
 
     async def close(self) -> None:
-        """Publish the death of the edge node, and disconnect. `open` publishes the births again."""
+        """Publish the death of the edge node, if it was born, and disconnect. `open` publishes the births again."""
         self._note_commands(f"the broker {self._where} is not connected")
         self._passed.clear()  # the broker may not have them
         tasks = [task for task in (self._listener, self._rebirth) if task is not None]

@@ -11,8 +11,8 @@ from .segment import sample_value
 def counters_by_device(manifest: Manifest) -> dict[str, list[CounterState]]:
     """Return for each device the last states of its accumulators (running totals) in the finished segments.
 
-    Newer states in the open segment are not read. Devices without such a state, and states that are no numbers, are left
-    out. The points have their present names.
+    Newer states in the open segment are not read. Devices without such a state, and states that are no numbers, are
+    left out. The points have their present names.
     """
     points = {point.id: point for point in manifest.points()}
     found: dict[str, list[CounterState]] = {}

@@ -15,8 +15,8 @@ Knows when to commit, and what to do while that fails; knows nothing of segments
 6. Names and descriptions of points change between two commits: samples that were added before are stored under the
    names of that time.
 7. If report rules drop some samples, this is decided at the commit. Reads of which no sample is kept make no commit
-   before one is due by rule 4; subscribers are called with them at once, because they show that the earlier values still
-   hold.
+   before one is due by rule 4; subscribers are called with them at once, because they show that the earlier values
+   still hold.
 8. Last values come from commits. `Committer.is_behind` says when they are out of date, because commits fail or hang.
 """
 
@@ -183,8 +183,8 @@ class Committer:
     def add(self, batch: SampleBatch, alarms: Sequence[AlarmEvent] = ()) -> None:
         """Queue the samples of one read, and alarm events that the same commit must contain.
 
-        If more than ``most_waiting`` values are queued, the oldest reads are dropped, and their samples counted as lost;
-        alarm events stay.
+        If more than ``most_waiting`` values are queued, the oldest reads are dropped, and their samples counted as
+        lost; alarm events stay.
         """
         with self._changed:
             self._batches.append(batch)
@@ -582,9 +582,9 @@ class Committer:
     def _drop_whole_intervals(self) -> None:
         """Drop the older half of the intervals whose begin and end are both queued, and record a gap in their place.
 
-        Skipped rounds, which have one entry, are among them. Call with the lock held. Entries of other intervals stay, a few
-        for each device: without the entry of its end an interval would last for ever in the store, and without the entry
-        of its begin it would be missing for sinks.
+        Skipped rounds, which have one entry, are among them. Call with the lock held. Entries of other intervals stay,
+        a few for each device: without the entry of its end an interval would last for ever in the store, and without
+        the entry of its begin it would be missing for sinks.
         """
         begun = {_key_of(each) for each in self._intervals if each.end is None}
         whole = [

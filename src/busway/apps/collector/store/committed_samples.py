@@ -3,8 +3,8 @@
 Knows how each kind of part is read in that order; knows no sink.
 
 1. Nothing is read that was not committed. An interval in which a device was not read is given as a sample without a
-   value for each point of the device, at the begin of the interval. Skipped rounds, and gaps of the whole collector, are
-   not given.
+   value for each point of the device, at the begin of the interval. Skipped rounds, and gaps of the whole collector,
+   are not given.
 2. Samples are ordered by commit, then by time, then by point.
 3. A segment is read from the first wanted commit on. Sealed parts, which are sorted by point, are read by ranges of
    commits.
@@ -130,7 +130,7 @@ class CommitReader:
         return self._tried(lambda: self._read(after, most))
 
     def count(self, after: int, last: int) -> int:
-        """Return the number of samples in the commits after number ``after``, up to ``last`` and with it.
+        """Return the number of samples in the commits with the numbers ``after + 1`` to ``last``.
 
         The samples without a value that `read` returns for intervals of devices are not counted. Raises errors like
         `read`.

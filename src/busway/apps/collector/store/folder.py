@@ -64,8 +64,8 @@ class StoreLock:
             folder: the folder of the store.
 
         Raises:
-            ConfigError: another process holds the lock (the message has its number), the lock file cannot be opened, or
-                the system has no file locks.
+            ConfigError: another process holds the lock (the message has its number, if it is known), the lock file
+                cannot be opened, or the system has no file locks.
         """
         check_locks()
         path = folder / LOCK
@@ -87,7 +87,7 @@ class StoreLock:
             os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
 
     def _take(self) -> None:
-        """Lock the store's lock file. If its last holder has ended and the lock is still held, wait up to `_ENDING` seconds.
+        """Lock the store's lock file. If it is still held for a process that has ended, wait up to `_ENDING` seconds.
 
         Raises:
             BlockingIOError: another process holds the lock.

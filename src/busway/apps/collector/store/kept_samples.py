@@ -45,7 +45,7 @@ class Choice:
     """The samples of a commit that the store keeps, and those that it drops.
 
     Attributes:
-        batches: the batches of kept samples.
+        batches: the kept samples, as batches of one read each; reads without a kept sample are left out.
         shown: all reads of the commit with all their points, for showing last values. A sample that is not kept has the
             last kept value of its point in place of its own.
         counters: by device and point, the states of accumulators whose last sample is not kept; they are stored without

@@ -76,7 +76,7 @@ CREATE TABLE IF NOT EXISTS maintenance (
 ) WITHOUT ROWID;
 """
 _FLOAT32: Final = "SELECT value FROM json_each((SELECT value FROM facts WHERE name = 'float32'))"
-"""The ids of points of type float32."""
+"""SQL query for the ids of the points of type float32."""
 INSERT_ALARM: Final = "INSERT OR REPLACE INTO alarms VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)"
 
 
@@ -179,7 +179,14 @@ class CounterRow:
 
 @dataclass(frozen=True, slots=True)
 class MaintenanceRow:
-    """A device that is in maintenance: since when (nanoseconds since 1970 UTC), who began it, and why."""
+    """The record that a device is in maintenance.
+
+    Attributes:
+        device: name of the device.
+        begin: since when, nanoseconds since 1970 UTC.
+        by: who began it.
+        why: the reason, as text.
+    """
 
     device: str
     begin: int
@@ -309,7 +316,7 @@ class Manifest:
                 database.execute("INSERT OR REPLACE INTO facts VALUES (?, ?)", (name, value))
 
     def reserve_numbers(self) -> tuple[int, int]:
-        """Reserve a range of commit numbers; return its first number, and the number after its last."""
+        """Reserve the next `RESERVED_NUMBERS` commit numbers; return the first one, and the number after the last."""
         with self.transaction() as database:
             row = database.execute("SELECT value FROM facts WHERE name = 'reserved'").fetchone()
             first = 1 if row is None else row[0]
@@ -466,7 +473,8 @@ class Manifest:
     def begin_maintenance(self, row: MaintenanceRow) -> None:
         """Record in the store that a device is in maintenance, since when, why and by whom; replaces an earlier record.
 
-        Raises `sqlite3.Error`: nothing was recorded.
+        Raises:
+            sqlite3.Error: nothing was recorded.
         """
         with self.transaction() as database:
             database.execute("INSERT OR REPLACE INTO maintenance VALUES (?, ?, ?, ?)", astuple(row))
@@ -477,7 +485,7 @@ class Manifest:
             database.execute("DELETE FROM maintenance WHERE device = ?", (device,))
 
     def begin_maintenance_again(self, earliest: int, now: int) -> None:
-        """Set the begin of maintenance to ``now`` if it was taken from a wrong wall clock: the true time is unknown.
+        """Set the begin of each maintenance to ``now`` if it was taken from a wrong wall clock.
 
         Args:
             earliest: nanoseconds since 1970 UTC; an earlier time is from a clock that was not set.
@@ -559,8 +567,11 @@ class Manifest:
     def describe_points(self, descriptions: Iterable[PointDescription], last_commit: int) -> None:
         """Write descriptions of points; a point with a new name keeps its id, and so its history.
 
+        Points that are not listed yet are added. Points that are listed and not described stay as they are.
+
         Args:
-            descriptions: the points. All new names are given at once, so that points may exchange their names.
+            descriptions: the points; ``was`` is the name of a renamed point before. All new names are given at once, so
+                that points may exchange their names.
             last_commit: number of the last commit; samples up to it keep the names that the points had before.
         """
         described = list(descriptions)
@@ -603,7 +614,10 @@ class Manifest:
     # Cursors
 
     def cursors(self) -> dict[str, tuple[int, int]]:
-        """Return by name of sink the last commit that it got (its cursor), and the number of samples lost for it."""
+        """Return by name of sink the number of the last commit that it got (its cursor), and of samples lost for it.
+
+        The cursor is 0 for a sink that has got nothing yet.
+        """
         return {sink: (number, lost) for sink, number, lost in self._all("SELECT * FROM cursors")}
 
     def set_cursor(self, sink: str, number: int, lost: int, reported: Iterable[ReportedSample] = ()) -> None:
@@ -672,7 +686,8 @@ def _names_of(database: sqlite3.Connection) -> PointNames:
 def _give_new_names(database: sqlite3.Connection, described: Sequence[PointDescription], last_commit: int) -> None:
     """Rename the points whose descriptions have a new name, all at once, and record their former names.
 
-    A point is not renamed if another point has its new name and keeps it.
+    A point is not renamed if another point has the new name and keeps it, or if the point with the new name has taken
+    over the former name before (rule 4).
     """
     moves = _names_of(database).moves(described)
     for old, one in moves.items():

@@ -79,6 +79,7 @@ def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int
 
     Raises:
         FileNotFoundError: the file was sealed or dropped.
+        MissingExtra: the file is sealed, and pyarrow is not installed.
     """
     if part.kind == "sealed":
         return sealed_rows([folder / SEGMENTS / part.file], ids, low, high)
@@ -104,6 +105,7 @@ def part_sums(
 
     Raises:
         FileNotFoundError: the file was sealed or dropped.
+        MissingExtra: the file is sealed, and pyarrow is not installed.
     """
     if part.kind == "sealed":
         return sealed_sums([folder / SEGMENTS / part.file], ids, low, high, bucket)

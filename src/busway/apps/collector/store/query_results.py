@@ -13,7 +13,7 @@ from ....extras import require
 from ..samples import Gap, Quality, Sample, StateInterval, Value, quality_of, reason_text
 
 EXACT: Final = 2**53
-"""Every integer up to this is exactly representable as float."""
+"""Every integer whose absolute value is at most this is exactly representable as float."""
 
 
 class ColumnTable(ABC):
@@ -26,16 +26,30 @@ class ColumnTable(ABC):
         """Return the columns of the result by name."""
 
     def to_arrow(self) -> Any:  # pyarrow has no types of its own
-        """Return the result as `pyarrow.Table`; ``time`` is a timestamp[ns] in UTC. Raises `MissingExtra`."""
+        """Return the result as `pyarrow.Table` with the columns of `columns`; ``time`` is a timestamp[ns] in UTC.
+
+        Columns of numbers are int64 if all their values are integers below 2**63, else float64.
+
+        Raises:
+            MissingExtra: pyarrow is not installed.
+        """
         return _arrow_table(self.columns())
 
     def to_pandas(self) -> Any:  # pandas may not be there to check
-        """Return the result as `pandas.DataFrame`. Raises `MissingExtra`."""
+        """Return the result as `pandas.DataFrame`, with the columns of `to_arrow`.
+
+        Raises:
+            MissingExtra: pandas or pyarrow is not installed.
+        """
         require("pandas", "a data frame")
         return self.to_arrow().to_pandas()
 
     def to_polars(self) -> Any:  # polars may not be there to check
-        """Return the result as `polars.DataFrame`. Raises `MissingExtra`."""
+        """Return the result as `polars.DataFrame`, with the columns of `to_arrow`.
+
+        Raises:
+            MissingExtra: polars or pyarrow is not installed.
+        """
         require("polars", "a data frame")
         return import_module("polars").from_arrow(self.to_arrow())
 
@@ -104,7 +118,8 @@ class BucketTable(ColumnTable):
 
     Attributes:
         device, point: names.
-        time: nanoseconds since 1970 UTC at which the bucket begins.
+        time: nanoseconds since 1970 UTC at which the bucket begins, a multiple of the length of buckets. The first
+            bucket can begin before the wanted time, but has only samples of the wanted time.
         minimum, maximum, mean: of those samples in the bucket that are numbers and not bad; None if there are none.
         count: how many samples these are.
         samples: how many samples there are in all, bad ones and texts too; 0 if the point was not read in the bucket.

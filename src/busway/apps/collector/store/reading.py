@@ -76,7 +76,11 @@ class Store:
         check_store(self.folder)
 
     def points(self) -> list[StoredPoint]:
-        """Return all points of the store, also those that are no longer read. Raises `ConfigError`."""
+        """Return all points of the store, also those that are no longer read, in the order in which they were added.
+
+        Raises:
+            ConfigError: the store cannot be read.
+        """
         return self._from_manifest(Manifest.points)
 
     @overload
@@ -136,7 +140,7 @@ class Store:
         """Yield the samples that `read` returns in several tables of limited size, in the order of time.
 
         The last table, and only that, has the intervals and gaps of the whole period. Arguments and errors are those of
-        `read`, but the number of samples has no limit.
+        `read`, but the number of samples has no limit. Errors are raised by the iteration, not by the call.
         """
         low, high = period(since, until, time.time_ns())
         chosen = self._chosen(points)
@@ -226,7 +230,11 @@ class Store:
             raise
 
     def _tried(self, ask: Callable[[], Result]) -> Result:
-        """Return the result of ``ask``, which reads files; call it again if one was sealed or dropped meanwhile."""
+        """Return the result of ``ask``, which reads files; call it again if one was sealed or dropped meanwhile.
+
+        Raises:
+            FileNotFoundError: that happened more than `_TRIES` times.
+        """
         for _ in range(_TRIES):
             try:
                 return ask()

@@ -79,9 +79,9 @@ def intervals_since_end(folder: Path, manifest: Manifest, now: int) -> list[Stat
 def _begin_of_gap(manifest: Manifest, alive: int, now: int) -> int:
     """Return when the gap before this start began, in nanoseconds since 1970 UTC.
 
-    This is the last commit of the earlier process, unless its clock was wrong. In that case, if the clock is right now,
-    it is the last right time that the manifest has of a finished part, or else ``now``; if the clock is wrong now too
-    and shows an earlier time than then, it is ``now``.
+    This is ``alive``, if the clock of the earlier process was right. If that was wrong, and the clock is right now, it
+    is the latest right time up to ``now`` that the manifest has of the last commit of a finished part, or else ``now``.
+    If the clock is wrong now too, it is ``alive``, or ``now`` if that is earlier.
 
     Args:
         manifest: the manifest of the store.

@@ -16,7 +16,7 @@ from .manifest import StorePart
 
 @dataclass(frozen=True, slots=True)
 class Retention:
-    """The limits of a store: files with older samples, and the oldest files of a larger store, are deleted.
+    """The limits of a store: files whose samples are all too old, and the oldest files of a larger store, are deleted.
 
     Attributes:
         age: seconds for which samples are kept; None for ever.
@@ -42,7 +42,7 @@ def parts_to_drop(parts: Sequence[StorePart], retention: Retention, now: int) ->
     Args:
         parts: all parts of the store, the open segment too: its bytes count.
         retention: the limits.
-        now: nanoseconds since 1970 UTC.
+        now: the present time, nanoseconds since 1970 UTC.
     """
     ages = _ages(parts)
     finished = sorted((part for part in parts if part.kind != "open"), key=lambda part: (ages[part.id], part.id))

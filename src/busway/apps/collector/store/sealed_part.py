@@ -4,9 +4,9 @@
 
 Knows rows and columns; knows nothing of the manifest.
 
-1. Samples from before the ten minutes of the segment are late. They become parts of their own, one for each ten
-   minutes, so that no part covers a long time. Samples with the same key in several parts are merged when they are
-   read.
+1. Samples from more than a minute before the ten minutes of the segment are late. They become parts of their own, one
+   for each ten minutes, so that no part covers a long time. If several parts have a sample of the same point and time,
+   a reader takes that of the latest commit.
 2. The driver of Arrow for SQLite fetches rows as columns, in half the time that rows take as objects of Python. It
    takes the type of a column from its first row: so the query puts an artificial row before the others, which is
    removed afterwards.
@@ -50,7 +50,7 @@ _KINDS: Final = {
 _NAMES: Final = ["point", "time", *_KINDS, "reason", "half_width", "commit_number"]
 
 PointTexts = Sequence[tuple[int, str, str, str | None]]
-"""The id of each point, its device, its name, its unit of measure."""
+"""Points, each as a tuple of id, name of the device, name of the point and unit of measure."""
 
 
 def write_parts(segment: Path, points: PointTexts, parent: int) -> Iterator[tuple[Path, dict[str, Any]]]:

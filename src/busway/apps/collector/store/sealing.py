@@ -126,14 +126,18 @@ def _interpreter() -> list[str]:
 
 
 def remove_unlisted(folder: Path, manifest: Manifest) -> None:
-    """Delete the files that the manifest lists as to be deleted, and remove them from that list."""
+    """Delete the files that the manifest lists as to be deleted, and remove them from that list.
+
+    Raises:
+        OSError, sqlite3.Error: a file or the manifest could not be written; the next call tries again.
+    """
     for file in manifest.files_to_unlink():
         unlink_part(folder / SEGMENTS / file)
         manifest.unlinked(file)
 
 
 def remove_unfinished(folder: Path, manifest: Manifest) -> None:
-    """Delete Parquet files that a crash left before they were listed; the segment file still has their samples."""
+    """Delete Parquet files that a crash left unfinished or not listed yet; the segment file still has their samples."""
     parts = manifest.parts()
     listed = {part.file for part in parts}
     segments = {part.file.removesuffix(".sqlite") for part in parts if part.kind != "sealed"}

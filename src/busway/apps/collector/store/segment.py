@@ -349,7 +349,8 @@ def facts_of(database: sqlite3.Connection, part: StorePart, size: int) -> StoreP
         size: size of the file in bytes, for the entry.
 
     Returns:
-        The entry; times and commit numbers are None if the file has no commits.
+        The entry; ``low`` and ``high`` are None if the file has no samples, ``alive`` and the commit numbers if it has
+        no commits.
 
     Raises:
         sqlite3.OperationalError: the file has no tables yet (`is_unmade`), or cannot be read.

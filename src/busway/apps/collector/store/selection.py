@@ -91,7 +91,7 @@ def chosen_points(
         former: former names of points, ``device/point``, each with the id of its point; patterns match these names too.
 
     Raises:
-        InvalidRequest: a pattern other than ``*`` matches no point of the store.
+        InvalidRequest: a pattern other than ``*`` and ``*/*`` matches no point of the store.
     """
     known, before = list(points), list(former)
     chosen: dict[int, StoredPoint] = {}

@@ -7,8 +7,8 @@ Knows the order of steps that keeps a store consistent; knows no thread and no c
    shown or sent: it is in the store.
 3. A commit that fails (a full disk) is undone as a whole. The caller keeps its batches and tries again; for samples
    that it must drop meanwhile it adds a `Gap` with their number.
-4. `Segment.has_ended` decides when a segment ends: after ten minutes, at 256 MB, or when a reader keeps its log from
-   shrinking. Another thread can seal it then.
+4. `Segment.has_ended` decides when a segment ends: when its ten minutes of the clock are over, at ``segment_size``
+   bytes (256 MB by default), or when a reader keeps its log from shrinking. Another thread can seal it then.
 5. A start that finds commits of an earlier run records the time between as a `Gap`, and ends intervals left open
    (`recovery`).
 """
@@ -222,7 +222,8 @@ class StoreWriter:
             counters: by device and point, states of accumulators that are in no batch.
 
         Raises:
-            sqlite3.Error, OSError: nothing of the commit was stored (a full disk). The same can be committed again.
+            sqlite3.Error, OSError: nothing of the commit was stored (a full disk). The caller can try again with the
+                same arguments; the commit then gets another number.
         """
         keyed = [(self._ids(batch), batch) for batch in batches]
         events = [(self._id(event.device, event.point), event) for event in alarms]
@@ -254,8 +255,8 @@ class StoreWriter:
         A correction that a crash interrupted is continued at the next start.
 
         Returns:
-            Whether to call it again, because segments are left, or the thread that seals works on the files just now.
-            False if no correction is left to be made.
+            Whether to call it again: segments are left, the thread that seals works on the files just now, or the open
+            segment must wait for the next commit. False if no correction is left to be made.
 
         Raises:
             sqlite3.Error, OSError: the segment or the manifest cannot be written; call it again.
@@ -304,7 +305,8 @@ class StoreWriter:
     def sync(self) -> None:
         """Make all commits so far survive a power failure: write the open segment's log to the disk.
 
-        Raises `OSError`.
+        Raises:
+            OSError: the log cannot be written to the disk.
         """
         if self._segment is not None:
             self._segment.sync()
@@ -321,9 +323,9 @@ class StoreWriter:
 
     @property
     def newest_commit(self) -> int:
-        """The number of the last commit.
+        """The number of the last commit of this run, also of one that failed: that uses up a number too.
 
-        Opening the store makes a commit, so there always is one of this run. A failed commit uses up a number too.
+        Opening the store makes a commit, so there always is one.
         """
         return self._next - 1
 
@@ -416,6 +418,8 @@ class StoreWriter:
 
     def apply_retention(self, now: int) -> list[StorePart]:
         """Delete files, intervals and alarm events beyond the limits of retention; return the parts that were deleted.
+
+        Alarm events are looked at only if a segment has ended since the last call; see `forget_old_alarms`.
 
         Args:
             now: the present time, nanoseconds since 1970 UTC.

@@ -36,6 +36,9 @@ def drawn(stream: int, index: int) -> float:
 class Noise:
     """Behaviour ``noise``: random values around a mean, each independent of the others.
 
+    They are spread evenly over mean ± ``spread``; with ``distribution`` ``gauss`` they are normally distributed, and
+    ``spread`` is the standard deviation.
+
     Args:
         section: the behaviour's section in the file.
         stream: start number of the point's random sequence (`stream_of`).
@@ -68,7 +71,7 @@ class Noise:
 
 
 class RandomWalk:
-    """Behaviour ``random-walk``: random steps up and down, reflected at the limits.
+    """Behaviour ``random-walk``: random steps up and down, each at most ``step``, reflected at the limits.
 
     Args:
         section: the behaviour's section in the file.

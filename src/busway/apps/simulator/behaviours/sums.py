@@ -48,7 +48,7 @@ class SteadyCounter:
 
 
 class Counter:
-    """Behaviour ``counter`` whose rate is a formula: the value is the sum of the rate over time.
+    """Behaviour ``counter`` whose rate is a formula: from moment to moment the value grows by rate × seconds.
 
     Args:
         rate: the formula, which returns the change of the value per second at a time.
@@ -94,7 +94,10 @@ class Counter:
 
 
 def _rolled_over(value: float, begin: float, rollover: float) -> float:
-    """Return what a counter shows that has counted to a value, and starts from ``begin`` again at ``rollover``."""
+    """Return a counter's value within ``begin`` ≤ x < ``rollover``, if it starts from ``begin`` again at ``rollover``.
+
+    ``value`` is the count without starting again.
+    """
     return begin + (value - begin) % (rollover - begin)
 
 

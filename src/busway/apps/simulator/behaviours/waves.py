@@ -38,7 +38,8 @@ class Constant(_Timeless):
 class Ramp(_Timeless):
     """Behaviour ``ramp``: the value goes from ``first`` to ``last`` in ``duration`` seconds, on a straight line.
 
-    Then, as ``at_end`` says, it stays, or starts again from ``first``, or goes back to ``first`` and forth again.
+    Then, with ``at_end`` ``hold``, it stays at ``last``; with ``repeat`` it starts again from ``first``; with
+    ``return`` it goes back to ``first`` and forth again.
     """
 
     __slots__ = ("_at_end", "_duration", "_first", "_rise")

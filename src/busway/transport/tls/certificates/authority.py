@@ -88,7 +88,10 @@ class Authority:
         return cls(_build(name, None, days=days, extensions=_authority_extensions(None)))
 
     def intermediate(self, name: str, *, days: float = 3650.0) -> "Authority":
-        """Return a new intermediate authority, whose certificate this one signs; it can sign no further authorities."""
+        """Return a new intermediate authority, whose certificate this one signs; it can sign no further authorities.
+
+        Arguments and errors are those of `create`.
+        """
         return Authority(_build(name, self.issued, days=days, extensions=_authority_extensions(0)))
 
     def server(
@@ -149,6 +152,9 @@ class Authority:
             days, starts_in: as for `client`.
             more: values of further extensions, by object identifier (``1.2.3``).
             states_purpose: whether the certificate has the extended key usage for clients.
+
+        Raises:
+            ConfigError: the name has a wrong length, or the certificate would expire before it becomes valid.
         """
         from cryptography import x509
         from cryptography.x509.oid import ExtendedKeyUsageOID
@@ -161,7 +167,7 @@ class Authority:
         return _build(name, self.issued, days=days, starts_in=starts_in, extensions=extensions)
 
     def revocation_list(self, serials: Sequence[int], *, days: float) -> bytes:
-        """Issue a revocation list in PEM with these serial numbers, valid for ``days`` from now.
+        """Return a new revocation list in PEM with these serial numbers; it expires ``days`` days from now.
 
         Negative ``days`` give an expired list.
         """
@@ -190,7 +196,8 @@ class Authority:
     def self_signed(name: str, hosts: Sequence[str], *, days: float = 825.0) -> Issued:
         """Issue a self-signed certificate that is no authority, for servers and clients; it expires in ``days`` days.
 
-        Raises `ConfigError` as `server` does, or if the package ``cryptography`` is missing.
+        ``name`` is its name, ``hosts`` the host names and addresses that it is for, possibly none. Raises `ConfigError`
+        if the name has not 1…64 characters, a host is no host name or address, or ``cryptography`` is missing.
         """
         from cryptography import x509
 
@@ -208,7 +215,8 @@ def _build(
 ) -> Issued:
     """Create a key and its certificate, signed with the issuer's key, or with the new key if ``issuer`` is None.
 
-    It expires ``days`` days from now (negative: it has expired already).
+    It becomes valid ``starts_in`` days from now (0: it is valid now), and expires ``days`` days from now (negative: it
+    has expired already). Raises `ConfigError` if it would expire before it becomes valid, or the name is no valid one.
     """
     from cryptography import x509
     from cryptography.hazmat.primitives import hashes
