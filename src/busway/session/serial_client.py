@@ -7,8 +7,8 @@ RTU and ASCII differ only in the framing that is passed in.
 2. A reply of another unit keeps the timer running. So does a damaged frame: it is counted, and the request may be
    repeated as after a timeout.
 3. After a timeout the line is drained: nothing is sent until it has been silent for ``quiet_window``, at the latest
-   until ``drain_limit`` has passed. The unit that did not answer gets no request for ``quiet_window`` after that,
-   unless its late reply comes before. Frames received while the line is drained are late and dropped.
+   until ``drain_limit`` has passed. The unit that did not answer gets no request for ``quiet_window`` from the timeout
+   on, unless its late reply comes before. Frames received while the line is drained are late and dropped.
 4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
    sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.

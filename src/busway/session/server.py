@@ -13,7 +13,7 @@ Knows the rules of Messaging on TCP/IP V1.0b §4.4.2; knows no socket and no dev
 6. Known reads that the responder forwards (`ReadForwarder`) are forwarded together and bypass the generic path.
 7. With a ``share``, one call of `receive` processes at most that many requests, and the bytes after them wait in
    ``rest`` until the driver calls `go_on`. Known reads that the fast path answers do not count. Consecutive reads that
-   are forwarded together count, but are never divided.
+   are forwarded together are never divided, and do not count at the beginning of bytes that are nothing but reads.
 8. `TcpServerSession.receive` has two loops: one for segments of nothing but known reads, one for everything else. In
    the second loop a known read takes half as many instructions again (67 instead of 45).
 """

@@ -2,9 +2,9 @@
 
 Knows resources and requests; knows no server: a `Subject` is any object with a status.
 
-1. ``GET /`` lists the resources, ``GET /status`` is the whole status, ``GET /connections`` a part of it. ``GET
-   /metrics`` exists if a function for metrics is given, ``POST /reload`` if one for reloading is given or the subject
-   is `Reloadable`. ``POST /reset-counters`` works for a `Resettable` subject.
+1. ``GET /`` lists the resources, ``GET /status`` is the whole status, ``GET /connections`` a part of it.
+   ``GET /metrics`` exists if a function for metrics is given, ``POST /reload`` if one for reloading is given or the
+   subject is `Reloadable`. ``POST /reset-counters`` works for a `Resettable` subject.
 2. The subject is asked in its own event loop. If the loop does not answer within `GATHER_SECONDS` (`RELOAD_SECONDS` for
    a reload), the response is an error that says so.
 3. Over loopback each request must carry the token and a ``Host`` of loopback, which a foreign web page cannot do.

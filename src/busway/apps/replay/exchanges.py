@@ -95,13 +95,13 @@ class Trouble:
 class CapturedExchange:
     """A request and its reply in a capture; or only one of them; or bytes that are no frame.
 
-    On a serial line, a request that is sent again while the first still waits is an exchange with a trouble only:
-    ``asked`` and ``answered`` are None.
+    On a serial line, a request that repeats the one before it, which got no reply, has two exchanges: one with the
+    trouble `TroubleKind.REPEATED` only, where ``asked`` and ``answered`` are None, and a later one with its outcome.
 
     Attributes:
         channel: the connection or line.
         unit: unit identifier of the request, or of a reply without request. For bytes that are no frame, that of a
-            request that waits for its reply; None if none does.
+            request that waits for its reply; None if none does or it is not known.
         time: time of the first frame or of the bytes, seconds since 1970.
         asked: the frame of the request; None if there is none.
         request: the decoded request, a `MalformedRequest` if it is malformed; None without request or if its function

@@ -102,7 +102,7 @@ class ModbusSequentialDataBlock(BaseModbusDataBlock):
     def setValues(self, address: int, values: Any) -> Any:
         """Replace the values from ``address`` on: one value, or a list or tuple of values.
 
-        The addresses are not checked here: call `validate` before. Values beyond the end lengthen the block.
+        The addresses are not checked here: call `validate` before. Values beyond the end are appended, without a gap.
         """
         new = list(values) if isinstance(values, list | tuple) else [values]
         start = address - self.address

@@ -2,7 +2,7 @@
 
 Knows files and OpenSSL; knows no connection.
 
-1. TLS 1.2 and 1.3 only, with TLS 1.2 only suites of the parameters, only curves of the parameters, no compression, no
+1. TLS 1.2 and 1.3 only. The parameters name the suites of TLS 1.2 and the curve that may be used. No compression, no
    renegotiation. Security level 2 (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1); 0
    if a suite without encryption was chosen.
 2. A listener asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
