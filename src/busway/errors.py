@@ -270,13 +270,15 @@ class NoReply(NoAnswer, TimeoutError):
 
 
 class UnitSuspended(NoReply):
-    """Error: this request was not sent, because the unit did not answer several requests in a row (circuit breaker).
+    """Error: the request was not sent, or not repeated, because its unit is silent and its circuit breaker open.
 
-    For some seconds all requests to the unit fail in this way. The first request after that is sent again, as a test
-    whether the unit answers.
+    It opens after several timeouts in a row. For some seconds all requests to the unit then fail in this way; the first
+    request after that is sent, to see whether the unit answers, and meanwhile the others still fail. A late reply of
+    the unit ends this early. ``attempt`` is None if the request was never sent, else the number of its last attempt.
 
     Attributes:
-        next_probe: seconds, counted from this error, for which requests to the unit fail without being sent.
+        next_probe: seconds, counted from this error, until the next request to the unit may be sent; while one is in
+            flight to see whether it answers, until the timeout of that one.
     """
 
     def __init__(

@@ -91,8 +91,9 @@ def audit_line(
 def done_line(unit: int, function: int, rule: str) -> tuple[str, str]:
     """Return the prepared parts of an executed write's audit line: the text behind the client, and the line's end.
 
-    The caller puts the client's part (`who_text`) before the first, and between the two the address and items,
-    formatted by the function's entry in `DONE`. The line then equals that of `audit_line`, to the byte.
+    The caller composes the line: ``{"time":"…",`` and the client's part (`who_text`), the first text, address and items
+    (by the function in `DONE` for the request's class), the second text. It then equals that of `audit_line`, to the
+    byte.
     """
     return (
         f',"unit":{unit},"function":{function:d},"address":',

@@ -38,7 +38,7 @@ _CHUNK: Final = 64 * 1024
 _KEPT: Final = 4 * 1024 * 1024
 """Most bytes of lines that are buffered for a file that cannot be written: some 15 000 lines."""
 _KEPT_OF_DENIALS: Final = 0.25
-"""Used part of that buffer from which on lines of denials are no longer added."""
+"""Part of the buffer (`_KEPT`): while more than that is used, denials get no lines and are only counted."""
 RESERVED: Final = 0.05
 """Part of a file system that is kept free for lines of writes, but at most `MOST_RESERVED` bytes."""
 MOST_RESERVED: Final = 256 * 1024 * 1024

@@ -221,7 +221,7 @@ class Option:
 
     @property
     def choices(self) -> tuple[Any, ...]:
-        """The fixed values of the option: those of the enums and literals among its types; empty if it has none."""
+        """The fixed values of the option: literals among its types, and the values of enums' members; empty if none."""
         words = (get_args(kind) if get_origin(kind) is Literal else _members(kind) for kind in self.kinds)
         return tuple(word for each in words for word in each)
 

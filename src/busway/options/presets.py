@@ -128,7 +128,7 @@ def _characters(given: Mapping[str, object], options: Mapping[str, Option]) -> d
 
 
 def _agrees(name: str, given: object, wanted: object) -> bool:
-    """Whether the value that a user gave, or its text, equals the value that the preset sets.
+    """Whether a value that a user gave, as text or as it is, equals the value that the preset sets.
 
     Raises:
         ConfigError: the value cannot be converted to the type of the preset's value; the error has ``name`` as key.

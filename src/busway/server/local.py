@@ -86,9 +86,10 @@ class DeviceResponder:
         self.generation += 1
 
     def serves(self, unit: int) -> ServedUnit | None:
-        """Return the device that answers for ``unit``, 0…255, with the units it is configured as.
+        """Return the unit that answers requests to ``unit``, 0…255: its device, and all units configured for that.
 
-        None if no device answers for ``unit``.
+        None if no device answers for ``unit``. If a sole device answers besides, as for 0 and 255, it is the first unit
+        configured for the device (`ServedUnit`).
         """
         return self._served.get(unit)
 

@@ -1,6 +1,7 @@
 """Applies the preset of a server, such as ``strict``, to its options and listeners.
 
-Knows the listeners of a server and where each of them takes options; does not know what the options mean.
+Knows the listeners of a server and where each of them takes options. Of the options it knows only
+``single_adu_segments``, which ``strict`` sets in the limits of a listener; what others mean, their declarations tell.
 """
 
 from collections.abc import Mapping, Sequence

@@ -16,8 +16,9 @@ slower still, its late reply is noticed (rule 3).
 ROOM: Final = 0.1
 """Seconds that `floor_for` adds to the time of the characters: adapters and systems take up to 20 ms each way."""
 CHARACTERS: Final = 32
-"""Characters for which `floor_for` leaves time: a request and the reply to it together, at their longest with ASCII,
-and the silences around frames.
+"""Characters for which `floor_for` leaves time: the request of a scan and its reply, a read of one holding register.
+
+In ASCII they have 17 and 15 characters; in RTU 8 and 7, which leaves time for the silences around the frames.
 """
 
 

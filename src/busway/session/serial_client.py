@@ -660,8 +660,9 @@ class SerialClientSession:
     def _late(self, doubt: UnitDoubt, owed: Sequence[OwedReply], frame: SerialFrame) -> None:
         """Drop a late reply, count it, and remove it from the replies that are owed.
 
-        Where only the number of owed replies is known (`UnitDoubt.is_older`), that number is reduced. Otherwise it is
-        the reply to the first of ``owed``, and requests sent before that one get no reply any more.
+        If it counts as an older reply, of which only the number is known (`UnitDoubt.is_older`), that number is
+        reduced. Otherwise the frame is the reply to the first of ``owed``; replies to requests sent before that one are
+        no longer owed. The unit is alive: if its breaker has suspended it, the suspension ends.
 
         Args:
             doubt: the late replies of the unit.

@@ -252,7 +252,10 @@ class SimulatedDevice:
         return found[0] if found else None
 
     def _standing_at(self, key: str) -> list[str]:
-        """Return the keys ``UNIT/NAME`` of the points at an address in any notation; empty if ``key`` is no address."""
+        """Return the keys ``UNIT/NAME`` of the points of all units whose address is ``key``, in any notation.
+
+        A point that begins at an earlier register is not among them. Empty if ``key`` is no address.
+        """
         try:
             place = parse_address(key)
         except InvalidRequest:

@@ -1,6 +1,7 @@
 """Sets the options of TCP sockets, and explains their errors.
 
-Knows sockets; knows no Modbus. Only here an `OSError` of a network connection becomes a `LinkDown`.
+Knows sockets; knows no Modbus. Here it is decided which kind of `LinkDown` an `OSError` of the network is, and in which
+words it is explained.
 """
 
 import contextlib

@@ -34,9 +34,10 @@ class Level(IntEnum):
     Invalid writes are among its requests; they, too, name scratch items only.
     """
     DISRUPTIVE = 3
-    """The check may also reset counters, write to all units of a line by broadcast, or send writes to other items.
+    """The check may also reset counters, write to all units of a line by broadcast, or write beyond scratch items.
 
-    A correct device refuses such a write to other items; a faulty device that executes it changes them.
+    A broadcast writes to the addresses of the scratch items; what it changes in other units is not restored. A correct
+    device refuses a write beyond the scratch items; a faulty device that executes it changes other items.
     """
 
 

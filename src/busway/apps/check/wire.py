@@ -277,7 +277,7 @@ class SerialWire:
     def receive(self, timeout: float) -> bytes | None:
         """Return received bytes as soon as there are any; empty if none come within ``timeout`` seconds.
 
-        None if the port has gone.
+        Also empty, and earlier, if only the beginning of a damage mark has come. None if the port has gone.
         """
         try:
             data = self._port.read(timeout)[0]

@@ -42,7 +42,7 @@ from .plan import ItemRange, PlannedRead, ReadRules
 MEMORY: Final = 64
 """Number of latest reads from which the base is computed; a device that got slower is noticed after half as many."""
 SETTLED_AFTER: Final = 48
-"""Number of reads after which the cost counts as known."""
+"""Number of reads that must have succeeded before the cost counts as known; it also needs reads of `WIDTHS` widths."""
 WIDTHS: Final = 3
 """Number of different widths that must have been read from a device before its cost counts as known."""
 READS_OF_A_WIDTH: Final = 3

@@ -56,7 +56,10 @@ class Resettable(Protocol):
     """Interface of a server or gateway whose counters the control service can reset."""
 
     def reset_counters(self) -> None:
-        """Set the counters of the server or gateway to zero; nothing else changes."""
+        """Set the counters of the server or gateway to zero; what single connections or links have counted stays.
+
+        Nothing is closed. The class that has the method says which counters these are.
+        """
 
 
 @runtime_checkable

@@ -1,15 +1,17 @@
-"""The entries that operators write to control a fleet: the plant's configuration, and which collectors are drained.
+"""The entries of the shared table that operators write: configuration, drained collectors, lease times, generation.
 
-Knows entries and the checks of a collector file; knows no collector.
+Knows entries of the coordinator's table and the checks of a collector file; knows no collector.
 
 1. A configuration is written only after it was checked, by compare-and-set on the revision that was seen. A refused
    one changes nothing.
 2. Only the text of the configuration and the path of its file are shared: device profiles that the text names must be
    under the same path on every machine of the fleet.
-3. The keys of these entries begin with ``control.``, so that a server can deny them to collectors.
-4. The entry ``zone`` says how long leases hold. The first collector makes the entry, unless an operator has. It changes
-   only while no collector runs. A collector that was cut off meanwhile learns the new times from the entry; the leases
-   that it holds until then say themselves how long they hold.
+3. The keys of the configuration and of drained collectors begin with ``control.``, so that a server can deny them to
+   collectors. Those of the entries ``zone`` and ``generation`` do not.
+4. The entry ``zone`` says how many shards there are and how long leases hold. The first collector makes the entry,
+   unless an operator has. It may change only while no collector runs, which the caller checks. A collector that was cut
+   off meanwhile owns nothing once it has read the new entry; the leases that it holds until then say themselves how
+   long they hold.
 """
 
 import asyncio

@@ -3,10 +3,11 @@
 Knows commits and subjects. Messages are neither kept nor acknowledged: a program that needs every sample reads the
 stream.
 
-1. A device's last batch is on ``busway.<zone>.live.<device>``: JSON with device, time (milliseconds since 1970 UTC),
-   and for each point the value, and the reason if its quality is not good.
-2. Of several batches of the same points within `SEND_EVERY` seconds only the last is sent. While there is no connection
-   to the server, batches are dropped.
+1. Each batch goes to ``busway.<zone>.live.<device>``; in the name of the device ``.``, ``*``, ``>`` and white space are
+   ``_``. It has the points of one read, not all of the device. JSON: ``{"device": …, "time": …, "points": {"power":
+   {"value": …, "reason": …}}}``, time in milliseconds since 1970 UTC, reason only if the quality is not good.
+2. Of several batches of the same points within `SEND_EVERY` seconds only the last is sent. What cannot be sent, because
+   there is no connection to the server or it fails, is dropped.
 """
 
 import asyncio

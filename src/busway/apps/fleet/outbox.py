@@ -201,7 +201,10 @@ class Outbox:
         self._error: str | None = None
         self._aside = 0
         self._counted: dict[tuple[str, str, int, int], None] = {}
-        """The samples set aside that were counted last, at most `MOST_COUNTED`, so that none counts twice."""
+        """The samples set aside that were counted last, as (device, point, commit, time); the values mean nothing.
+
+        At most `MOST_COUNTED`. When such a sample is read again to be sent again, it is not counted a second time.
+        """
         self._too_long: set[tuple[str, str]] = set()
 
     def status(self) -> OutboxStatus:

@@ -67,7 +67,7 @@ class GatewayConfiguration:
 
     @property
     def name(self) -> str:
-        """The name of the gateway file, as it was given."""
+        """Path of the gateway file, as it was given; `COMMAND` if there is no file (`simple_gateway`)."""
         return self.common.name
 
     @property

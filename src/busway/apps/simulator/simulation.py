@@ -369,7 +369,7 @@ class Simulation:
 
     @property
     def server(self) -> "Server":
-        """The server that `driven` was given, while it lasts. Raises `ConfigError` if the simulation does not run."""
+        """The server passed to `driven`, while that context lasts. Raises `ConfigError` at any other time."""
         if self._server is None:
             raise ConfigError("the simulation does not run", key="server")
         return self._server

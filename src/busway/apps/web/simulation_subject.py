@@ -176,7 +176,11 @@ class PageSubject(Protocol):
         """Seconds of simulated time since the simulation began."""
 
     def change_speed(self, speed: float) -> None:
-        """Set how many simulated seconds pass in one second of the clock, above 0."""
+        """Set how many simulated seconds pass in one second of the clock. Call this in the thread of the event loop.
+
+        Raises:
+            ConfigError: the speed is not above 0, or infinite.
+        """
 
     def pause(self) -> None:
         """Stop the simulated time; points can still be set."""

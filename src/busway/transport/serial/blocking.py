@@ -107,7 +107,8 @@ class BlockingSerialPort:
     def still_sending(self) -> float | None:
         """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
-        None if no written character is in the port any more. Raises `LinkDown` if the port vanished or is closed.
+        None if no written character is in the port any more, or if the system does not tell how many are. Raises
+        `LinkDown` if the port vanished or is closed.
         """
         self._opened()
         try:

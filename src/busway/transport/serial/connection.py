@@ -161,7 +161,8 @@ class SerialConnection:
     def still_sending(self) -> float | None:
         """Return the earliest time at which the last written character can have left (``time.monotonic``).
 
-        None if no written character is in the port any more. Raises `LinkDown` if the port vanished or is closed.
+        None if no written character is in the port any more, or if the system does not tell how many are. Raises
+        `LinkDown` if the port vanished or is closed.
         """
         held = self.held()
         _, device = self._opened()

@@ -1,6 +1,7 @@
 """All ioctl calls to the driver of an open serial port, in one place so that a test can replace the driver.
 
-Knows how to make the calls, and not what they are for. Results are written into the buffers passed in.
+Knows how to make the calls, and not what they are for. Results are written into the buffer
+passed in; only `asked_integer` returns its result.
 """
 
 import errno

@@ -220,9 +220,10 @@ class MqttSink:
         return self._topic.replace("{device}", topic_level(device)).replace("{point}", topic_level(point))
 
     def place_of(self, device: str, point: str) -> tuple[str, str]:
-        """Return the names of a device and a point in topics; with discovery, those in Home Assistant (`TopicSink`).
+        """Return the names of a device and a point as the receiver has them (`TopicSink`): as levels of topics.
 
-        Without ``per_point`` the name of the point is in no topic, and unchanged.
+        With discovery, the names in Home Assistant instead, where more characters become ``_``. Without ``per_point``
+        no topic has the name of the point, and it is returned unchanged.
         """
         if self._discovery is not None:
             return _plain(device), _plain(point)

@@ -149,7 +149,7 @@ class Committer:
         self._untold: ClockCorrection | None = None
         self._taken = 0
         self._noted = 0
-        """How much was queued since the start besides batches."""
+        """Number of calls since the start that queued anything but a batch: intervals, alarm events, descriptions."""
         self._stored = 0
         """Of what was queued since the start (`_queued_so_far`), how much is stored or dropped."""
         self._waiting = 0
