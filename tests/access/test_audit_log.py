@@ -227,6 +227,17 @@ def test_a_rotation_to_a_place_that_cannot_be_keeps_the_old_file(tmp_path, time)
     assert (tmp_path / "moved" / "log").read_text() == "1\n2\n"
 
 
+def test_a_log_that_was_closed_stays_closed_if_its_file_is_rotated(tmp_path, time):
+    log = opened(tmp_path, time, on_failure="refuse")
+    log.append('{"n":1}\n')
+    log.close()
+    log.path.rename(tmp_path / "audit.1")
+    log.reopen()
+    log.append('{"n":2}\n')
+    assert not log.path.exists()
+    assert (log.written, log.lost, log.takes_writes) == (1, 1, False)
+
+
 def test_lines_after_the_end_are_counted_as_lost(tmp_path, time):
     log = opened(tmp_path, time)
     log.close()

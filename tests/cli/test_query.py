@@ -175,5 +175,6 @@ def test_a_store_is_checked_backed_up_and_restored(run: Callable[..., Any], data
     next((tmp_path / "copy" / SEGMENTS).iterdir()).write_bytes(b"no database" * 1000)
     result = run("store", "check", str(tmp_path / "copy"))
     assert (result.code, "cannot be read" in result.err) == (6, True)
+    assert f"{tmp_path / 'copy'} has 1 problem:" in result.err
     assert run("store", "mend", data).code == 2
     assert run("store", "backup", data).code == 2

@@ -114,6 +114,38 @@ def test_a_marked_error_spoils_the_frame() -> None:
     assert (damage.reason, damage.overrun, damage.size) == (Damage.OVERRUN, True, 8)
 
 
+@pytest.mark.clause("S10")
+def test_an_error_in_the_initial_state_spoils_no_later_frame() -> None:
+    line = Line(started=10.0)
+    line.receiver.damaged(line.now)
+    line.silence(LINE.t3_5)
+    line.bytes(READ)
+    line.silence(LINE.t3_5)
+    assert [type(one) for one in line.found] == [SerialFrame]
+
+
+def test_an_error_while_this_station_sends_does_not_spoil_the_reply() -> None:
+    receiver = StrictRtuReceiver(LineRole.MASTER, LINE)
+    receiver.expect(1, 3)
+    receiver.sent(READ, 1.0)
+    assert receiver.damaged(0.995) == []
+    reply = encode_rtu(1, bytes.fromhex("03 02 00 01"))
+    assert receiver.receive(reply, 1.05) == []
+    [found] = receiver.tick(1.1)
+    assert isinstance(found, SerialFrame)
+    assert (found.raw, found.direction) == (reply, Direction.REPLY)
+
+
+def test_a_frame_ends_at_the_deadline_also_where_t1_5_is_t3_5() -> None:
+    receiver = StrictRtuReceiver(LineRole.SERVER, SerialTiming.of_network(), units={1})
+    receiver.receive(READ, 1.0)
+    due = receiver.deadline()
+    assert due is not None
+    [found] = receiver.tick(due)
+    assert isinstance(found, SerialFrame)
+    assert (found.raw, receiver.deadline()) == (READ, None)
+
+
 def test_more_bytes_than_a_frame_has_are_one_error() -> None:
     line = Line()
     line.bytes(bytes(600))

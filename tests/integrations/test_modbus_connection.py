@@ -213,6 +213,17 @@ def test_a_port_that_is_not_there_is_a_connection_error(tmp_path: Path) -> None:
     asyncio.run(refused())
 
 
+async def test_each_request_to_a_port_that_is_not_there_looks_whether_it_has_come(tmp_path: Path) -> None:
+    connection = backend.ModbusConnection(ModbusSerialParams(device=str(tmp_path / "gone")), timeout=30)
+    states: list[str] = []
+    connection._link.on_state(lambda state, reason: states.append(state))
+    for _ in range(3):
+        with pytest.raises(ModbusConnectionError, match="could not open serial port"):
+            await connection.for_unit(1).read_holding_registers(0, 1)
+    assert states.count("connecting") == 3
+    await connection.close()
+
+
 async def test_tls_trusts_and_shows_what_the_parameters_say(tmp_path: Path) -> None:
     store = CertificateStore(tmp_path)
     ours, theirs = store.client("operator", role="Operator"), store.server()

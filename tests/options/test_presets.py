@@ -271,6 +271,11 @@ def test_a_passive_client_repeats_and_recycles_nothing_on_every_scheme(url: str)
     assert {"retries", "write_retries"} <= there.keys()
 
 
+def test_a_passive_client_hardly_pauses_between_attempts_to_open_a_serial_port() -> None:
+    found = dict(settings_in(link_settings("rtu:///dev/ttyUSB0?preset=passive", {})))
+    assert (found["port_wait"], found["reopen_first"], found["reopen_most"]) == (0.0, 0.01, 0.01)
+
+
 def test_options_beside_passive_replace_its_own() -> None:
     assert dict(settings_in(link_settings("tcp://h?preset=passive", {"retries": 2})))["retries"] == 2
 

@@ -56,6 +56,15 @@ def test_an_exception_is_named() -> None:
     assert isinstance(description.message, ExceptionResponse)
 
 
+def test_an_exception_with_the_mei_type_between_shows_both() -> None:
+    description = describe_reply(bytes.fromhex("AB 0E 02"))
+    assert rows(description)[1] == (1, "0e", "MEI type", "14 (read device identification)", "")
+    assert rows(description)[2][:3] == (2, "02", "exception code")
+    assert "illegal data address" in description.parts[2].text
+    assert description.problems == ()
+    assert description.message == ExceptionResponse(43, 2)
+
+
 def test_a_sub_function_is_named() -> None:
     parts = describe_request(bytes.fromhex("08 00 0B 00 00")).parts
     assert (parts[1].name, parts[1].text) == ("sub-function", "11 (bus message count)")

@@ -43,6 +43,21 @@ def test_a_function_that_is_not_in_the_table_is_carried_as_bytes(pdu: bytes) -> 
     assert STANDARD.decode_reply(pdu) == OpaqueReply(pdu[0], pdu[1:])
 
 
+def test_what_is_longer_than_any_pdu_is_malformed_also_with_an_unknown_function() -> None:
+    pdu = b"\x41" + bytes(253)
+    with pytest.raises(MalformedPdu, match="254 bytes where a PDU has at most 253"):
+        STANDARD.decode_reply(pdu)
+    with pytest.raises(MalformedPdu, match="254 bytes where a PDU has at most 253"):
+        OpaqueRequest(0x41, b"").accept(pdu)
+    request = STANDARD.decode_request(pdu)
+    assert isinstance(request, MalformedRequest)
+    assert (request.kind, request.encode(), request.reason) == (
+        OpaqueRequest,
+        pdu,
+        "254 bytes where a PDU has at most 253",
+    )
+
+
 def test_a_known_function_without_its_sub_code_is_a_wrong_length_and_not_an_unknown_function() -> None:
     for pdu in (b"\x08", b"\x08\x00", b"\x2b"):
         request = STANDARD.decode_request(pdu)

@@ -256,17 +256,18 @@ class AuditLog:
         """Close the audit file and open the same path again, after log rotation has renamed the file.
 
         Buffered lines are written to the old file first; those that it does not take are written to the new one. A line
-        of which the old file has only the beginning is lost.
+        of which the old file has only the beginning is lost. A log that was closed stays closed.
 
         Raises:
             ConfigError: the file cannot be opened; then the old file stays in use.
         """
         with self._lock:
+            if self._file is None:
+                return
             self._tell_left_out()
             self.flush()
             fresh = self._open()
-            if self._file is not None:
-                os.close(self._file)
+            os.close(self._file)
             self._file = fresh
             if self._begun:  # half a line is none
                 self._begun = b""

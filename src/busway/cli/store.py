@@ -35,7 +35,7 @@ def store(
     if action == "check":
         problems = check_store_files(Path(folder))
         if problems:
-            say_problems(f"{folder} has {len(problems)} problems:", "\n".join(problems))
+            say_problems(f"{folder} has {counted(len(problems), 'problem')}:", "\n".join(problems))
             return ExitCode.BROKEN
         print(f"{folder} is whole")
         return ExitCode.DONE

@@ -107,7 +107,7 @@ def write_values(
 
     Args:
         address: where the first value goes, in any notation that names its table. With a bit (``4x1.3``), ``values`` is
-            one bool, which a mask write (function 22) writes; ``kind``, ``order`` and ``function`` are ignored then.
+            one bool, which a mask write (function 22) writes, whatever ``kind``, ``order`` and ``function`` are.
         values: one value, or an iterable of values for consecutive addresses.
         kind: type of the values; None: ``uint16``. Must be None for coils.
         order: order of bytes and registers in values, such as ``ABCD``.
@@ -118,6 +118,8 @@ def write_values(
         InvalidRequest: an argument is invalid or too large, there is no value, the values need more than one register
             with ``single``, or the table is read-only. Nothing was sent.
     """
+    if function not in ("auto", "single", "multiple"):
+        raise InvalidRequest(f"function must be auto, single or multiple, not {function!r}")
     place = place_of(address)
     if place.table is None or not place.table.is_writable:
         raise InvalidRequest(f"{place}: {place.table.label if place.table else 'table'}s are read-only")
@@ -237,8 +239,6 @@ def _pieces(place: Address, items: int, limit: int, split: bool, width: int = NA
 
 
 def _check_single(place: Address, items: int, limit: int, function: WriteFunction) -> None:
-    if function not in ("auto", "single", "multiple"):
-        raise InvalidRequest(f"function must be auto, single or multiple, not {function!r}")
     if function == "single" and items > 1:
         raise InvalidRequest(f"{place}: {items} items cannot be written with a function for one")
     if items > limit:

@@ -126,10 +126,11 @@ class StrictRtuReceiver:
         released = self.echo.tick(now)
         if released:
             self._characters(released, self._last, self._last)
-        # At t1.5 itself the frame is still whole: only a longer gap makes it incomplete.
-        if self.state is LineState.RECEIVING and now > self._last + self.timing.t1_5:
+        is_over = now >= self._last + self.timing.t3_5
+        # At t1.5 itself the frame is still whole: only a longer gap makes it incomplete. Over networks t1.5 is t3.5.
+        if self.state is LineState.RECEIVING and (is_over or now > self._last + self.timing.t1_5):
             self._move(LineEvent.T1_5)
-        if now < self._last + self.timing.t3_5:
+        if not is_over:
             return []
         received = self.state is LineState.CONTROL_AND_WAITING
         if self.state in (LineState.INITIAL, LineState.CONTROL_AND_WAITING, LineState.EMISSION):
@@ -180,7 +181,7 @@ class StrictRtuReceiver:
         """Mark the frame in progress as damaged, because the port reported an error or lost characters.
 
         Returns the frame that the silence before the error completes. The marked frame is returned after t3.5 of
-        silence.
+        silence. An error where characters are dropped (`receive`) marks nothing.
 
         Args:
             now: time of the report, in seconds.
@@ -188,7 +189,8 @@ class StrictRtuReceiver:
         """
         found = self.tick(now)
         self._characters(b"", now, now)
-        self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
+        if self.state in (LineState.RECEIVING, LineState.CONTROL_AND_WAITING):
+            self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
         self._last = max(self._last, now)
         return found
 

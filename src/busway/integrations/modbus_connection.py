@@ -50,7 +50,7 @@ from ..errors import (
 )
 from ..errors import ModbusError as BuswayError
 from ..options.endpoints import parse_endpoint
-from ..options.presets import SHORTEST_PAUSE, Preset
+from ..options.presets import SHORTEST_PAUSE, SHORTEST_PORT_PAUSE, Preset
 from ..pdu.server_id import ServerId
 from ..session.reconnect import ConnectionState
 
@@ -133,6 +133,7 @@ class ModbusConnection(BaseModbusConnection):
         return min(max(wanted, LEAST_TIMEOUT), LONGEST_TIMEOUT)
 
     async def _connect_client(self) -> AsyncLink:
+        serial = isinstance(self._params, ModbusSerialParams)
         try:
             if not self._is_ready:
                 if isinstance(self._params, ModbusTlsParams):
@@ -140,10 +141,10 @@ class ModbusConnection(BaseModbusConnection):
                 self._link.on_state(self._on_state)
                 self._is_ready = True
             if self._link.state == ConnectionState.BACKING_OFF.value:
-                await asyncio.sleep(2 * SHORTEST_PAUSE)  # the link has failed just now, and refuses so long
+                # The link has failed just now, and refuses so long.
+                await asyncio.sleep(2 * (SHORTEST_PORT_PAUSE if serial else SHORTEST_PAUSE))
             await self._link.connect()
         except LinkDown as error:
-            serial = isinstance(self._params, ModbusSerialParams)
             where = f"open serial port {self._target}" if serial else f"connect to {self._target}"
             kind = ModbusTimeoutError if error.kind == "timeout" else ModbusConnectionError
             raise kind(f"could not {where}: {error}") from error

@@ -1,7 +1,7 @@
 """Presets: named sets of options. ``strict`` meets every "must" of the specifications, which the defaults do not.
 
 ``passive`` is for a client whose caller decides everything: no request is repeated, no unit suspended, no connection
-recycled before 1000 timeouts, and over a network the pause between attempts to connect is only 1 ms.
+recycled before 1000 timeouts, and the pause between attempts to connect is only 1 ms, or 10 ms for a serial port.
 
 Knows how a preset and options go together; what ``strict`` sets an option to is declared with the option (`Strict`).
 
@@ -34,8 +34,8 @@ class Preset(Word):
     Attributes:
         STANDARD: sets nothing; the defaults stay.
         STRICT: meets every "must" of the specifications.
-        PASSIVE: clients only: no retries, no breaker, hardly a pause (1 ms) between attempts to connect over a network,
-            no wait for a missing serial port, and connections recycled only after 1000 timeouts.
+        PASSIVE: clients only: no retries, no breaker, hardly a pause between attempts to connect (1 ms, or 10 ms for a
+            serial port), no wait for a missing serial port, and connections recycled only after 1000 timeouts.
     """
 
     STANDARD = "standard"
@@ -45,11 +45,15 @@ class Preset(Word):
 
 SHORTEST_PAUSE: Final = 0.001
 """Seconds between two attempts of a link to connect over a network, with the preset ``passive``."""
+SHORTEST_PORT_PAUSE: Final = 0.01
+"""Most seconds between two attempts of a link to open a serial port, with the preset ``passive``."""
 PASSIVE_SETTINGS: Final[Mapping[str, object]] = {
     "retries": 0,
     "write_retries": 0,
     "open_after": 0,
     "port_wait": 0.0,
+    "reopen_first": SHORTEST_PORT_PAUSE,
+    "reopen_most": SHORTEST_PORT_PAUSE,
     "reconnect_first": SHORTEST_PAUSE,
     "reconnect_most": SHORTEST_PAUSE,
     "recycle_after_timeouts": 1000,

@@ -19,7 +19,7 @@ from .bits import unpack_bits
 from .encapsulated import OBJECT_NAMES, IdentificationObject
 from .fields import FixedField, RepeatedField, RestLength
 from .functions import STANDARD, FunctionTable
-from .general import ExceptionResponse, MalformedRequest
+from .general import MalformedRequest
 from .malformed import MalformedPdu
 from .message import Message, Request
 from .read_items import ReadFifoQueue, unpack_registers
@@ -122,11 +122,14 @@ def _exception(pdu: bytes, problem: str, message: Message | None) -> Description
     code = pdu[0] & 0x7F
     parts = [Part(0, pdu[:1], "function", f"{function_name(code)}, with the exception bit")]
     at = 1
-    if isinstance(message, ExceptionResponse) or len(pdu) >= 2:
-        parts.append(Part(1, pdu[1:2], "exception code", f"{pdu[1]:02X}, {exception_meaning(pdu[1])}"))
+    if message is not None and len(pdu) == 3:  # the form AB 0E cc, see `decode_exception`
+        parts.append(Part(1, pdu[1:2], "MEI type", _sub_code_name(code, pdu[1:2])))
         at = 2
+    if at < len(pdu):
+        parts.append(Part(at, pdu[at : at + 1], "exception code", f"{pdu[at]:02X}, {exception_meaning(pdu[at])}"))
     else:
-        parts.append(Part(1, b"", "exception code", problem="is cut off"))
+        parts.append(Part(at, b"", "exception code", problem="is cut off"))
+    at += 1
     if at < len(pdu):
         parts.append(Part(at, pdu[at:], "surplus", problem=f"{counted(len(pdu) - at, 'byte')} too many"))
     return _finished(f"{function_name(code)}, exception", parts, problem, message, is_known=True)

@@ -93,11 +93,11 @@ class FunctionTable:
         """Decode a request PDU; an invalid one is returned as an object too, and raises nothing.
 
         Args:
-            pdu: 1…253 bytes, the first a function code below 0x80.
+            pdu: 1 byte or more, the first a function code below 0x80.
 
         Returns:
             An object of the function's request class; `OpaqueRequest` if function or sub-function is not in the table;
-            `MalformedRequest` if the bytes break a rule of the function.
+            `MalformedRequest` if the bytes break a rule of the function, or are more than any PDU has.
         """
         kind = self.find(pdu, 0, len(pdu))
         if kind is None:
@@ -108,7 +108,7 @@ class FunctionTable:
                 return MalformedRequest(
                     pdu[0], first, bytes(pdu), "the sub-function is missing", ExceptionCode.ILLEGAL_DATA_VALUE
                 )
-            return OpaqueRequest(pdu[0], bytes(pdu[1:]))
+            kind = OpaqueRequest
         try:
             return kind.decode(pdu)
         except MalformedPdu as error:
@@ -124,7 +124,7 @@ class FunctionTable:
             pdu: at most 253 bytes, function code first.
 
         Raises:
-            MalformedPdu: there are no bytes, or they are no valid reply of the function.
+            MalformedPdu: there are no bytes, more than any PDU has, or they are no valid reply of the function.
         """
         if not pdu:
             raise MalformedPdu("an empty PDU")
@@ -135,7 +135,7 @@ class FunctionTable:
             return kind.Reply.decode(pdu)
         if len(pdu) <= self._sub_width.get(pdu[0], 0):
             raise MalformedPdu("the sub-function is missing")
-        return OpaqueReply(pdu[0], bytes(pdu[1:]))
+        return OpaqueReply.decode(pdu)
 
     def request_length(self, data: bytes, at: int, end: int) -> int:
         """Return the length in bytes of the request PDU that starts at ``at`` of ``data[:end]``, for RTU frames.

@@ -76,16 +76,16 @@ class OpaqueRequest(Request):
     def accept(self, pdu: bytes) -> Message:
         if pdu[0] != self.function:
             raise MalformedPdu(f"function {pdu[0]} where {self.function} answers the request")
-        return OpaqueReply(pdu[0], pdu[1:])
+        return OpaqueReply.decode(pdu)
 
 
 @dataclass(frozen=True, slots=True)
 class MalformedRequest:
-    """A received request of a known function that breaks one of its rules.
+    """A received request that breaks a rule of its function; with an unknown function, one that is too long.
 
     Attributes:
         function: the function code.
-        kind: the request class of the function.
+        kind: the request class of the function; `OpaqueRequest` if it is unknown.
         data: the PDU as it was received.
         reason: which rule is broken, in words.
         code: the exception code with which a server refuses the request.

@@ -18,6 +18,7 @@ _EXPECTS: Final = {
     "eui64": "an address such as 00:1B:44:FF:FE:11:3A:B7",
 }
 _SEPARATORS: Final = re.compile(r"[:-]")
+_EUI_BYTE: Final = re.compile(r"[0-9A-Fa-f]{2}")
 
 NETWORK_TYPES: Final = tuple(_SIZES)
 
@@ -76,8 +77,10 @@ class NetworkCodec:
         if self._name == "ipv4":
             return ipaddress.IPv4Address(value).packed
         if self._name == "ipv6":
+            if "%" in value:  # a zone (fe80::1%eth0) is of one host, and registers have no place for it
+                raise ValueError(value)
             return ipaddress.IPv6Address(value).packed
         parts = _SEPARATORS.split(value)
-        if len(parts) != self._size or any(len(each) != 2 for each in parts):
+        if len(parts) != self._size or not all(map(_EUI_BYTE.fullmatch, parts)):
             raise ValueError(value)
         return bytes.fromhex("".join(parts))

@@ -138,6 +138,19 @@ def test_a_key_that_nobody_armed_is_not_there(plant: Plant) -> None:
     assert plant.ask("POST", "/api/commands/busway-0/confirm")[0] == 404
 
 
+def test_a_journal_that_cannot_be_read_is_said_and_is_no_error_of_the_server(
+    plant: Plant, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def unreadable(*asked: object) -> None:
+        raise OSError("the journal of commands cannot be read: disk I/O error")
+
+    said = {"error": "the journal of commands cannot be read: disk I/O error"}
+    for name in ("find", "newest"):
+        monkeypatch.setattr(plant.collector.commands._journal, name, unreadable)
+    assert plant.ask("POST", "/api/commands/busway-0/confirm") == (503, said)
+    assert plant.ask("GET", "/api/commands", role="view") == (503, said)
+
+
 def test_a_program_writes_in_one_step_with_a_key_of_its_own(plant: Plant) -> None:
     asked = command("mode", "hand", key="order-1", expires=time.time() + 20)
     status, done = plant.ask("POST", "/api/commands", asked)

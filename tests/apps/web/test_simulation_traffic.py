@@ -170,6 +170,33 @@ def test_one_that_stops_below_another_leaves_nothing_behind_either():
     assert TRACE.capture is None
 
 
+def test_frames_that_other_threads_record_while_others_are_read_are_shown_next_time(traffic):
+    class Meanwhile(int):
+        """A number that records a frame when it is compared."""
+
+        def __ge__(self, other):
+            traffic.add("10.0.0.8:40000", READ, is_reply=False)
+            return super().__ge__(other)
+
+    for _ in range(3):
+        traffic.add("10.0.0.7:40000", READ, is_reply=False)
+    assert [one.number for one in traffic.after(Meanwhile(0), 10)] == [1, 2, 3]
+    assert [one.number for one in traffic.after(3, 10)] == [4, 5, 6]
+
+
+def test_the_numbers_of_frames_are_in_order_whichever_thread_records_them():
+    def clock():
+        if traffic.last == 0 and not others:
+            others.append(traffic.add("rtu:///dev/ttyS1", READ, is_reply=False, at=1000.0))
+        return 1000.0
+
+    others = []
+    traffic = Traffic(clock=clock)
+    traffic.add("rtu:///dev/ttyS0", READ, is_reply=False)
+    assert [one.number for one in traffic.after(0, 10)] == [1, 2]
+    assert [one.number for one in traffic.after(1, 10)] == [2]
+
+
 def test_whoever_watches_is_told_until_it_says_stop(traffic):
     told = []
     unwatch = traffic.watch(lambda: told.append(traffic.last))

@@ -140,6 +140,9 @@ class CommandsApi:
         full: dict[int | str, dict[str, Any]] = {
             503: {"model": Failure, "description": "Too many wait to be confirmed."}
         }
+        unread: dict[int | str, dict[str, Any]] = {
+            503: {"model": Failure, "description": "The journal of commands cannot be read."}
+        }
         add(
             "/api/commands/arm",
             self.arm_command,
@@ -152,7 +155,7 @@ class CommandsApi:
             self.confirm_command,
             methods=["POST"],
             summary="Send an armed command, once",
-            responses=missing,
+            responses={**missing, **unread},
         )
         add(
             "/api/commands",
@@ -161,7 +164,13 @@ class CommandsApi:
             summary="Write a value to a point, at most once for each key",
             responses=missing,
         )
-        add("/api/commands", self.list_commands, methods=["GET"], summary="The last commands, the newest first")
+        add(
+            "/api/commands",
+            self.list_commands,
+            methods=["GET"],
+            summary="The last commands, the newest first",
+            responses=unread,
+        )
         add("/api/configuration", self.get_configuration, methods=["GET"], summary="The configuration that holds")
         add(
             "/api/configuration",
@@ -201,12 +210,17 @@ class CommandsApi:
         )
 
     async def confirm_command(self, key: Annotated[str, InPath(max_length=100)], caller: Operator) -> CommandAnswer:
-        """Send a checked command to its device, and return the result. A second time returns the same result."""
+        """Send a checked command to its device, and return the result. A second time returns the same result.
+
+        503: the journal, where the result of one that was sent before is, cannot be read.
+        """
         try:
             rights = WriterRights(caller.role.label)
             return _answer(await self._collector.commands.confirm(key, by=caller.name, origin="page", rights=rights))
         except NoSuchCommand as error:
             raise HTTPException(404, error.message) from error
+        except OSError as error:
+            raise HTTPException(503, str(error)) from error
 
     async def send_command(self, asked: DirectCommand, caller: Operator) -> CommandAnswer:
         """Check a command, send it to its device, and return the result. A key that was used before sends nothing."""
@@ -228,8 +242,12 @@ class CommandsApi:
     async def list_commands(
         self, caller: Viewer, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
     ) -> CommandsAnswer:
-        """Return the results of the latest commands, the newest first."""
-        return CommandsAnswer(commands=[_answer(each) for each in await self._collector.commands.newest(limit)])
+        """Return the results of the latest commands, the newest first. 503: their journal cannot be read."""
+        try:
+            newest = await self._collector.commands.newest(limit)
+        except OSError as error:
+            raise HTTPException(503, str(error)) from error
+        return CommandsAnswer(commands=[_answer(each) for each in newest])
 
     async def get_configuration(self, caller: Configurer) -> ConfigurationAnswer:
         """Return the text of the configuration in force (TOML), and its revision."""

@@ -7,8 +7,10 @@ passes everything on to the capture file if there is one.
    and only for frames that are shown.
 2. Frames are numbered. A client asks for the frames after a number, and learns how many of them are kept no longer.
 3. Frames of the client connections and client links of this program are left out.
+4. Lines record in threads of their own too (`busway.observe.line_trace`): a lock is held while a frame gets its number.
 """
 
+import threading
 import time
 from collections import OrderedDict, deque
 from collections.abc import Callable, Collection, Iterator
@@ -118,6 +120,7 @@ class Traffic:
         self._functions = functions
         self._clock = clock
         self._tail: deque[Passed] = deque(maxlen=kept)
+        self._lock = threading.Lock()
         self._watchers: tuple[Callable[[], None], ...] = ()
         self._before: Recorder | None = None
         self._is_on = False
@@ -163,7 +166,9 @@ class Traffic:
     def after(self, number: int, limit: int) -> list[Passed]:
         """Return the latest ``limit`` kept frames whose number is greater than ``number``, the oldest first."""
         found: list[Passed] = []
-        for one in reversed(self._tail):
+        with self._lock:
+            tail = tuple(self._tail)
+        for one in reversed(tail):
             if one.number <= number or len(found) == limit:
                 break
             found.append(one)
@@ -232,18 +237,13 @@ class Traffic:
             reason: why the bytes are damaged; empty for a frame.
             at: seconds since 1970 UTC; None for now.
         """
-        self.last += 1
-        passed = Passed(
-            self.last,
-            self._clock() if at is None else at,
-            peer,
-            pdu,
-            is_reply=is_reply,
-            unit=unit,
-            transaction=transaction,
-            reason=reason,
-        )
-        self._tail.append(passed)
+        at = self._clock() if at is None else at
+        with self._lock:
+            self.last += 1
+            passed = Passed(
+                self.last, at, peer, pdu, is_reply=is_reply, unit=unit, transaction=transaction, reason=reason
+            )
+            self._tail.append(passed)
         for told in self._watchers:
             told()
         return passed

@@ -31,15 +31,17 @@ def load_profile(name: str, *, unit: int, parameters: Mapping[str, Parameter] | 
     given = dict(parameters or {})
     source = read_source(read_profile(name), name)
     defaults, required = source.data.get("parameters", {}), source.data.get("required", [])
-    known = [*defaults, *required] if isinstance(defaults, dict) and isinstance(required, list) else []
+    known: list[str] = []  # the schema will say what is wrong with others
+    if isinstance(defaults, dict) and isinstance(required, list):
+        known = [*defaults, *(name for name in required if isinstance(name, str))]
     for each in given:
         if each not in known:
             raise ConfigError(f"there is no such parameter in it; there are {', '.join(known) or 'none'}", key=each)
     missing = [each for each in known if each not in given and each not in defaults]
     if missing:
         raise ConfigError(f"needs the parameter {shown(missing[0])}", file=name)
-    source = replace(source, data={key: value for key, value in source.data.items() if key != "required"})
-    values = {**declared_parameters(source, {}, None), **given, "unit": unit, "index": 0}
+    met = replace(source, data={key: value for key, value in source.data.items() if key != "required"})
+    values = {**declared_parameters(met, {}, None), **given, "unit": unit, "index": 0}
     data = FilledSource(source, values).filled(source.data, ())
     sections = data.get("unit")
     if not isinstance(sections, list) or len(sections) != 1 or data.get("include"):

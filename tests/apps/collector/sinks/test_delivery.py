@@ -234,6 +234,39 @@ async def test_a_full_disk_ends_no_delivery_and_nothing_is_sent_twice_for_it(
     assert len(sink.taken) == 30
 
 
+async def test_a_delivery_goes_on_while_its_cursor_cannot_be_saved_and_saves_it_later(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    sink = RecordingSink()
+    with filled(tmp_path, 10, step=100.0) as writer:  # at 0, 100 … 900; now is 1000
+        delivery = delivery_to(sink, writer, DeliveryOptions(age=0, most=6, keep=550.0))
+        with monkeypatch.context() as disk:
+            disk.setattr(writer.manifest, "set_cursor", full)
+            await run_until(delivery, lambda: len(sink.taken) == 15)
+            assert delivery.status().error == "the store cannot be used now: database or disk is full"
+            assert writer.manifest.cursors()["sink"] == (0, 0)
+        await run_until(delivery, lambda: delivery.status().error is None)
+        assert writer.manifest.cursors()["sink"] == (delivery.status().cursor, 15)
+    assert_in_order(sink.taken)
+    assert (len(sink.taken), delivery.status().lost) == (15, 15)
+
+
+async def test_a_set_aside_line_that_was_cut_off_is_ended_before_the_next(tmp_path: Path) -> None:
+    sink = RecordingSink(poison=lambda sample: sample.point == "current" and sample.value == 1)
+    (tmp_path / ASIDE).mkdir()
+    path = tmp_path / ASIDE / "sink.jsonl"
+    path.write_text('{"device": "met')  # the disk was full in the middle of a line
+    with filled(tmp_path, 2) as writer:
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: delivery.status().set_aside == 1)
+    cut, line = path.read_text().splitlines()
+    assert cut == '{"device": "met'
+    assert json.loads(line)["point"] == "current"
+
+
 async def test_a_refused_sample_is_found_set_aside_and_told_and_all_others_arrive(tmp_path: Path) -> None:
     sink = RecordingSink(poison=lambda sample: sample.point == "current" and sample.value == 3)
     with filled(tmp_path, 10) as writer:

@@ -37,6 +37,7 @@ from ....points.point_rules import ReportRule
 from ..sample_clock import EARLIEST
 from ..samples import NANOSECONDS, reason_text
 from ..store.committed_samples import CommitRange, CommitReader, CommittedAlarm, CommittedSample
+from ..store.folder import is_cut_off
 from ..store.manifest import Manifest, ReportedSample
 from .documents import alarm_document
 from .interface import AlarmSink, CurrentSink, Sink, SinkDown, SinkRefused
@@ -170,7 +171,8 @@ class Delivery:
         self._refusal: str | None = None
         self._only_counts = False  # what is refused could not be set aside
         self._store_error: str | None = None
-        self._unkept: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
+        self._is_saved = True  # whether the cursor is in the manifest
+        self._unsaved: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
         self._is_open = False
         self._is_finishing = False
         self._step_ended: asyncio.Event | None = None
@@ -327,14 +329,15 @@ class Delivery:
             The commits; None if there are none, or if the store cannot be read now.
         """
         try:
-            if self._store_error is not None:
-                self._keep_cursor()
+            if not self._is_saved:
+                self._save_cursor()
             self._drop_old()
             found = self._reader.read(self._cursor, self.options.most)
         except (sqlite3.Error, OSError) as error:
             self._note_store_error(error)
             return None
-        self._store_error = None
+        if self._is_saved:
+            self._store_error = None
         return found
 
     def _move(self, cursor: int, reported: Mapping[tuple[str, str], ReportedSample]) -> None:
@@ -348,16 +351,20 @@ class Delivery:
         """
         self._cursor = cursor
         self._reported.update(reported)
-        self._unkept.update(reported)
-        try:
-            self._keep_cursor()
-        except sqlite3.Error as error:
-            self._note_store_error(error)
+        self._unsaved.update(reported)
+        self._save_cursor()
 
-    def _keep_cursor(self) -> None:
-        self._lost = self._lost_in_all()
-        self._manifest.set_cursor(self.name, self._cursor, self._lost, self._unkept.values())
-        self._unkept.clear()
+    def _save_cursor(self) -> None:
+        """Save the sink's cursor in the manifest; if that fails, it is tried again before the next commits (rule 8)."""
+        try:
+            self._lost = self._lost_in_all()
+            self._manifest.set_cursor(self.name, self._cursor, self._lost, self._unsaved.values())
+        except sqlite3.Error as error:
+            self._is_saved = False
+            self._note_store_error(error)
+        else:
+            self._is_saved = True
+            self._unsaved.clear()
 
     def _lost_in_all(self) -> int:
         """Return the number of samples lost for the sink, including those that retention has deleted meanwhile."""
@@ -378,8 +385,8 @@ class Delivery:
         if last > self._cursor:
             lost = self._reader.count(self._cursor, last)
             self._lost += lost
-            self._manifest.set_cursor(self.name, last, self._lost)
             self._cursor = last
+            self._save_cursor()
             if lost:
                 _log.warning(
                     "sink %s: %d samples waited longer than %g s, and are dropped", self.name, lost, self.options.keep
@@ -486,8 +493,9 @@ class Delivery:
         path = folder / f"{self.name}.jsonl"
         if path.exists() and path.stat().st_size > ASIDE_LIMIT:
             return
-        with path.open("a", encoding="utf-8") as file:
-            file.write(json.dumps(line) + "\n")
+        with path.open("a+b") as file:
+            begin = "\n" if is_cut_off(file) else ""
+            file.write(f"{begin}{json.dumps(line)}\n".encode())
 
     async def _down(self, error: SinkDown) -> None:
         if self._down_error is None:

@@ -26,7 +26,7 @@ from ....errors import ConfigError
 from ....options.sinks import FileFormat
 from ..samples import NANOSECONDS, Value, reason_text
 from ..store.committed_samples import CommittedAlarm, CommittedSample
-from ..store.folder import UNFINISHED, make_durably, sync_file, sync_folder
+from ..store.folder import UNFINISHED, is_cut_off, make_durably, sync_file, sync_folder
 from ..store.sealing import arrow
 from .documents import alarm_document, sample_document
 from .interface import SinkDown
@@ -144,9 +144,8 @@ class FileSink:
         with path.open("a+b") as file:
             size = file.seek(0, os.SEEK_END)
             begin = ",".join(header) + "\n" if size == 0 and self._format is FileFormat.CSV else ""
-            if size:
-                file.seek(size - 1)
-                begin = "" if file.read(1) == b"\n" else "\n"
+            if is_cut_off(file):
+                begin = "\n"
             file.write((begin + lines).encode())
             file.flush()
             os.fsync(file.fileno())

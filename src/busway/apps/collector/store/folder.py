@@ -8,7 +8,7 @@ import os
 import shutil
 import time
 from pathlib import Path
-from typing import Final
+from typing import BinaryIO, Final
 
 from ....errors import ConfigError
 
@@ -52,6 +52,17 @@ def half_of_disk(folder: Path) -> int | None:
     except OSError:
         return None
     return max(total // 2, 1_000_000) if total else None
+
+
+def is_cut_off(file: BinaryIO) -> bool:
+    """Return whether the last line of a file has no end, as after a crash or on a full disk; False for an empty file.
+
+    A line break is then to be written first. ``file`` must be open for reading and appending.
+    """
+    if not file.seek(0, os.SEEK_END):
+        return False
+    file.seek(-1, os.SEEK_END)
+    return file.read(1) != b"\n"
 
 
 class StoreLock:
