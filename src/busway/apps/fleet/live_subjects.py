@@ -4,7 +4,7 @@ Knows commits and subjects. Messages are neither kept nor acknowledged: a progra
 stream.
 
 1. A device's last batch is on ``busway.<zone>.live.<device>``: JSON with device, time (milliseconds since 1970 UTC),
-   and for each point the value, and the reason if its quality is not good.
+   and for each point the value, and the reason if its quality is not good. NaN and infinities are texts.
 2. Of several batches of the same points within `SEND_EVERY` seconds only the last is sent. While there is no connection
    to the server, batches are dropped.
 """
@@ -18,6 +18,7 @@ from typing import Any, Final, Self
 
 from ..collector.collector import Collector
 from ..collector.samples import PointGroup, SampleBatch, reason_text
+from ..collector.sinks.documents import json_number
 from ..collector.sinks.nats import subject_token
 from ..collector.store.writer import Commit
 from .lease_driver import end_tasks
@@ -86,7 +87,7 @@ def _time_of(batch: SampleBatch) -> int:
 def encoded_batch(batch: SampleBatch) -> bytes:
     """Return a batch of samples as a message with live values: JSON, as in rule 1."""
     points = {
-        point: {"value": value, **({"reason": reason_text(reason)} if reason else {})}
+        point: {"value": json_number(value), **({"reason": reason_text(reason)} if reason else {})}
         for point, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)
     }
     content = {"device": batch.device, "time": batch.time // _MILLION, "points": points}
