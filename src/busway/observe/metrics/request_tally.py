@@ -47,7 +47,7 @@ class Unanswered(Enum):
     BROADCAST = "broadcast"
     """A broadcast on a serial line; counted for each unit that it reached."""
     SILENT = "silent"
-    """The responder decided to send no reply, or the server is in listen-only mode."""
+    """The responder decided to send no reply, or the unit is in listen-only mode."""
     GONE = "gone"
     """The client disconnected before the reply was there."""
 
