@@ -332,18 +332,19 @@ async def test_what_is_kept_silent_is_no_answer() -> None:
     assert handler.tally.unanswered_counts()[Unanswered.SILENT] == 1
 
 
-async def test_in_listen_only_mode_nothing_counts_as_answered(device: busway.Device) -> None:
+async def test_in_listen_only_mode_each_request_counts_as_one_without_an_answer(device: busway.Device) -> None:
     server = busway.serve(FREE_TCP, units={1: device}, diagnostics_changes=True)
     async with start_metrics(server, FREE) as endpoint, server:
         host, _, port = server.endpoints[0].removeprefix("tcp://").rpartition(":")
         reader, writer = await asyncio.open_connection(host, int(port))
-        for pdu in ("08 00 04 00 00", "03 00 00 00 01", "08 00 01 00 00", "03 00 00 00 01"):
+        # 08/04 mutes the unit, 03 reads, 03 is cut off, 00 is no function, 08/01 wakes the unit, 03 reads
+        for pdu in ("08 00 04 00 00", "03 00 00 00 01", "03 00", "00", "08 00 01 00 00", "03 00 00 00 01"):
             writer.write(adu(1, 1, bytes.fromhex(pdu)))
         assert await replies(reader, 1) == [bytes.fromhex("01 03 02 00 00")]
         writer.close()
         await writer.wait_closed()
     assert endpoint.tally.total() == 1
-    assert endpoint.tally.unanswered_counts()[Unanswered.SILENT] == 2
+    assert endpoint.tally.unanswered_counts()[Unanswered.SILENT] == 4
 
 
 def test_a_broadcast_is_executed_by_each_unit_and_counts_as_no_answer(device: busway.Device) -> None:

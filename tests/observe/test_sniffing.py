@@ -101,6 +101,21 @@ def test_a_server_that_is_not_there_is_no_connection() -> None:
         Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}"))
 
 
+def test_a_connection_that_cannot_be_configured_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*arguments: object) -> None:
+        raise OSError("no such option")
+
+    monkeypatch.setattr("busway.observe.sniffing.configure", refuse)
+    with socket.create_server(("127.0.0.1", 0)) as listener:
+        port = listener.getsockname()[1]
+        with pytest.raises(LinkDown, match="no such option"):
+            Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}"))
+        peer, _ = listener.accept()
+        with peer:
+            peer.settimeout(60)
+            assert peer.recv(1) == b""
+
+
 @pytest.mark.parametrize(("framing", "encode"), [("rtu", encode_rtu), ("ascii", encode_ascii)])
 def test_datagrams_of_a_device_server_are_heard_where_they_arrive(framing: str, encode: type) -> None:
     with (

@@ -463,6 +463,28 @@ def test_an_address_that_is_refused_never_gets_to_a_handshake(server_files: Cert
     assert (security.handshakes, security.established, security.refused) == (0, 0, {})
 
 
+async def test_a_handshake_that_new_address_lists_end_counts_as_one_that_was_let_in(
+    server_files: CertificateFiles, caplog: pytest.LogCaptureFixture
+) -> None:
+    denied = set[str]()
+    async with busway.serve(
+        f"tls://127.0.0.1:0?{server_files.query()}", units=device(), authorize=lambda host: host not in denied
+    ) as server:
+        reader, writer = await asyncio.open_connection("127.0.0.1", port_of(server))
+        await until(lambda: security_of(server).handshakes == 1)
+        assert server.end_unauthorized() == 0
+        denied.add("127.0.0.1")
+        assert server.end_unauthorized() == 1
+        with contextlib.suppress(ConnectionResetError):
+            assert await reader.read() == b""
+        writer.close()
+        await until(lambda: security_of(server).handshakes == 0)
+        counters = server.status().counters
+    assert (counters.unauthorized, counters.no_longer_authorized) == (0, 1)
+    assert "ended: it is no longer authorized" in caplog.text
+    assert "before anything was read" not in caplog.text
+
+
 # --- limits -----------------------------------------------------------------------------------------------------------
 
 

@@ -62,7 +62,11 @@ class SocketEar:
         address = endpoint.host, endpoint.port or 0
         try:
             self._socket = socket.create_connection(address, parameters.connect_timeout)
-            configure(self._socket, parameters)
+            try:
+                configure(self._socket, parameters)
+            except OSError:
+                self._socket.close()
+                raise
         except OSError as error:
             raise link_down(error, endpoint=self._name) from error
 

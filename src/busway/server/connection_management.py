@@ -246,7 +246,7 @@ class ConnectionManagement:
 
         Each is counted and logged.
         """
-        ended = [one for one in self._connections if not self.listener_context.may_stay(one)]
+        ended = [one for one in self._connections if not self.listener_context.may_stay(one.host, one.peer)]
         for connection in ended:
             connection.abort()
         return len(ended) + (0 if self.handshake_acceptor is None else self.handshake_acceptor.end_unauthorized())

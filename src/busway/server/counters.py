@@ -31,7 +31,8 @@ class ServerCounters:
     Attributes:
         accepted, closed: connections, and peers over UDP, that got a slot, and that have ended.
         unauthorized: new connections that were refused by the address of their host.
-        no_longer_authorized: connections, and peers over UDP, that were ended because address lists have changed.
+        no_longer_authorized: connections, TLS handshakes, and peers over UDP that were ended because address lists have
+            changed.
         refused_full: new connections that got no slot: no other connection could be closed for them, or their client
             had closed them already.
         evicted: connections that were closed because a new connection got their slot.

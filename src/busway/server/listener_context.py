@@ -168,15 +168,15 @@ class ListenerContext:
         self.say(logging.WARNING, host, sentence, peer_name(address))
         return False
 
-    def may_stay(self, connected_peer: ConnectedPeer) -> bool:
-        """Whether a connected client may stay connected after the address lists have changed.
+    def may_stay(self, host: str, peer: str) -> bool:
+        """Whether a client may stay connected, or go on with its handshake, after the address lists have changed.
 
-        If not, that is counted and logged.
+        If not, that is counted and logged. ``peer`` is ``host:port``, for the log.
         """
-        if self._authorize(connected_peer.host):
+        if self._authorize(host):
             return True
         self.counters.no_longer_authorized += 1
-        self.say(logging.WARNING, connected_peer.host, "%s: ended: it is no longer authorized", connected_peer.peer)
+        self.say(logging.WARNING, host, "%s: ended: it is no longer authorized", peer)
         return False
 
     def is_priority(self, host: str) -> bool:

@@ -81,13 +81,11 @@ class TlsHandshakeAcceptor:
 
     def end_unauthorized(self) -> int:
         """Abort the handshakes of hosts that may no longer connect; returns their number."""
-        listener_context = self._management.listener_context
+        may_stay = self._management.listener_context.may_stay
         ended = [
             layer
             for layer, peer in self._waiting.items()
-            if not listener_context.welcomes(
-                host_of(layer.get_extra_info("peername")), layer.get_extra_info("peername")
-            )
+            if not may_stay(host_of(layer.get_extra_info("peername")), peer)
         ]
         for layer in ended:
             layer.failure = TlsFailure(FailureKind.GONE, "its address is no longer authorized")

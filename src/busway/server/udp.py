@@ -99,7 +99,8 @@ class UdpListener:
 
         Their pending requests get no answer.
         """
-        ended = [peer for peer in self._peers.values() if not self.listener_context.may_stay(peer)]
+        may_stay = self.listener_context.may_stay
+        ended = [one for one in self._peers.values() if not may_stay(one.host, one.peer)]
         for peer in ended:
             self.leave(peer)
         return len(ended)

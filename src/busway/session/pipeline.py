@@ -105,9 +105,9 @@ class RequestObserver(Protocol):
     ) -> None:
         """Called with the outcome of a request that the fast path did not answer.
 
-        The outcome is a reply, `SILENCE` if there is none, or None if the client disconnected before it. Not called for
-        requests that were not decoded: with function 0, refused with 06 because too many were in progress, or (other
-        than function 08) for a unit in listen-only mode.
+        The outcome is a reply, `SILENCE` if there is none (as for a broadcast), or None if the client disconnected
+        before it. Not called for requests with function 0 or above 127, refused with 06 because too many were in
+        progress, or answered 04 because decoding failed.
         """
 
 
@@ -182,16 +182,16 @@ class RequestPipeline:
         """
         function = context.function
         was_listen_only = context.diagnostics.listen_only
-        if was_listen_only and function != _DIAGNOSTICS:
-            return SILENCE
         if not function:
-            return ExceptionResponse(0, ExceptionCode.ILLEGAL_FUNCTION)
+            return SILENCE if was_listen_only else ExceptionResponse(0, ExceptionCode.ILLEGAL_FUNCTION)
         try:
             request = self._decode(pdu)
             if self.observers:
                 context.watch(partial(self._ended, context, request, self.clock()))
             outcome: Outcome | None = None
-            if self.authorizer is not None:
+            if was_listen_only and function != _DIAGNOSTICS:
+                outcome = SILENCE
+            elif self.authorizer is not None:
                 outcome = self.authorizer.authorize(context, request, self.responder.serves(context.unit))
             if outcome is None:
                 outcome = self._answer(context, request)
@@ -200,8 +200,8 @@ class RequestPipeline:
         except Exception as error:
             failures.append(ResponderFailure(context, error))
             outcome = ExceptionResponse(function, ExceptionCode.SERVER_DEVICE_FAILURE)
-        if function == _DIAGNOSTICS and (was_listen_only or context.diagnostics.listen_only):
-            # It is answered neither when it mutes the unit nor when it wakes it. No device answers a broadcast.
+        if was_listen_only or (function == _DIAGNOSTICS and context.diagnostics.listen_only):
+            # 08 is answered neither when it mutes the unit nor when it wakes it. No device answers a broadcast.
             outcome = outcome if context.executed is not None else SILENCE
         if self.observers:
             if isinstance(outcome, Message) or outcome is SILENCE:

@@ -1,6 +1,9 @@
 """Points that are more than what a reply says: totals, computed points, members that a count names."""
 
+import math
 from typing import Any
+
+import pytest
 
 from busway.apps.collector.derived_points import DerivedPoints
 from busway.apps.collector.samples import PointGroup, SampleBatch
@@ -99,3 +102,14 @@ def test_members_of_a_group_are_there_once_their_number_is_known() -> None:
     assert not derived.take(batch({"strings": 2}), 0.0)[1]
     assert derived.take(batch({"strings": 3}), 0.0)[1]
     assert derived.absent() == []
+
+
+@pytest.mark.parametrize("size", [math.inf, -math.inf, math.nan, None, "2"])
+def test_a_size_of_a_group_that_is_no_number_of_members_leaves_the_members_as_they_were(size: Any) -> None:
+    members = [number(f"string.{at}", 10 + at, exists=(("strings", at),)) for at in (1, 2, 3)]
+    derived = DerivedPoints("d", [Point("strings", H, 1, value_type("float32")), *members])
+    assert not derived.take(batch({"strings": size}), 0.0)[1]
+    assert derived.absent() == members
+    assert derived.take(batch({"strings": 2.0}), 0.0)[1]
+    assert not derived.take(batch({"strings": size}), 0.0)[1]
+    assert derived.absent() == members[2:]

@@ -2,6 +2,7 @@
 
 import asyncio
 import itertools
+import sqlite3
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,7 +12,8 @@ from waiting import until
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.delivery import CLOCK_WAIT
-from busway.apps.collector.store.committed_samples import CommittedSample
+from busway.apps.collector.store.committed_samples import CommitReader, CommittedSample
+from busway.apps.collector.store.manifest import Manifest
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
@@ -579,6 +581,42 @@ async def test_a_stream_that_refuses_over_the_same_connection_is_tried_after_pau
         await until(lambda: sending.outbox.status().error is not None)
         sending.stream.is_up = True
         await until(lambda: sending.stream.commits() == [2])
+        await end_tasks([task])
+
+
+@pytest.mark.parametrize(
+    ("part", "name", "problem"),
+    [
+        (CommitReader, "read", sqlite3.OperationalError("database is locked")),
+        (CommitReader, "read", sqlite3.DatabaseError("file is not a database")),
+        (CommitReader, "read", FileNotFoundError("no such segment")),
+        (Manifest, "cursors", sqlite3.OperationalError("disk I/O error")),
+        (Manifest, "set_cursor", sqlite3.OperationalError("database or disk is full")),
+    ],
+)
+async def test_while_the_store_cannot_be_used_nothing_is_sent_or_lost_and_then_sending_goes_on(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, part: type, name: str, problem: Exception
+) -> None:
+    def failing(*arguments: object) -> None:
+        raise problem
+
+    monkeypatch.setattr(outbox_module, "PAUSE", 0.01)
+    monkeypatch.setattr(outbox_module, "IDLE", 0.01)
+    sending = Sending(tmp_path)
+    with sending.writer:
+        sending.commit("meter")
+        assert not await sending.outbox.step()
+        sending.stream.sinks["a"] = SinkPlace(2, 1)
+        sending.commit("meter")
+        with monkeypatch.context() as broken:
+            broken.setattr(part, name, failing)
+            task = asyncio.create_task(sending.outbox.run())
+            await until(lambda: sending.outbox.status().error is not None)
+            assert sending.outbox.status().error == f"the store cannot be used now: {problem}"
+            assert (sending.outbox.status().sent, sending.stream.commits()) == (2, [2])
+        await until(lambda: sending.outbox.status().error is None)
+        await until(lambda: sending.stream.commits() == [2, 3])
+        assert sending.writer.manifest.cursors()[OUTBOX] == (2, 0)
         await end_tasks([task])
 
 

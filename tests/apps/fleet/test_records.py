@@ -1,5 +1,6 @@
 """Entries of the shared table: what was written is read, and what no collector writes counts as missing."""
 
+import json
 import random
 
 import pytest
@@ -49,6 +50,17 @@ def test_a_record_with_a_number_that_no_record_has_is_never_an_error_and_gives_n
     for wrong in in_each_place_of_a_number(MEMBER):
         assert (member := decode_member(wrong)) is None or abs(member.at) <= LARGEST, wrong
     assert not any(map(decode_zone, in_each_place_of_a_number(ZONE)))
+
+
+@pytest.mark.parametrize("fields", range(14))
+def test_a_collector_of_any_version_is_read_with_what_it_writes(fields: int) -> None:
+    written = ["a", "r", "h", 1, 2.0, 1, 3, 0, 5.0, "its clock", 7, "of a later version", 9]
+    row = [*written[:fields], *[0.0, "", 0][max(0, fields - 8) :]]
+    found = decode_member(json.dumps(written[:fields]).encode())
+    if fields < 8:
+        assert found is None
+    else:
+        assert found == MemberRecord("a", "r", "h", 1, 2.0, True, 3, False, *row[8:11])
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,20 @@ def test_missing_bytes_are_told_when_the_peer_has_acknowledged_what_follows() ->
     assert told(stream.segment(3, b"cde", 0, 3, 0.3)) == []  # too late
 
 
+def test_an_acknowledgement_of_several_segments_gives_all_of_them_with_their_gaps() -> None:
+    stream = begun()
+    for packet, at in enumerate((1, 21, 41, 61)):
+        stream.segment(at, bytes(10), 0, packet, float(packet))
+    assert stream.acknowledge(51) == [
+        StreamGap(10, 1, 1.0),
+        StreamPiece(bytes(10), 1, 1.0),
+        StreamGap(10, 2, 2.0),
+        StreamPiece(bytes(10), 2, 2.0),
+    ]
+    assert stream.acknowledge(70) == []
+    assert told(stream.acknowledge(71)) == [10, bytes(10)]
+
+
 def test_bytes_that_were_not_captured_are_a_gap_of_known_size() -> None:
     stream = begun()
     assert told(stream.segment(1, b"ab", 3, 1, 0.0)) == [b"ab", 3]

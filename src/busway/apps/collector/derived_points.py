@@ -12,6 +12,7 @@ Pure: knows points and their latest readings; knows no request and no clock.
    clock was when its inputs were read.
 """
 
+import math
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -118,7 +119,8 @@ class DerivedPoints:
         changed = False
         for name in self._counts.keys() & found.keys():
             value = found[name].value
-            count = int(value) if isinstance(value, int | float) and value == value else None
+            is_number = isinstance(value, int) or (isinstance(value, float) and math.isfinite(value))
+            count = int(value) if is_number else None
             if count is not None and count != self._counts[name]:
                 self._counts[name] = count
                 changed = True

@@ -81,8 +81,9 @@ def find_collectors(*directories: Path) -> list[RunningCollector]:
         for path in directory.glob(f"*{NOTE_SUFFIX}"):
             try:
                 note = RunningCollector(**json.loads(path.read_text(encoding="utf-8")))
+                is_running = holder_of(Path(note.store)) == note.pid
             except (OSError, ValueError, TypeError):
                 continue  # being written, or not ours
-            if holder_of(Path(note.store)) == note.pid:
+            if is_running:
                 found.append(note)
     return sorted(found, key=lambda each: each.pid)

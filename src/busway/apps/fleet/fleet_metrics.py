@@ -41,7 +41,7 @@ def fleet_families(fleet: "FleetCollector") -> Iterator[Any]:
     status = None if fleet.outbox is None else fleet.outbox.status()
     if status is not None:
         yield gauge("behind_commits", "Commits of its store that not all sinks have.", fleet.behind)
-        yield gauge("stream_up", "0 while the stream takes no samples; they wait in the store.", not status.error)
+        yield gauge("stream_up", "0 while the stream gets no samples; they wait in the store.", not status.error)
         yield core.CounterMetricFamily(
             "busway_fleet_messages", "Messages with samples that the stream has taken.", value=status.messages
         )

@@ -5,7 +5,8 @@ stream.
 
 1. Each batch goes to ``busway.<zone>.live.<device>``; in the name of the device ``.``, ``*``, ``>`` and white space are
    ``_``. It has the points of one read, not all of the device. JSON: ``{"device": …, "time": …, "points": {"power":
-   {"value": …, "reason": …}}}``, time in milliseconds since 1970 UTC, reason only if the quality is not good.
+   {"value": …, "reason": …}}}``, time in milliseconds since 1970 UTC, reason only if the quality is not good. NaN and
+   infinities are texts.
 2. Of several batches of the same points within `SEND_EVERY` seconds only the last is sent. What cannot be sent, because
    there is no connection to the server or it fails, is dropped.
 """
@@ -19,6 +20,7 @@ from typing import Any, Final, Self
 
 from ..collector.collector import Collector
 from ..collector.samples import PointGroup, SampleBatch, reason_text
+from ..collector.sinks.documents import json_number
 from ..collector.sinks.nats import subject_token
 from ..collector.store.writer import Commit
 from .lease_driver import end_tasks
@@ -87,7 +89,7 @@ def _time_of(batch: SampleBatch) -> int:
 def encoded_batch(batch: SampleBatch) -> bytes:
     """Return a batch of samples as a message with live values: JSON, as in rule 1."""
     points = {
-        point: {"value": value, **({"reason": reason_text(reason)} if reason else {})}
+        point: {"value": json_number(value), **({"reason": reason_text(reason)} if reason else {})}
         for point, value, reason in zip(batch.points, batch.values, batch.reason_column(), strict=True)
     }
     content = {"device": batch.device, "time": batch.time // _MILLION, "points": points}

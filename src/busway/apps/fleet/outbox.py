@@ -13,7 +13,8 @@ Knows commits and cursors; `streams` knows the engine.
 4. Each attempt to send a message has a name that the stream does not know. A stream that recognised the name would
    drop the new message, and might lose the older copy before a sink has it.
 5. A stream that is full or away does not stop the collector: samples wait in the store, and the status says so. Sending
-   is tried again after ever longer pauses, and at once when the connection to the server is there again.
+   is tried again after ever longer pauses, and at once when the connection to the server is there again. So is reading
+   a store that cannot be used now; nothing is sent meanwhile.
 6. The commit that a sink says it has counts only if messages of this start have proved it. If an older copy of the
    store was put back, commit numbers are used twice, and the commits that a sink has may be those of the newer copy.
 7. A gap of ownership is sent before the samples of the epoch that ended it, in a message of its own, and is sent again
@@ -30,6 +31,7 @@ Knows commits and cursors; `streams` knows the engine.
 import asyncio
 import logging
 import secrets
+import sqlite3
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
@@ -137,7 +139,7 @@ class OutboxStatus:
         kept: number of the commit up to which all sinks have all samples.
         messages: number of messages acknowledged since the start.
         set_aside: number of samples since the start that no sink gets, because they are too long for a message.
-        error: why the stream takes no samples now; None while it takes them.
+        error: why no samples are sent now: the stream takes none, or the store cannot be used; None while they are.
         lost: number of samples that retention has deleted before all sinks had them; some sinks may have them.
     """
 
@@ -212,22 +214,33 @@ class Outbox:
         return OutboxStatus(self._sent, self._kept, self._messages, self._aside, self._error, self._lost)
 
     async def run(self) -> None:
-        """Send stored samples to the message stream until cancelled; if the stream is away or full, try again."""
+        """Send stored samples to the message stream until cancelled.
+
+        If the stream is away or full, or the store cannot be used now, try again.
+        """
         wait = PAUSE
         while True:
             try:
                 more = await self.step()
             except StreamDown as error:
-                if self._error is None:
-                    _log.warning("samples wait in the store: %s", error)
-                self._error = str(error)
+                self._note_error(str(error))
                 wait = PAUSE if await self._is_connected_again(wait) else min(2 * wait, PAUSE_LIMIT)
                 continue
+            except (sqlite3.Error, OSError) as error:
+                self._note_error(f"the store cannot be used now: {error}")
+                await asyncio.sleep(wait)
+                wait = min(2 * wait, PAUSE_LIMIT)
+                continue
             if self._error is not None:
-                _log.info("the stream takes samples again")
+                _log.info("samples are sent again")
             self._error, wait = None, PAUSE
             if not more:
                 await asyncio.sleep(IDLE)
+
+    def _note_error(self, error: str) -> None:
+        if self._error is None:
+            _log.warning("samples wait in the store: %s", error)
+        self._error = error
 
     async def _is_connected_again(self, seconds: float) -> bool:
         """Wait until the stream has a new connection to its server; return True, or False if none came in time."""
@@ -247,6 +260,7 @@ class Outbox:
 
         Raises:
             StreamDown: the stream has not acknowledged the whole batch; the next call sends it again.
+            sqlite3.Error, OSError: the store cannot be used now. The next call goes on from the same commit.
         """
         await self._take_kept()
         found = await asyncio.to_thread(self._next)
@@ -275,9 +289,10 @@ class Outbox:
                 return found
         return self._reader.read(self._sent, MOST)
 
-    def _move(self) -> None:
+    def _move(self, kept: int) -> None:
         self._note_lost()
-        self._manifest.set_cursor(OUTBOX, self._kept, self._lost)
+        self._manifest.set_cursor(OUTBOX, kept, self._lost)
+        self._kept = kept  # not before: what could not be saved is tried again
 
     def _note_lost(self) -> None:
         lost = self._manifest.cursors().get(OUTBOX, (0, 0))[1]
@@ -307,8 +322,7 @@ class Outbox:
         }
         kept = min((each.commit for each in places.values()), default=0)
         if kept > self._kept:
-            self._kept = min(kept, self._sent)
-            await asyncio.to_thread(self._move)
+            await asyncio.to_thread(self._move, min(kept, self._sent))
         self._waiting = {name: each for name, each in self._waiting.items() if name in places}
         lacking = {name: place.commit for name, place in places.items() if self._lacks(name, place)}
         if lacking:

@@ -219,7 +219,8 @@ def decode_lease(value: bytes) -> LeaseRecord | None:
 def decode_member(value: bytes) -> MemberRecord | None:
     """Return the collector that a table entry describes; None if its bytes are not a valid record."""
     try:
-        row = [*decode_list(value), 0, "", 0]
+        row = decode_list(value)
+        row += (0.0, "", 0)[len(row) - 8 :]  # what an older version of this program did not write
         name, run, host, count, capacity, draining, revision, gone, at, problem, behind, *_ = row
         if not number_of(capacity) > 0:
             return None  # loads are divided by it

@@ -135,15 +135,18 @@ class StreamAssembler:
     def acknowledge(self, number: int) -> list[StreamPart]:
         """Process an acknowledgement of the peer. Returns the pieces and gaps that are in order now.
 
-        ``number`` is the sequence number of the next byte that the peer expects. Once the first waiting segment is
-        acknowledged as a whole, the bytes before it are missing for good. Empty before the stream has begun.
+        ``number`` is the sequence number of the next byte that the peer expects. Once a waiting segment is acknowledged
+        as a whole, the bytes before it are missing for good. Empty before the stream has begun.
         """
         if self._start is None:
             return []
         at = self._distance(number)
         if self._acknowledged < at <= self._next + FARTHEST:
             self._acknowledged = at
-        return self._skip() if self._is_acknowledged() else []
+        found: list[StreamPart] = []
+        while self._is_acknowledged():
+            found += self._skip()
+        return found
 
     def finish(self) -> list[StreamPart]:
         """Return the pieces that still wait for missing bytes, each gap before its piece."""

@@ -47,10 +47,7 @@ class Unanswered(Enum):
     BROADCAST = "broadcast"
     """A broadcast on a serial line; counted for each unit that it reached."""
     SILENT = "silent"
-    """The responder decided to send no reply, or the unit was set to listen-only mode before the reply was sent.
-
-    Further requests to a unit in listen-only mode are not counted, except those of function 08.
-    """
+    """The responder decided to send no reply, or the unit is in listen-only mode."""
     GONE = "gone"
     """The client disconnected before the reply was there."""
 

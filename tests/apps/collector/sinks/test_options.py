@@ -6,7 +6,7 @@ from typing import Any
 import pytest
 
 from busway.apps.collector.sinks.interface import Sink
-from busway.apps.collector.sinks.options import make_sink
+from busway.apps.collector.sinks.options import make_sink, tls_context
 from busway.config.files.schema import FileProblems
 from busway.config.files.sinks import SentSection, sink_section
 from busway.errors import ConfigError
@@ -90,6 +90,17 @@ def test_what_cannot_be_is_one_sentence(table: dict[str, Any], says: str) -> Non
         made(table)
     assert says in str(refused.value)
     assert "secret" not in str(refused.value)
+
+
+def test_of_the_files_for_tls_the_one_that_cannot_be_used_is_named() -> None:
+    for given, says in (
+        (("/no-ca.pem", "/no-own.pem", "/no-key.pem"), "/no-ca.pem: cannot be used for TLS: "),
+        ((None, "/no-own.pem", None), "/no-own.pem: cannot be used for TLS: "),
+        ((None, "/no-own.pem", "/no-key.pem"), "/no-own.pem: cannot be used for TLS with the key /no-key.pem: "),
+    ):
+        with pytest.raises(ConfigError) as refused:
+            tls_context(*given)
+        assert str(refused.value).startswith(says)
 
 
 def test_a_secret_comes_from_a_file_or_from_the_environment(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -154,15 +154,16 @@ def tls_context(authority: str | None = None, certificate: str | None = None, ke
     Raises:
         ConfigError: a file cannot be used.
     """
+    name, together = authority, ""
     try:
         context = ssl.create_default_context(cafile=authority)
         context.sslsocket_class = _Socket
         context.minimum_version = ssl.TLSVersion.TLSv1_2
         if certificate is not None:
+            name, together = certificate, "" if key is None else f" with the key {key}"
             context.load_cert_chain(certificate, key)
     except (OSError, ssl.SSLError) as error:
-        name = authority if certificate is None else certificate
-        raise ConfigError(f"cannot be used for TLS: {error}", file=name) from error
+        raise ConfigError(f"cannot be used for TLS{together}: {error}", file=name) from error
     return context
 
 

@@ -22,7 +22,6 @@ import asyncio
 import contextlib
 import logging
 import re
-import ssl
 import time
 from collections.abc import AsyncGenerator, Callable, Coroutine
 from functools import cache
@@ -34,6 +33,7 @@ from ....extras import require
 from ....safe_files import read_safely
 from ...collector.sinks.hidden_secrets import HiddenSecrets
 from ...collector.sinks.nats_connection import nats_client_kind
+from ...collector.sinks.options import tls_context
 from ..coordinator import (
     LONGEST_VALUE,
     SNAPSHOT_BEGINS,
@@ -101,18 +101,19 @@ async def connect_nats(url: str, options: CoordinatorOptions) -> Any:  # nats-py
         options: credentials, certificates and the timeout of the connection.
 
     Raises:
-        ConfigError: the server is too old, or refuses the credentials, or the credentials file cannot be used.
+        ConfigError: the server is too old, or refuses the credentials, or a file for them or for TLS cannot be used.
         CoordinatorDown: no server can be reached.
         MissingExtra: the package nkeys is not installed, and a credentials file needs it.
     """
     nats = import_module("nats")
     scheme, _, hosts = url.partition("://")
+    encrypts = scheme == "tls" or options.ca or options.certificate
     given = {
         "user": options.user,
         "password": options.password,
         "token": options.token,
         **_credentials(options.credentials),
-        "tls": _tls(options) if scheme == "tls" or options.ca or options.certificate else None,
+        "tls": tls_context(options.ca, options.certificate, options.key) if encrypts else None,
     }
     secrets = hidden_secrets(url, options)
     client, shown = _client_kind()(secrets), secrets.hide(url)
@@ -279,13 +280,6 @@ async def asked(client: Any, subject: str, answer: Coroutine[Any, Any, _T]) -> _
     finally:
         task.cancel()
         await asyncio.wait([task])
-
-
-def _tls(options: CoordinatorOptions) -> ssl.SSLContext:
-    context = ssl.create_default_context(cafile=options.ca)
-    if options.certificate is not None:
-        context.load_cert_chain(options.certificate, options.key)
-    return context
 
 
 async def find_bucket(client: Any, bucket: str, options: CoordinatorOptions) -> Any:  # nats-py's own

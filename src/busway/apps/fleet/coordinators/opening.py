@@ -63,8 +63,8 @@ async def open_coordinator(url: str, zone: str, options: CoordinatorOptions | No
         options: credentials, certificates and timeouts of the connection; None for the defaults.
 
     Raises:
-        ConfigError: the URL or the name of the zone is invalid, or the server is too old, has too few replicas or
-            refuses the rights.
+        ConfigError: the URL or the name of the zone is invalid, a file for TLS or credentials cannot be used, or the
+            server is too old, has too few replicas or refuses the rights.
         CoordinatorDown: the server could not be reached or used for ``options.start`` seconds.
         MissingExtra: a package for this backend is not installed.
     """

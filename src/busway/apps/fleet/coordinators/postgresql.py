@@ -12,13 +12,13 @@ Knows SQL; the protocol is asyncpg's (``busway[postgresql]``).
 import asyncio
 import contextlib
 import hashlib
-import ssl
 from collections.abc import AsyncGenerator
 from importlib import import_module
 from typing import Any, Final
 
 from ....errors import ConfigError
 from ....extras import require
+from ...collector.sinks.options import tls_context
 from ..coordinator import (
     LONGEST_VALUE,
     SNAPSHOT_BEGINS,
@@ -133,9 +133,7 @@ class PostgresqlCoordinator:
     def _access(self) -> dict[str, Any]:
         given: dict[str, Any] = {"user": self._options.user, "password": self._options.password}
         if self._options.ca or self._options.certificate:
-            given["ssl"] = context = ssl.create_default_context(cafile=self._options.ca)
-            if self._options.certificate is not None:
-                context.load_cert_chain(self._options.certificate, self._options.key)
+            given["ssl"] = tls_context(self._options.ca, self._options.certificate, self._options.key)
         return {name: value for name, value in given.items() if value is not None}
 
     async def _check(self, connection: Any) -> None:
