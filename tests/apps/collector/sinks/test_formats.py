@@ -298,6 +298,19 @@ def test_prometheus_gets_last_values_of_listed_points_that_are_neither_bad_nor_s
         PrometheusPage("127.0.0.1:0", [], values)
 
 
+def test_a_device_alone_means_all_its_points_on_a_page_for_prometheus() -> None:
+    pytest.importorskip("prometheus_client")
+    values = LastValues()
+    values.update(Commit(1, at(1), [meter_read(1, 5), read_of(PUMP, 1, 900)], []))
+    page = PrometheusPage("127.0.0.1:0", ["meter-7"], values, now=lambda: at(2))
+    try:
+        text = urllib.request.urlopen(page.url, timeout=60).read().decode()
+    finally:
+        page.close()
+    assert 'busway_point_value{device="meter-7",point="voltage"} 235.0' in text
+    assert "pump-1" not in text
+
+
 def test_last_values_are_bad_while_the_store_cannot_be_written() -> None:
     behind = [False]
     values = LastValues(lambda: behind[0])

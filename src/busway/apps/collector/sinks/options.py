@@ -29,6 +29,7 @@ from ....options.sinks import (
     PostgresqlOptions,
     SparkplugOptions,
 )
+from ....points.name_patterns import point_pattern
 from ....safe_files import read_safely
 from .interface import Sink
 
@@ -52,7 +53,7 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
             first batch.
     """
     options = section.built(DeliveryOptions)
-    points = tuple(each if "/" in each or each == "*" else f"{each}/*" for each in options.points)
+    points = tuple(map(point_pattern, options.points))
     return _MAKERS[type(section)](section, folder), replace(options, points=points)
 
 
