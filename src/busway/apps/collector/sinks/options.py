@@ -49,8 +49,7 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
     Raises:
         ConfigError: values exclude each other or are not valid, or a certificate, password or token cannot be used;
             names the key or the file.
-        MissingExtra: a package that the sink needs is not installed. For files in Parquet this shows only with the
-            first batch.
+        MissingExtra: a package that the sink needs is not installed.
     """
     options = section.built(DeliveryOptions)
     points = tuple(map(point_pattern, options.points))
