@@ -4,6 +4,7 @@ import asyncio
 import contextlib
 from collections.abc import AsyncIterator
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 from handlers import HeldReplies, ScriptedHandler
@@ -16,12 +17,14 @@ from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import ALL_UNITS, AddressRange, Route, RouteAction, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings, simple_plan
 from busway.codes import Table
+from busway.errors import ConfigError
 from busway.framing.mbap import MbapFrame
 from busway.framing.rtu import encode_rtu
 from busway.options.server import ServerParameters
 from busway.pdu.general import OpaqueRequest
 from busway.server.listener import Listener
 from busway.server.tcp import settle
+from busway.testing.certificates import CertificateStore
 
 ANY_PORT = "tcp://127.0.0.1:0"
 LISTENER = GatewayListener("office", Listener(ANY_PORT))
@@ -392,6 +395,38 @@ async def test_a_change_that_cannot_be_leaves_everything_as_it_was() -> None:
             with pytest.raises(busway.LinkDown):
                 await gateway.change(worse)
             assert await link.unit(1).read_holding_registers(1, count=1) == [1]
+
+
+async def test_a_policy_is_refused_by_a_gateway_without_rules_and_nothing_changes() -> None:
+    async with busway.serve(ANY_PORT, units={1: device()}) as server:
+        lines = {"line": server.endpoints[0]}
+        async with through(plan(Route(upstream="line"), lines=lines)) as (gateway, _):
+            before = gateway.plan
+            more = replace(before, listeners=(LISTENER, GatewayListener("hall", Listener(ANY_PORT))))
+            for policy in (busway.Policy.read_only(), busway.Policy.allow_all()):
+                with pytest.raises(ConfigError, match="made without a policy") as caught:
+                    await gateway.change(more, policy=policy)
+                assert caught.value.key == "policy"
+                with pytest.raises(ConfigError, match="made without a policy"):
+                    gateway.replace_policy(policy)
+            assert gateway.plan is before
+            assert len(gateway.endpoints) == 1
+
+
+async def test_new_certificates_hold_for_each_listener_whose_files_can_be_used(tmp_path: Path) -> None:
+    store = CertificateStore(tmp_path)
+    files = {name: store.server(name) for name in ("first", "second", "third")}
+    listeners = tuple(
+        GatewayListener(name, Listener(f"tls://127.0.0.1:0?{each.query()}")) for name, each in files.items()
+    )
+    async with Gateway(GatewayPlan(listeners=listeners, upstreams=(), table=RoutingTable(()))) as gateway:
+        for name in ("first", "third"):
+            files[name].certificate.write_text("nothing")
+        store.authority.server(["localhost"], name="newer").write(files["second"].certificate, files["second"].key)
+        with pytest.raises(ConfigError, match=r"first\.pem: certificate"):
+            gateway.reload_security()
+        subjects = [each.security.subject for each in gateway.status().listeners if each.security is not None]
+        assert subjects == ["CN=first", "CN=newer", "CN=third"]
 
 
 async def test_several_connections_to_one_server_share_the_clients_and_keep_each_clients_order() -> None:

@@ -144,6 +144,21 @@ def test_values_of_before_the_clock_was_set_move_and_are_replaced_by_later_ones(
     assert replayed([since(values, 1)]) == replayed([since(values, -1)])
 
 
+def test_a_correction_of_times_is_told_also_if_nothing_else_has_come() -> None:
+    begin, shift = 10_000 * SECOND, 3600 * SECOND
+    values = LiveValues(POINTS)
+    values.update(commit(SampleBatch(PUMP, begin, 0, (1.5, 7, None), (Reason.CLOCK, 0, Reason.TIMEOUT))))
+    values.advance()
+    values.update(Commit(2, 0, [], (), correction=ClockCorrection(shift, begin, begin + SECOND)))
+    assert values.advance()
+    assert since(values, 1) == {
+        "read": [0, 3, (begin + shift) // 1_000_000],
+        "changed": [[0, [1.5], 0]],
+        "reasons": {"0": ["good", ""]},
+    }
+    assert not values.advance()
+
+
 def test_one_that_begins_has_what_was_read_before() -> None:
     values = LiveValues(POINTS, limits={POINTS[3]: 3.0}, moment=lambda: 9.0)
     reads = [(SampleBatch(PUMP, SECOND, 0, (1.5, 7, 2)), 8.0), (SampleBatch(METER, SECOND, 0, (1,)), 5.0)]

@@ -43,12 +43,13 @@ def test_points_come_in_the_order_of_the_file_with_all_that_is_known(still):
     assert "sine" in answer["points"][0]["behaviour"]
 
 
-def test_points_are_found_by_unit_words_and_in_pages(still):
+def test_points_are_found_by_unit_words_address_and_in_pages(still):
     assert [one["name"] for one in still.ask("GET", "/api/points?unit=2")[1]["points"]] == ["text/label"]
     assert [one["name"] for one in still.ask("GET", "/api/points?search=TANK")[1]["points"]] == [
         "tank.level",
         "tank.target",
     ]
+    assert [one["name"] for one in still.ask("GET", "/api/points?search=4X3")[1]["points"]] == ["pump.mode"]
     page = still.ask("GET", "/api/points?skip=1&limit=2")[1]
     assert [one["index"] for one in page["points"]] == [1, 2]
     assert page["total"] == 6

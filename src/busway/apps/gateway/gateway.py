@@ -179,13 +179,14 @@ class Gateway:
         Args:
             plan: the new configuration; own unit, functions and options of servers must be the same as before.
             policy: the policy of new listeners until `replace_policy`; None for the policy of the existing listeners.
-                Ignored if the gateway was created without a policy and without an audit log.
 
         Raises:
             LinkDown: a new listener cannot be opened.
             ConfigError: a new listener or upstream cannot be used as configured, or a part differs that only a restart
-                can change.
+                can change; or there is a policy, and the gateway was created without one and without an audit log.
         """
+        if policy is not None:
+            self._check_guarded()
         if _until_restart(plan) != _until_restart(self.plan):
             raise ConfigError(
                 "own unit, functions and the options of servers change with a restart only", key="gateway"
@@ -294,8 +295,7 @@ class Gateway:
         Raises:
             ConfigError: the gateway was created without a policy and without an audit log.
         """
-        if not self._is_guarded:
-            raise ConfigError("the gateway was made without a policy", key="policy")
+        self._check_guarded()
         self._policy = policy
         for each in self._running.values():
             if each.authorizer is not None:
@@ -305,10 +305,17 @@ class Gateway:
         """Read the certificate files of all listeners again, for new connections (`Server.reload_security`).
 
         Raises:
-            ConfigError: a file cannot be used; its listener keeps the old files.
+            ConfigError: a file cannot be used; names the file. Its listener keeps the old files, the others are
+                updated.
         """
+        failures: list[ConfigError] = []
         for each in self._running.values():
-            each.server.reload_security()
+            try:
+                each.server.reload_security()
+            except ConfigError as error:
+                failures.append(error)
+        if failures:
+            raise failures[0]
 
     def end_unauthorized(self) -> int:
         """Abort the connections of hosts that may no longer connect to their listener.
@@ -386,6 +393,10 @@ class Gateway:
     @property
     def _is_guarded(self) -> bool:
         return self._policy is not None or self._audit is not None
+
+    def _check_guarded(self) -> None:
+        if not self._is_guarded:
+            raise ConfigError("the gateway was made without a policy", key="policy")
 
     def _made(
         self, listener: GatewayListener, plan: GatewayPlan, forwarders: Mapping[str, Forwarder], policy: Policy | None

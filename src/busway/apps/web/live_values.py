@@ -88,6 +88,7 @@ class LiveValues:
             self._by_device.setdefault(device, []).append(place)
         self._intervals: dict[str, StateInterval] = {}
         self._unapplied: set[str] = set()
+        self._is_mended = False
         self._is_behind = is_behind
         self._was_behind = False
         self._lock = threading.Lock()
@@ -135,11 +136,12 @@ class LiveValues:
     def advance(self) -> bool:
         """Begin a new tick with the changes since the last tick, and return True.
 
-        Returns False, without a new tick, if there is no change: no commit with samples or intervals has come, no
-        further value is held, and commits fail or succeed as before.
+        Returns False, without a new tick, if there is no change: no commit with samples, intervals or a correction of
+        times has come, no further value is held, and commits fail or succeed as before.
         """
         with self._lock:
-            is_quiet = not self._waiting and not self._unapplied and self._is_behind() == self._was_behind
+            has_new = self._waiting or self._unapplied or self._is_mended
+            is_quiet = not has_new and self._is_behind() == self._was_behind
             if is_quiet and not self._newly_held():
                 return False
             self._advance()
@@ -147,6 +149,7 @@ class LiveValues:
 
     def _advance(self) -> None:
         self.tick += 1
+        self._is_mended = False
         self._texts.clear()
         waiting, self._waiting = self._waiting, {}
         for batch, at in sorted(waiting.values(), key=lambda each: each[0].time):
@@ -177,6 +180,7 @@ class LiveValues:
 
     def _mend(self, correction: ClockCorrection) -> None:
         """Correct times from before the clock was set; values that were uncertain only because of it become good."""
+        self._is_mended = True
         self._waiting = {group: (mended_batch(each, correction), at) for group, (each, at) in self._waiting.items()}
         self._intervals = {device: mended_interval(each, correction) for device, each in self._intervals.items()}
         for place, at in enumerate(self.times):

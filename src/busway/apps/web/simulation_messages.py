@@ -61,7 +61,7 @@ class PointsQuery(Asked):
     """Query: which points of the simulation are wanted."""
 
     unit: Annotated[int, Field(ge=0, le=255)] | None = Field(None, description="only this unit")
-    search: str | None = Field(None, description="only where key, description or unit of measure has this")
+    search: str | None = Field(None, description="only where key, description, unit of measure or address has this")
     limit: Annotated[int, Field(ge=1, le=100_000)] = 100_000
     skip: Annotated[int, Field(ge=0)] = 0
 

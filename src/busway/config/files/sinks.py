@@ -150,7 +150,9 @@ class PrometheusSinkSection(SinkSection):
     """``[[sink]]`` with ``prometheus://``: a page of last values that Prometheus scrapes."""
 
     points: Annotated[
-        list[str], Name('a list of patterns such as "meter-7/*"'), "patterns `device/point` of what it shows."
+        list[str],
+        Name('a list of patterns such as "meter-7/*"'),
+        "patterns `device/point` of what it shows; a device alone means all its points.",
     ]
     stale: Annotated[float, Range(0, 1e9, above=True), "seconds after which a value is left out."] = 300.0
 

@@ -350,6 +350,47 @@ async def test_too_many_open_commands_of_all_devices_together_are_refused_by_the
         assert (await running.write("mode", 1, key="again")).is_done
 
 
+async def test_a_collector_that_ends_gives_the_result_of_a_command_that_was_sent_and_refuses_others(
+    tmp_path: Path,
+) -> None:
+    async with plant(tmp_path) as running:
+        commands = running.collector.commands
+        first = await running.write("setpoint", 5, key="k")
+        release = await running.hold()
+        waiting = asyncio.create_task(running.write("mode", 1))
+        await asyncio.sleep(0)
+        closing = asyncio.create_task(commands.close())
+        await asyncio.sleep(0)
+        assert await running.write("setpoint", 5, key="k") == first
+        refused = await running.write("setpoint", 6, key="new")
+        assert (refused.state, refused.reason) == (REFUSED, "the collector ends; nothing was sent")
+        release.set()
+        await closing
+        assert (await waiting).is_done
+        refused = await running.write("setpoint", 5, key="k")
+        assert refused.state is REFUSED
+        assert "whether its key was used before cannot be read: it is closed" in refused.reason
+        with pytest.raises(OSError, match="it is closed"):
+            await commands.confirm("k", by="anna")
+
+
+async def test_an_error_of_a_subscriber_changes_no_result_and_others_are_told(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    told: list[CommandResult] = []
+
+    def fail(result: CommandResult) -> None:
+        raise KeyError(result.command.key)
+
+    async with plant(tmp_path) as running:
+        running.collector.commands.subscribe(fail)
+        running.collector.commands.subscribe(told.append)
+        results = [await running.write("setpoint", 5), await running.write("setpoint", 1000)]
+        assert [each.state for each in results] == [DONE, REFUSED]
+        assert told == results
+    assert caplog.text.count("a subscriber of commands failed") == 2
+
+
 async def test_a_link_that_ends_ends_its_commands(tmp_path: Path) -> None:
     async with plant(tmp_path) as running:
         await running.hold()

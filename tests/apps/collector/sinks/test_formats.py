@@ -5,6 +5,7 @@ import csv
 import json
 import math
 import os
+import sys
 import threading
 import urllib.request
 from collections.abc import Iterator
@@ -27,7 +28,7 @@ from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.prometheus import LastValues, PrometheusPage
 from busway.apps.collector.store.committed_samples import CommittedAlarm, CommittedSample
 from busway.apps.collector.store.writer import Commit
-from busway.errors import ConfigError
+from busway.errors import ConfigError, MissingExtra
 
 
 def sample(point: str, value: object, reason: int = 0, *, commit: int = 1, device: str = "d") -> CommittedSample:
@@ -114,6 +115,17 @@ async def test_new_files_and_folders_are_durable_by_their_names_too(
         synced.clear()
         await sink.send([sample("p", 2.0)])
         assert synced == ["a/b/samples.csv"]
+
+
+def test_files_in_parquet_need_pyarrow_at_once_and_lines_do_not(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "pyarrow", None)
+    with pytest.raises(MissingExtra, match=r"busway\[store\]") as caught:
+        FileSink(tmp_path, "parquet")
+    assert caught.value.package == "pyarrow"
+    FileSink(tmp_path / "samples.csv")
+    FileSink(tmp_path / "samples.jsonl")
 
 
 async def test_json_lines(tmp_path: Path) -> None:
@@ -296,6 +308,19 @@ def test_prometheus_gets_last_values_of_listed_points_that_are_neither_bad_nor_s
         page.close()
     with pytest.raises(ConfigError, match="names no point"):
         PrometheusPage("127.0.0.1:0", [], values)
+
+
+def test_a_device_alone_means_all_its_points_on_a_page_for_prometheus() -> None:
+    pytest.importorskip("prometheus_client")
+    values = LastValues()
+    values.update(Commit(1, at(1), [meter_read(1, 5), read_of(PUMP, 1, 900)], []))
+    page = PrometheusPage("127.0.0.1:0", ["meter-7"], values, now=lambda: at(2))
+    try:
+        text = urllib.request.urlopen(page.url, timeout=60).read().decode()
+    finally:
+        page.close()
+    assert 'busway_point_value{device="meter-7",point="voltage"} 235.0' in text
+    assert "pump-1" not in text
 
 
 def test_last_values_are_bad_while_the_store_cannot_be_written() -> None:

@@ -11,7 +11,7 @@ from busway.apps.collector.store import backup, manifest
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader
-from busway.apps.collector.store.folder import SEGMENTS
+from busway.apps.collector.store.folder import LOCK, SEGMENTS, StoreLock
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.writer import StoreWriter
 from busway.errors import ConfigError
@@ -71,6 +71,32 @@ def test_a_backup_never_overwrites_and_a_damaged_one_is_not_restored(tmp_path: P
         path.unlink()
     with pytest.raises(ConfigError, match=r"the backup is not whole|listed"):
         restore(tmp_path / "backup", tmp_path / "again")
+
+
+def test_a_backup_is_not_restored_into_a_folder_that_a_writer_has_locked(tmp_path: Path) -> None:
+    with filled(tmp_path / "store", 2):
+        back_up(tmp_path / "store", tmp_path / "backup")
+    folder = tmp_path / "again"
+    folder.mkdir()
+    lock = StoreLock(folder)
+    with pytest.raises(ConfigError, match="collects into this store") as caught:
+        restore(tmp_path / "backup", folder)
+    assert caught.value.file == str(folder)
+    with pytest.raises(ConfigError, match="collects into this store"):
+        StoreLock(folder)
+    lock.release()
+    assert (folder / LOCK).exists()
+    assert restore(tmp_path / "backup", folder) == 1
+
+
+def test_a_backup_is_not_restored_into_a_file(tmp_path: Path) -> None:
+    with filled(tmp_path / "store", 2):
+        back_up(tmp_path / "store", tmp_path / "backup")
+    (tmp_path / "again").write_text("mine")
+    with pytest.raises(ConfigError, match="Not a directory") as caught:
+        restore(tmp_path / "backup", tmp_path / "again")
+    assert caught.value.file == str(tmp_path / "again")
+    assert (tmp_path / "again").read_text() == "mine"
 
 
 def test_a_backup_of_a_segment_that_has_no_tables_yet_is_whole(tmp_path: Path) -> None:

@@ -9,6 +9,7 @@ import pytest
 from collected import NOON, PUMP, at, meter_read, read_of
 from waiting import wait_until
 
+from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import Gap, PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.sinks.prometheus import LastValues
@@ -300,6 +301,36 @@ def test_a_full_disk_is_told_and_survived_and_what_is_lost_is_a_gap_with_its_num
     assert [sample.time for sample in table if sample.value is not None] == [at(0), *map(at, range(11, 21))]
     assert "cannot be written" in caplog.text
     assert "30 samples were lost" in caplog.text
+
+
+@pytest.mark.parametrize("hangs", [True, False])
+def test_only_so_many_alarm_events_wait_while_a_commit_hangs_and_all_are_stored_otherwise(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, hangs: bool
+) -> None:
+    monkeypatch.setattr(commit_thread, "MOST_ALARMS", 3)
+    moment, has_begun, goes_on = [100.0], threading.Event(), threading.Event()
+    committer = Committer(StoreWriter(tmp_path, now=NOON), now=lambda: at(100), interval=0.0, clock=lambda: moment[0])
+    commit_really = committer.writer.commit
+    stored: list[int] = []
+
+    def commit(*arguments: Any) -> Commit:  # Any: those of `StoreWriter.commit`
+        has_begun.set()
+        goes_on.wait(60)
+        stored.extend(event.at for event in arguments[3])
+        return commit_really(*arguments)
+
+    monkeypatch.setattr(committer.writer, "commit", commit)
+    committer.add(meter_read(1))
+    assert has_begun.wait(60)
+    if hangs:
+        moment[0] += commit_thread.BEHIND + 0.1
+    for number in range(1, 6):
+        committer.add(meter_read(number), [AlarmEvent("meter-7", "power", "H", AlarmEventKind.RAISED, at(number))])
+    committer.add_alarms([AlarmEvent("meter-7", "power", "H", AlarmEventKind.CLEARED, at(6))])
+    goes_on.set()
+    assert committer.flush()
+    committer.close()
+    assert stored == [at(number) for number in range(4 if hangs else 1, 7)]
 
 
 def test_intervals_are_committed_like_samples(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ Knows the journal, the audit log and the pollers of links; decides by `point_wri
 2. A command that is against a rule is refused, and one that is too late expires, before any byte is sent; that is
    recorded. If too many commands are open, the link is not polled at this moment, or audit log or journal cannot be
    written, it is refused without a record, so that it can be given again. Its key is looked up before: a command that
-   was sent never appears refused. Only a collector that ends refuses all commands without looking up keys.
+   was sent never appears refused. The same holds for all commands that come while the collector ends.
    Rights and value are checked when a command is taken and again in its turn: the configuration may have changed. What
    is against a rule only then has failed.
 3. One command of a device runs at a time, in the order in which they came. It is sent in a turn of the poller, before
@@ -218,7 +218,7 @@ class CommandRunner:
         self._devices: dict[str, tuple[asyncio.Lock, int]] = {}
         self._unrecorded: dict[str, CommandResult] = {}
         self._subscribers: list[Callable[[CommandResult], None]] = []
-        self._closed = False
+        self._closed = self._has_ended = False
         self._thread = ThreadPoolExecutor(1, thread_name_prefix="busway-commands")
         for each in journal.end_cut_off():
             self._append(each)
@@ -226,7 +226,7 @@ class CommandRunner:
     def subscribe(self, told: Callable[[CommandResult], None]) -> None:
         """Register a function that is called with the result of each recorded command when the command has ended.
 
-        It is called in the event loop, must be quick, and must raise nothing.
+        It is called in the event loop, and must be quick. What it raises is logged, and changes no result.
         """
         self._subscribers.append(told)
 
@@ -239,6 +239,7 @@ class CommandRunner:
         self._armed.clear()
         await asyncio.gather(*(each.task for each in self._running.values()), return_exceptions=True)
         await self.record_again()
+        self._has_ended = True
         self._thread.shutdown()
         self._journal.close()
 
@@ -448,7 +449,7 @@ class CommandRunner:
             return joined
         lock, waiting = self._devices.get(command.device, (asyncio.Lock(), 0))
         if self._closed:
-            return self.refused(self._result(command), "the collector ends; this command was not taken")
+            return await self._refused_now(command, "the collector ends")
         if waiting >= MOST_OPEN:
             return await self._refused_now(command, f"{waiting} commands of {command.device} are open")
         if len(self._running) >= MOST_OPEN_IN_ALL:
@@ -622,6 +623,9 @@ class CommandRunner:
             del self._unrecorded[key]
 
     async def _in_thread(self, function: Callable[..., _T], *values: object) -> _T:
+        """Call a function of the journal in its thread. Raises `OSError`, as the function may, if `close` has ended."""
+        if self._has_ended:
+            raise OSError("it is closed")
         return await asyncio.get_running_loop().run_in_executor(self._thread, function, *values)
 
     def _append(self, result: CommandResult) -> None:
@@ -631,7 +635,10 @@ class CommandRunner:
 
     def _tell(self, result: CommandResult) -> CommandResult:
         for told in self._subscribers:
-            told(result)
+            try:
+                told(result)
+            except Exception:  # what subscribers raise is theirs: the command has ended, and its caller gets the result
+                _log.exception("a subscriber of commands failed")
         return result
 
     def refused(self, result: CommandResult, reason: str) -> CommandResult:

@@ -23,6 +23,7 @@ from pathlib import Path
 from typing import Any, Final, TypeVar
 
 from ....errors import ConfigError
+from ....extras import require
 from ....options.sinks import FileFormat
 from ..samples import NANOSECONDS, Value, reason_text
 from ..store.committed_samples import CommittedAlarm, CommittedSample
@@ -41,8 +42,7 @@ Written = TypeVar("Written", CommittedSample, CommittedAlarm)
 class FileSink:
     """Sink that writes samples and alarm events to files: CSV, JSON lines or Parquet.
 
-    CSV and JSON lines are appended to a file, Parquet is one file for each batch. Parquet needs pyarrow; whether it is
-    installed shows with the first batch (`MissingExtra`).
+    CSV and JSON lines are appended to a file, Parquet is one file for each batch. Parquet needs pyarrow.
     """
 
     def __init__(self, path: str | os.PathLike[str], kind: FileFormat | str | None = None) -> None:
@@ -54,6 +54,7 @@ class FileSink:
 
         Raises:
             ConfigError: there is no such format.
+            MissingExtra: the format is Parquet, and pyarrow is not installed.
         """
         self._path = os.fspath(path)
         given = kind or self._path.rpartition(".")[2].lower()
@@ -61,6 +62,8 @@ class FileSink:
             found = FileFormat(given)
         except ValueError:
             raise ConfigError(f"files are csv, jsonl or parquet, not {given!r}", key="format") from None
+        if found is FileFormat.PARQUET:
+            require("pyarrow", "a sink to files in Parquet")
         self._format = found
         self._ahead: set[int] | None = (
             None  # first commits of files that an earlier process wrote; None: not looked yet

@@ -6,8 +6,8 @@ Knows topics and payloads; the protocol is aiomqtt's (``busway[mqtt]``).
    message is sent again, its key is the same.
 2. One message for each device and commit (`documents`), or with ``per_point`` one for each sample, in order.
 3. ``PREFIX/status``, with the part of the topic before its first ``{`` as PREFIX, is ``online`` while connected, and
-   then ``offline``, also by the last will. It is retained.
-4. Events of alarms go to ``PREFIX/alarms``, one message each.
+   then ``offline``, also by the last will. It is retained. It is ``status`` if nothing stands before that.
+4. Events of alarms go to ``PREFIX/alarms``, or ``alarms``, one message each.
 5. Discovery needs a topic for each point. The description of a point is sent to Home Assistant, retained, before the
    first sample of the point in each connection, and again when the configuration of the collector was replaced. It says
    what the file says about the point (`home_assistant`); a point that nothing describes is announced with its first
@@ -105,8 +105,9 @@ class MqttSink:
         if discovery is not None and not per_point:
             raise ConfigError("discovery needs per_point = true: an entity has one topic", key="discovery")
         self._topic = topic if not per_point or "{point}" in topic else f"{topic}/{{point}}"
-        self._status_topic = topic.partition("{")[0].rstrip("/") + "/status"
-        self._alarm_topic = topic.partition("{")[0].rstrip("/") + "/alarms"
+        before = topic.partition("{")[0]
+        prefix = f"{before.rstrip('/')}/" if before else ""  # no level that is empty, unless the topic has it
+        self._status_topic, self._alarm_topic = f"{prefix}status", f"{prefix}alarms"
         self._per_point, self._retain, self._discovery = per_point, retain, discovery
         self._address: dict[str, Any] = {"hostname": host, "port": port, "username": user, "password": password}
         self._address |= {"tls_context": tls, "identifier": client_id, "timeout": timeout}

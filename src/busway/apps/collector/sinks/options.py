@@ -29,6 +29,7 @@ from ....options.sinks import (
     PostgresqlOptions,
     SparkplugOptions,
 )
+from ....points.name_patterns import point_pattern
 from ....safe_files import read_safely
 from .interface import Sink
 
@@ -48,11 +49,10 @@ def make_sink(section: SentSection, folder: Path | None = None) -> tuple[Sink, D
     Raises:
         ConfigError: values exclude each other or are not valid, or a certificate, password or token cannot be used;
             names the key or the file.
-        MissingExtra: a package that the sink needs is not installed. For files in Parquet this shows only with the
-            first batch.
+        MissingExtra: a package that the sink needs is not installed.
     """
     options = section.built(DeliveryOptions)
-    points = tuple(each if "/" in each or each == "*" else f"{each}/*" for each in options.points)
+    points = tuple(map(point_pattern, options.points))
     return _MAKERS[type(section)](section, folder), replace(options, points=points)
 
 

@@ -27,7 +27,7 @@ from ....extras import require
 from ....observe.http import HttpService, bind_tcp
 from ....observe.http_messages import HttpRequest, HttpResponse
 from ....options.text import host_and_port
-from ....points.name_patterns import is_meant
+from ....points.name_patterns import is_meant, point_pattern
 from ..alarms.events import RaisedAlarm
 from ..held_values import age_of
 from ..samples import (
@@ -240,7 +240,8 @@ class PrometheusPage:
         Args:
             where: address and port, such as ``127.0.0.1:9503``; port 0 takes a free port. Every host that reaches the
                 address can read the values.
-            points: patterns ``device/point`` of the points to show, at least one; alarms of these points are shown too.
+            points: patterns ``device/point`` of the points to show, at least one; a device alone means all its points.
+                Alarms of these points are shown too.
             values: the last values.
             stale: seconds after which a value is left out.
             alarms: returns the alarms that are active or not acknowledged; called in the thread of the service.
@@ -255,7 +256,7 @@ class PrometheusPage:
         require("prometheus_client", "a page for Prometheus")
         if not points:
             raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
-        self._points, self._values, self._stale, self._now = tuple(points), values, stale, now
+        self._points, self._values, self._stale, self._now = tuple(map(point_pattern, points)), values, stale, now
         self._alarms, self._more = alarms, more
         self._service = HttpService(bind_tcp(*host_and_port(where, "url")), self._answer, name="busway prometheus")
         host, port = self._service.socket.getsockname()[:2]

@@ -29,6 +29,7 @@ from .folder import (
     OWNERSHIP,
     SEGMENTS,
     UNFINISHED,
+    StoreLock,
     check_store,
     make_folder,
     sync_file,
@@ -136,13 +137,31 @@ def restore(backup: Path, folder: Path) -> int:
         The number of restored files with samples (segment and Parquet files).
 
     Raises:
-        ConfigError: there is no backup or it is damaged, ``folder`` is not empty, or ``folder`` cannot be written.
+        ConfigError: there is no backup or it is damaged, ``folder`` is not empty, is no folder or cannot be written, or
+            another process is about to collect into it.
     """
     problems = check_store_files(backup)
     if problems:
         raise ConfigError(f"the backup is not whole: {problems[0]}", file=str(backup))
-    if folder.exists() and any(path.name != LOCK for path in folder.iterdir()):
-        raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
-    if folder.exists():
-        shutil.rmtree(folder)
+    _make_way(folder)
     return back_up(backup, folder)
+
+
+def _make_way(folder: Path) -> None:
+    """Remove the folder for a restored store, if it exists; its lock file too, unless a process has locked it.
+
+    Raises:
+        ConfigError: it is not empty, is no folder, cannot be removed, or a process has locked it.
+    """
+    try:
+        if not folder.exists():
+            return
+        if any(path.name != LOCK for path in folder.iterdir()):
+            raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
+        lock = StoreLock(folder)
+        try:
+            shutil.rmtree(folder)
+        finally:
+            lock.release()
+    except OSError as error:
+        raise ConfigError(f"no backup can be restored here: {error.strerror}", file=str(folder)) from error

@@ -184,7 +184,8 @@ class Committer:
         """Queue the samples of one read, and alarm events that the same commit must contain.
 
         If more than ``most_waiting`` values are queued, the oldest reads are dropped, and their samples counted as
-        lost; alarm events stay.
+        lost. Alarm events stay; if more than `MOST_ALARMS` are queued while commits fail or hang, the oldest of them
+        are dropped.
         """
         with self._changed:
             self._batches.append(batch)
@@ -212,7 +213,7 @@ class Committer:
             self._changed.notify_all()
 
     def add_alarms(self, alarms: Iterable[AlarmEvent]) -> None:
-        """Queue alarm events that no sample in the queue caused, such as acknowledgements."""
+        """Queue alarm events that no sample in the queue caused, such as acknowledgements; limited as by `add`."""
         with self._changed:
             self._note_alarms(alarms)
             self._noted += 1
@@ -403,6 +404,8 @@ class Committer:
         """
         known = self._described + len(self._descriptions)
         self._alarms.extend((known, event) for event in alarms)
+        if len(self._alarms) > MOST_ALARMS and self.is_behind:  # many at once are stored while commits keep up
+            self._drop_oldest_alarms()
 
     def _next_alarms(self) -> list[tuple[int, AlarmEvent]]:
         """Remove and return the queued alarm events before the next change of point names. Call with the lock held."""
@@ -559,8 +562,7 @@ class Committer:
             self._taken -= len(batches)
             self._intervals[:0] = intervals
             self._alarms.extendleft(reversed(alarms))
-            while len(self._alarms) > MOST_ALARMS:
-                self._alarms.popleft()
+            self._drop_oldest_alarms()
             if gap is not None:
                 self._note_loss(gap)
             if self._correction is not None and self._correction.last is None:
@@ -578,6 +580,11 @@ class Committer:
             self._waiting -= len(batch)
             self._lost += len(batch)
             self._note_loss(Gap(batch.time, batch.time + 1, Reason.LOST, len(batch)))
+
+    def _drop_oldest_alarms(self) -> None:
+        """Drop the oldest queued alarm events beyond `MOST_ALARMS`. Call with the lock held."""
+        while len(self._alarms) > MOST_ALARMS:
+            self._alarms.popleft()
 
     def _drop_whole_intervals(self) -> None:
         """Drop the older half of the intervals whose begin and end are both queued, and record a gap in their place.

@@ -8,7 +8,7 @@ from datetime import UTC, datetime
 from typing import Final
 
 from ....errors import InvalidRequest
-from ....points.name_patterns import is_meant
+from ....points.name_patterns import is_meant, point_pattern
 from ....values.durations import duration
 from ....values.refusal import shown
 from ..samples import NANOSECONDS
@@ -96,7 +96,7 @@ def chosen_points(
     known, before = list(points), list(former)
     chosen: dict[int, StoredPoint] = {}
     for pattern in [patterns] if isinstance(patterns, str) else patterns:
-        whole = pattern if "/" in pattern else f"{pattern}/*"
+        whole = point_pattern(pattern)
         found = [point for point in known if point.name == pattern]
         if found:
             chosen.update((point.id, point) for point in found)
@@ -104,7 +104,7 @@ def chosen_points(
         found = [point for point in known if is_meant(point.name, whole)]
         ids = {number for name, number in before if is_meant(name, whole)}
         found += [point for point in known if point.id in ids]
-        if not found and whole != "*/*":
+        if not found and whole not in ("*", "*/*"):
             raise InvalidRequest(
                 f"{shown(pattern)} names no point of this store; `busway query STORE --list` lists them"
             )
