@@ -8,7 +8,7 @@ import pytest
 from checked_device import target_of
 
 from busway.apps.check.catalogue import checks_for
-from busway.apps.check.check import Level, Strength
+from busway.apps.check.check import Ask, Level, Strength, Target
 from busway.apps.check.clauses import CLAUSES
 from busway.errors import ConfigError
 
@@ -59,6 +59,36 @@ def test_what_is_written_at_the_level_write_stands_in_the_scratch(framing: str) 
                 assert 100 <= int.from_bytes(pdu[1:3], "big") < 108, one.id
                 size = int.from_bytes(pdu[3:5], "big") if pdu[0] in (15, 16) else 1
                 assert 100 + size <= 108, one.id
+
+
+def with_scratch(count: int) -> Target:
+    """The smallest scratch, or one of another size."""
+    target = target_of("mbap")
+    assert target.registers is not None
+    assert target.coils is not None
+    return replace(target, registers=replace(target.registers, count=count), coils=replace(target.coils, count=count))
+
+
+@pytest.mark.parametrize("count", [2, 8, 15, 16])
+def test_a_wrong_write_stays_in_the_scratch_also_where_a_device_goes_by_its_byte_count_or_length(count: int) -> None:
+    for one in checks_for(with_scratch(count), Level.WRITE):
+        for pdu in (step.pdu for step in one.steps if isinstance(step, Ask) and not step.accepts.reply):
+            if pdu[0] in (15, 16):
+                items, size = (8, 1) if pdu[0] == 15 else (1, 2)
+                written = int.from_bytes(pdu[3:5], "big")
+                reach = [-(-length // size) * items for length in (pdu[5], len(pdu) - 6)]
+                by_bytes = [each for each in reach if each > -(-written // items) * items]  # not the rest of a byte
+                assert max(written, *by_bytes, 0) <= count, one.id
+
+
+def test_a_byte_count_of_16_coils_is_sent_at_the_level_write_where_there_are_as_many() -> None:
+    levels = {
+        count: next(
+            one.level for one in checks_for(with_scratch(count), Level.DISRUPTIVE) if one.id == "fc15-byte-count-over"
+        )
+        for count in (15, 16)
+    }
+    assert levels == {15: Level.DISRUPTIVE, 16: Level.WRITE}
 
 
 def test_checks_run_from_safe_to_risky_behind_the_basic_ones() -> None:

@@ -151,7 +151,7 @@ def _registers(items: Items) -> list[Check]:
         one(
             "byte-too-many",
             "does not write where a byte is too many: 03, or silence",
-            *unchanged(pdu(16, at, 2, b"\x04", 0x3333, 0x4444, b"\x00"), refused_or_silent(3)),
+            *unchanged(pdu(16, at, 1, b"\x02", 0x3333, b"\x44"), refused_or_silent(3)),
             should=True,
         ),
         one(
@@ -304,6 +304,7 @@ def _coils(items: Items) -> list[Check]:
             "byte-count-over",
             "refuses a byte count above that of the count with 03 and writes nothing",
             *unchanged(pdu(15, at, 2, b"\x02\x02\x00")),
+            level=Level.WRITE if items.count >= 2 * 8 else Level.DISRUPTIVE,  # a device may go by the byte count
         ),
         one(
             "data-cut",
