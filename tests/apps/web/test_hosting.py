@@ -1,5 +1,6 @@
 """Starting and stopping, the files of the page, and the headers that every answer has."""
 
+import asyncio
 import gzip
 import re
 import socket
@@ -117,6 +118,24 @@ async def test_an_address_that_is_taken_is_said():
         link = busway.open(plant.endpoints[0])
         async with link:
             assert await link.unit(1).read("4x3") == 0
+
+
+@pytest.mark.parametrize(("failure", "error"), [(OSError(28, "No space left"), LinkDown), (KeyError("x"), KeyError)])
+async def test_a_page_whose_server_cannot_listen_says_so_and_can_be_started_later(monkeypatch, failure, error):
+    async with watching() as plant:
+        page = ControlPage(plant.simulation, "127.0.0.1:0")
+
+        async def fail(*_, **__):
+            raise failure
+
+        with monkeypatch.context() as patched:
+            patched.setattr(asyncio.get_running_loop(), "create_server", fail)
+            with pytest.raises(error, match=r"No space left|x"):
+                await page.start()
+        assert page.url == ""
+        await page.stop()
+        async with page:
+            assert page.url
 
 
 @pytest.mark.parametrize("address", ["nowhere", "127.0.0.1", "127.0.0.1:99999", "::1:80"])

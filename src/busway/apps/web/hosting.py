@@ -19,10 +19,11 @@ from typing import Any, ClassVar, Final, Self, cast
 import uvicorn
 from fastapi import FastAPI
 
-from ...errors import ConfigError
+from ...errors import ConfigError, LinkDown
 from ...observe.http import bind_tcp, bound_name
 from ...options.text import host_and_port
 from ...options.tls import TlsParameters
+from ...transport.tcp import network_kind
 from ...transport.tls.context import WatchedContext, web_context
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
@@ -120,7 +121,7 @@ class HostedPage(ABC):
         """Begin to serve the page and its API; does nothing if the page is being served already.
 
         Raises:
-            LinkDown: the address cannot be bound.
+            LinkDown: the address cannot be bound, or the system does not let the server listen there.
             ConfigError: the certificate cannot be used, or a subclass cannot begin, as with invalid tokens.
             MissingExtra: TLS needs a package that is not installed.
         """
@@ -138,12 +139,20 @@ class HostedPage(ABC):
             self.url = f"{'http' if context is None else 'https'}://{_reachable_name(bound)}/"
             unless_started.enter_context(self._lasting())
             server = self._server = _Server(_configured(self.application(rules), context))
-            self._task = asyncio.create_task(server.serve([bound]))
+            task = self._task = asyncio.create_task(server.serve([bound]))
+            task.add_done_callback(lambda _: server.answering.set())  # also if it fails before it listens
             try:
                 await server.answering.wait()
             except asyncio.CancelledError:
                 await self.stop()
                 raise
+            if task.done():
+                failed, self.url, self._task = self.url, "", None
+                try:
+                    task.result()
+                except OSError as error:
+                    sentence = f"{failed} cannot be served: {error.strerror or error}"
+                    raise LinkDown(sentence, kind=network_kind(error)) from error
             self._opened = unless_started.pop_all()
 
     async def stop(self) -> None:
