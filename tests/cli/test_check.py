@@ -240,12 +240,13 @@ def test_wrong_use_is_one_sentence_and_nothing_is_sent(
         assert word in sentence
 
 
-def test_a_baseline_that_is_none_is_refused(run: Callable[..., Any], tmp_path: Path) -> None:
+@pytest.mark.parametrize("text", ["{", "[" * 200_000], ids=["cut", "nested too deeply"])
+def test_a_baseline_that_is_none_is_refused(run: Callable[..., Any], tmp_path: Path, text: str) -> None:
     wrong = tmp_path / "last.json"
-    wrong.write_text("{")
+    wrong.write_text(text)
     result = run("check", "tcp://127.0.0.1:1", "--baseline", str(wrong))
     assert result.code == 2
-    assert "--baseline" in result.err
+    assert f"--baseline: {wrong} is no JSON" in result.err
 
 
 def test_udp_is_refused_with_what_can_be_checked(run: Callable[..., Any]) -> None:

@@ -106,6 +106,16 @@ def test_wrong_use_costs_one_sentence(run: Callable[..., Any], arguments: list[s
     assert words in sentence
 
 
+def test_a_file_that_is_nested_too_deeply_is_refused_as_other_wrong_ones(
+    run: Callable[..., Any], tmp_path: Path
+) -> None:
+    wrong = tmp_path / "deep.toml"
+    wrong.write_text(f"a = {'[' * 5000}")
+    result = run("config", "check", str(wrong))
+    assert (result.code, result.out) == (2, "")
+    assert f"{wrong}:1: it is nested too deeply" in result.err
+
+
 METER = '[[unit]]\n[[unit.point]]\nname = "level"\naddress = "4x1"\ntype = "uint16"\n'
 COLLECTOR = """\
 [poll_class]

@@ -39,6 +39,11 @@ def test_a_value_is_a_number_a_state_or_a_text(text: str, value: Any) -> None:
     assert (type(found), found) == (type(value), value)
 
 
+def test_a_value_that_is_nested_too_deeply_is_a_text() -> None:
+    text = "[" * 100_000
+    assert value_of(text) == text
+
+
 def test_the_link_of_a_device_is_that_of_the_configuration() -> None:
     assert link_of(DEVICES, "b") == "yard"
     with pytest.raises(ConfigError, match="no device c; there are a, b"):

@@ -266,7 +266,7 @@ def _baseline(path: str) -> Mapping[str, str]:
 
     try:
         return baseline_of(json.loads(read_safely(path, most=_MOST_BASELINE)), path)
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise ConfigError(f"{path} is no JSON: {error}", key="--baseline") from error
 
 

@@ -82,7 +82,7 @@ def _kind_of(file: str) -> str:
 
     try:
         data = tomllib.loads(read_text(file))
-    except ValueError:
+    except (ValueError, RecursionError):
         return "server"  # whose check says what is wrong with it
     common = keys_of(system.SystemFile).keys()
     for kind, schema in (

@@ -108,7 +108,7 @@ def value_of(text: str) -> Any:  # JSON
         return _STATES[text]
     try:
         return json.loads(text)
-    except ValueError:
+    except (ValueError, RecursionError):
         return text
 
 

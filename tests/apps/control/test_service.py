@@ -335,6 +335,12 @@ async def test_a_program_is_found_by_its_process_id(directory: Path) -> None:
         assert find_one(str(control.address), directory).address == control.address
 
 
+@pytest.mark.parametrize("url", ["/tmp/x", "name", 5, None, []])
+def test_a_token_file_without_an_address_of_http_is_not_ours_and_left_out(directory: Path, url: Any) -> None:
+    (directory / "1-2.json").write_text(json.dumps({"url": url, "token": "t"}), encoding="utf-8")
+    assert find_running(directory) == []
+
+
 async def test_a_default_socket_that_cannot_be_had_is_lived_without(
     directory: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
 ) -> None:

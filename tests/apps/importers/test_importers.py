@@ -240,6 +240,29 @@ def test_home_assistant_s_texts_and_structures_are_not_repeated_and_that_is_repo
     assert any("Maker.virtual_count: is not carried over for this type" in each for each in said(found))
 
 
+@pytest.mark.parametrize("key", ["virtual_count", "slave_count"])
+@pytest.mark.parametrize(
+    ("kind", "count", "most"),
+    [
+        ("sensors", 70_000, 124),
+        ("sensors", 125, 124),
+        ("sensors", -1, 124),
+        ("sensors", 62, 61),
+        ("binary_sensors", 70_000, 1999),
+        ("binary_sensors", 2000, 1999),
+        ("binary_sensors", -1, 1999),
+    ],
+)
+def test_a_row_of_home_assistant_that_no_request_can_read_is_left_out_and_its_key_is_named(
+    key: str, kind: str, count: int, most: int
+) -> None:
+    row = f"name: Row\n    data_type: {'uint32' if most == 61 else 'uint16'}\n    address: 10\n    {key}"
+    assert len(read_home_assistant(f"{kind}:\n  - {row}: {most}\n", "x").points[1]) == most + 1
+    found = read_home_assistant(f"{kind}:\n  - {row}: {count}\n", "x")
+    assert found.points == {}
+    assert f"line 2: Row: has a value that cannot be read: {key} is 0…{most}, not {count}" in said(found)
+
+
 def test_modpoll_s_references_become_points() -> None:
     found = read_modpoll(MODPOLL, "meter.csv")
     points = points_of(found)

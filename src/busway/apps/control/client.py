@@ -176,9 +176,11 @@ def _with_tokens(directory: Path) -> list[Running]:
     for path in sorted(directory.glob(f"*{TOKEN_SUFFIX}")):
         try:
             content = json.loads(path.read_text(encoding="utf-8"))
-            found.append(Running(parse_control_address(content["url"]), content["token"]))
-        except (OSError, ValueError, KeyError, TypeError):
+            running = Running(parse_control_address(content["url"]), content["token"])
+        except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
             continue  # being written, or not ours
+        if isinstance(running.address, LoopbackAddress):
+            found.append(running)
     return found
 
 

@@ -7,6 +7,7 @@ several points; they are reported and left out. Addresses count from 0.
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
+from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS
 from ...values.refusal import shown
 from .imported import ImportedDevice, others_of, tables_in
 from .plain_yaml import Place, YamlDocument, parse_yaml
@@ -95,8 +96,8 @@ def _sensor(
     if numbers:
         keys |= {"scale": None if scale == 1 else float(scale), "offset": None if not offset else float(offset)}
         keys["invalid"] = None if entity.get("nan_value") is None else [_number(entity["nan_value"])]
-    several = entity.get("virtual_count", entity.get("slave_count", 0)) or 0
     size = {"16": 1, "32": 2, "64": 4}.get(kind[-2:], 0) if numbers else 0
+    several = _several(entity, MAX_READ_REGISTERS // (size or 1))
     if several and not size:
         found.omit(where, f"{keys['name']}.virtual_count", "is not carried over for this type")
         several = 0
@@ -109,7 +110,7 @@ def _binary_sensor(
     entity: Mapping[str, Any], keys: dict[str, Any], where: str, found: ImportedDevice
 ) -> Iterator[dict[str, Any]]:
     table = _TABLES.get(str(entity.get("input_type", "coil")), "")
-    for place in range((entity.get("virtual_count", entity.get("slave_count", 0)) or 0) + 1):
+    for place in range(_several(entity, MAX_READ_BITS) + 1):
         name = keys["name"] if not place else f"{keys['name']}_{place}"
         address = f"{table}:{entity['address']}"
         if table in ("holding", "input"):
@@ -136,6 +137,23 @@ def _switch(
     if table == "holding":
         write |= {"on": int(entity.get("command_on", 1)), "off": int(entity.get("command_off", 0))}
     yield {**keys, "address": address, "write": write or None}
+
+
+def _several(entity: Mapping[str, Any], most: int) -> int:
+    """Return how many items are read beside the first one of an entity; all come by one request in Home Assistant.
+
+    Args:
+        entity: the entity.
+        most: number of such items that one request can read.
+
+    Raises:
+        ValueError: the number is no integer, is negative, or one request cannot read as many; the message has the key.
+    """
+    key = "virtual_count" if "virtual_count" in entity else "slave_count"
+    number = 0 if entity.get(key) is None else entity[key]
+    if not isinstance(number, int) or not 0 <= number < most:
+        raise ValueError(f"{key} is 0…{most - 1}, not {shown(number)}")
+    return number
 
 
 def _unit(entity: Mapping[str, Any]) -> int:
