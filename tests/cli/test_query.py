@@ -151,6 +151,19 @@ def test_a_parquet_file_is_written_and_never_overwritten(run: Callable[..., Any]
     assert (result.code, "exists already" in result.err) == (2, True)
 
 
+def test_a_file_that_another_program_makes_in_the_meantime_is_left_alone(
+    run: Callable[..., Any], data: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pyarrow.parquet")
+    target = tmp_path / "x.parquet"
+    target.write_text("of another program")
+    there = Path.exists
+    monkeypatch.setattr(Path, "exists", lambda path: path != target and there(path))
+    result = run("query", data, "--parquet", str(target))
+    assert (result.code, "exists already" in result.err) == (2, True)
+    assert target.read_text() == "of another program"
+
+
 @pytest.mark.parametrize(
     ("arguments", "says"),
     [

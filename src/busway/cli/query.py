@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any
 import typer
 
 from ..errors import ConfigError
+from ..safe_files import past_links
 from ..values.counts import counted
 from .arguments import CSV, JSON, QUIET
 from .exits import ExitCode
@@ -199,30 +200,42 @@ def _write_parquet(name: str, tables: "Iterable[SampleTable | BucketTable]") -> 
     """
     from ..apps.collector.store.sealing import arrow
 
-    path = Path(name)
+    path = Path(past_links(name))
     if path.exists():
-        raise ConfigError("exists already, and nothing was written; name a new file", file=name)
-    writer, rows = None, 0
+        raise _there_already(name)
+    writer, file, rows = None, None, 0
     try:
         for table in tables:
             if not len(table) and writer is not None:
                 continue
             content = _plain(table.to_arrow())
-            writer = writer or arrow("parquet").ParquetWriter(path, content.schema, compression="zstd")
+            if writer is None:
+                file = path.open("xb")  # not one that came in the meantime
+                writer = arrow("parquet").ParquetWriter(file, content.schema, compression="zstd")
             writer.write_table(content.cast(writer.schema))
             rows += content.num_rows
-        if writer is not None:
+        if writer is not None and file is not None:
             writer.close()
+            file.close()
     except BaseException as error:
         with contextlib.suppress(OSError):
             if writer is not None:
                 writer.close()
-        path.unlink(missing_ok=True)  # a part of it would be in the way of the next attempt
+        if file is not None:
+            with contextlib.suppress(OSError):
+                file.close()
+            path.unlink(missing_ok=True)  # a part of it would be in the way of the next attempt
+        if isinstance(error, FileExistsError):
+            raise _there_already(name) from error
         if isinstance(error, OSError):
             raise ConfigError(f"cannot be written: {error.strerror or error}", file=name) from error
         raise
     say(f"{name} has {counted(rows, 'row')}")
     return ExitCode.DONE
+
+
+def _there_already(name: str) -> ConfigError:
+    return ConfigError("exists already, and nothing was written; name a new file", file=name)
 
 
 def _plain(table: Any) -> Any:

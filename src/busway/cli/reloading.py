@@ -34,6 +34,9 @@ async def read_again_on_hangup(
             done = await service.reload()
         except ModbusError as error:
             say_problems("read again, nothing was changed:", str(error))
+        except Exception:  # a defect, which asyncio logs; the service goes on
+            told(True)
+            raise
         else:
             say(f"read again: {'; '.join(done)}")
         told(True)

@@ -9,7 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
-from checked_device import target_of
+from checked_device import VirtualDialer, target_of
 
 import busway
 from busway.access.rules import Policy, Rule
@@ -19,6 +19,7 @@ from busway.apps.check.check import Level, Outcome, Result, TlsChange
 from busway.apps.check.run import CheckRun, Pace, probe_of
 from busway.apps.check.tls_wire import CERTIFICATES, ClientCertificate
 from busway.apps.check.wire import dialer_for
+from busway.errors import ConfigError
 from busway.testing.certificates import CertificateFiles, CertificateStore
 
 PACE = Pace(timeout=60, quiet=0.05, idle=0.05)
@@ -107,6 +108,21 @@ def test_a_device_over_tls_alone_has_them() -> None:
     secure = {one.id for one in checks_for(replace(target, is_secure=True), Level.DISRUPTIVE)}
     assert len(secure - plain) == len(TlsChange)
     assert not {one.id for one in checks_for(replace(target, is_secure=True), Level.READ)} & (secure - plain)
+
+
+class WithoutItsFile(VirtualDialer):
+    """Has lost the file of a certificate that a changed handshake needs."""
+
+    def changed(self, change: TlsChange) -> "VirtualDialer":
+        raise ConfigError("cannot be read: no such file", file="expired.pem")
+
+
+def test_a_certificate_that_was_deleted_during_the_run_leaves_its_checks_undecided() -> None:
+    target = replace(target_of("mbap"), is_secure=True)
+    results = list(CheckRun(WithoutItsFile("mbap"), target, Pace()).results(handshake_checks(probe_of(target))))
+    assert {(one.outcome, one.reason) for one in results} == {
+        (Outcome.UNDECIDED, "expired.pem: cannot be read: no such file")
+    }
 
 
 @pytest.mark.parametrize("change", TlsChange)

@@ -1,6 +1,7 @@
 """The control service of a running server, asked over its real socket."""
 
 import asyncio
+import http.client
 import json
 import os
 import socket
@@ -17,8 +18,9 @@ from handles import settled_handles
 from waiting import until
 
 import busway
-from busway.apps.control import Control, Running, UnixAddress, ask, find_running, open_control
+from busway.apps.control import Control, Running, UnixAddress, ask, client, find_running, open_control
 from busway.apps.control.client import find_one
+from busway.apps.control.service import RELOAD_SECONDS
 from busway.errors import ConfigError, LinkDown, NoReply
 from busway.observe.http_messages import HttpRequest, HttpResponse
 
@@ -339,6 +341,27 @@ async def test_a_program_is_found_by_its_process_id(directory: Path) -> None:
 def test_a_token_file_without_an_address_of_http_is_not_ours_and_left_out(directory: Path, url: Any) -> None:
     (directory / "1-2.json").write_text(json.dumps({"url": url, "token": "t"}), encoding="utf-8")
     assert find_running(directory) == []
+
+
+@pytest.mark.parametrize(("resource", "method", "seconds"), [("/status", "GET", 5), ("/reload", "POST", 35)])
+def test_a_reload_is_waited_for_longer_than_the_service_takes_for_it(
+    directory: Path, monkeypatch: pytest.MonkeyPatch, resource: str, method: str, seconds: float
+) -> None:
+    asked: list[float] = []
+
+    class NoConnection(http.client.HTTPConnection):
+        def __init__(self, address: object, timeout: float) -> None:
+            super().__init__("localhost", timeout=timeout)
+            asked.append(timeout)
+
+        def connect(self) -> None:
+            raise ConnectionRefusedError
+
+    monkeypatch.setattr(client, "_Connection", NoConnection)
+    with pytest.raises(LinkDown):
+        ask(Running(UnixAddress(directory / "none.sock")), resource, method=method)
+    assert asked == [seconds]
+    assert seconds > RELOAD_SECONDS or resource != "/reload"
 
 
 async def test_a_default_socket_that_cannot_be_had_is_lived_without(

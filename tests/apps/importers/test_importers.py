@@ -336,6 +336,36 @@ def test_a_group_that_would_be_there_less_than_once_is_refused(count: int) -> No
         read_sunspec(json.dumps(MODEL), "model.json", counts={"module": count})
 
 
+def test_a_repeated_group_without_registers_is_refused_with_its_name_and_file() -> None:
+    model = json.loads(json.dumps(MODEL))
+    model["group"]["groups"] = [{"name": "module", "count": 0, "points": []}]
+    with pytest.raises(
+        ConfigError, match=r"model\.json: group module is there as often as L says, and has no registers"
+    ):
+        read_sunspec(json.dumps(model), "model.json")
+
+
+@pytest.mark.parametrize("exponent", [500, 11, -11])
+def test_a_scale_factor_that_sunspec_does_not_have_is_refused_with_its_point(exponent: int) -> None:
+    model = json.loads(json.dumps(MODEL))
+    model["group"]["points"].append({"name": "W", "type": "int16", "size": 1, "sf": exponent})
+    with pytest.raises(ConfigError, match=rf"model\.json: .*W\.sf is -10…10, not {exponent}"):
+        read_sunspec(json.dumps(model), "model.json")
+
+
+def test_asking_again_for_the_sections_reports_what_is_left_out_once() -> None:
+    found = ImportedDevice()
+    found.omit("line 1", "x", "is not Modbus")
+    found.add(1, {"name": "good", "address": "4x1"}, "line 2")
+    found.add(1, {"name": "bad", "address": "nowhere"}, "line 3")
+    found.sections()
+    first = said(found)
+    found.sections()
+    found.text("x")
+    assert said(found) == first
+    assert len(first) == 2
+
+
 def test_points_on_top_of_each_other_are_kept_and_doubled_names_numbered() -> None:
     found = ImportedDevice()
     found.add(1, {"name": "a", "address": "4x1", "type": "uint32"})

@@ -21,7 +21,7 @@ from itertools import pairwise
 from typing import Final
 
 from ...codes import Table
-from ...errors import LinkDown
+from ...errors import ConfigError, LinkDown
 from ...observe.dissect import Dissector, Framing, MessageDirection
 from ...pdu.functions import STANDARD
 from .check import (
@@ -395,8 +395,7 @@ class CheckRun:
 
         Raises:
             LinkDown: no connection to the device can be made at the beginning; nothing was sent.
-            ConfigError: a serial port does not support its settings, or a client certificate for a changed TLS
-                handshake cannot be read.
+            ConfigError: a serial port does not support its settings; nothing was sent.
         """
         self._talk.open()
         scratch = _Scratch(self._talk, self._target)
@@ -436,7 +435,7 @@ class CheckRun:
                 return Result(check, Outcome.UNDECIDED, reason, self._talk.take_evidence())
             try:
                 outcome, reason = self._judged(check)
-            except CannotOffer as error:
+            except (CannotOffer, ConfigError) as error:
                 outcome, reason = Outcome.UNDECIDED, str(error)
             evidence = self._talk.take_evidence()
             if check.facet is None:
@@ -480,6 +479,7 @@ class CheckRun:
         Raises:
             LinkDown: no connection can be made.
             CannotOffer: this machine cannot make the changed TLS handshake of the check.
+            ConfigError: a certificate for it cannot be read, such as one that was deleted during the run.
         """
         for step in check.steps:
             for exchange in self._taken(step):

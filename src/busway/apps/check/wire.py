@@ -23,13 +23,15 @@ if TYPE_CHECKING:
     from .tls_wire import ClientCertificate
 
 _RECEIVE_SIZE = 65_536
+_LONGEST_STALL = 10.0
+"""Seconds after which a connection is over whose other end takes no bytes (a TCP window of 0)."""
 
 
 class Wire(Protocol):
     """Interface of an open connection, or of an open serial port, that sends and receives bytes."""
 
     def send(self, data: bytes) -> None:
-        """Send bytes unchanged. Raises `LinkDown` if the connection has ended."""
+        """Send bytes unchanged. Raises `LinkDown` if the connection has ended, or takes no bytes for too long."""
 
     def receive(self, timeout: float) -> bytes | None:
         """Return received bytes as soon as there are any; empty if none come within ``timeout`` seconds.
@@ -176,9 +178,10 @@ class NetworkWire:
         self._buffer = bytearray(_RECEIVE_SIZE)
 
     def send(self, data: bytes) -> None:
-        """Send bytes, in one write if the socket takes them at once; else wait, without limit, until it takes the rest.
+        """Send bytes, in one write if the socket takes them at once; else wait until it takes the rest.
 
-        Raises `LinkDown` if the connection has ended.
+        Raises:
+            LinkDown: the connection has ended, or the device takes no bytes for 10 s; bytes may have gone out.
         """
         rest = data
         if self._trace is not None:
@@ -188,7 +191,11 @@ class NetworkWire:
                 try:
                     rest = rest[self._channel.send(rest) :]
                 except BlockingIOError:
-                    wait_ready([], [self._channel.fileno()], None)
+                    if not wait_ready([], [self._channel.fileno()], _LONGEST_STALL):
+                        words = f"the device takes no bytes for {_LONGEST_STALL:g} s"
+                        raise LinkDown(words, kind="timeout", endpoint=self._url) from None
+        except LinkDown:
+            raise
         except OSError as error:
             raise link_down(error, endpoint=self._url) from error
 

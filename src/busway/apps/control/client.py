@@ -30,6 +30,9 @@ from .control_socket import is_alive
 
 ANSWER_LIMIT: Final = 64 * 1024 * 1024
 _CONNECT_SECONDS: Final = 1.0
+_ASK_SECONDS: Final = 5.0
+_RELOAD_SECONDS: Final = 35.0
+"""More than the service itself waits for a reload, so that its answer comes also if it gives up."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,7 +96,7 @@ def find_one(text: str, *directories: Path) -> Running:
     return Running(address)
 
 
-def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float = 5.0) -> Any:
+def ask(running: Running, resource: str = "/status", *, method: str = "GET", timeout: float | None = None) -> Any:
     """Ask a running program for a resource of its control service, and return the decoded JSON.
 
     A successful response that is no JSON, such as the metrics, is returned as str. Blocks until the response has come.
@@ -102,7 +105,8 @@ def ask(running: Running, resource: str = "/status", *, method: str = "GET", tim
         running: the program.
         resource: ``/status``, ``/connections``, ``/metrics`` (GET), ``/reset-counters`` or ``/reload`` (POST).
         method: ``GET`` or ``POST``.
-        timeout: seconds for each step: to connect, to send, to receive. A program may take 30 s to reload.
+        timeout: seconds for each step: to connect, to send, to receive; None for 5 s, and for 35 s to reload, for which
+            a program may take 30 s.
 
     Raises:
         LinkDown: no program answers at the address.
@@ -111,6 +115,8 @@ def ask(running: Running, resource: str = "/status", *, method: str = "GET", tim
             why.
         BadReply: the response is not valid HTTP or JSON, or an error that is not in JSON.
     """
+    if timeout is None:
+        timeout = _RELOAD_SECONDS if resource == "/reload" else _ASK_SECONDS
     connection = _Connection(running.address, timeout)
     try:
         headers = {"Authorization": f"Bearer {running.token}"} if running.token else {}

@@ -66,6 +66,8 @@ class ImportedDevice:
     groups: dict[int, list[dict[str, Any]]] = field(default_factory=dict)  # Any: what TOML has
     remarks: list[str] = field(default_factory=list)
     omissions: list[Omission] = field(default_factory=list)
+    _invalid: list[Omission] = field(default_factory=list, init=False, repr=False, compare=False)
+    """Those of ``omissions`` that `sections` has added."""
 
     def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
         """Add a point to a unit. It is not checked: `sections` does that later.
@@ -97,17 +99,23 @@ class ImportedDevice:
     def sections(self) -> list[SimulatedUnitSection]:
         """Check the imported points, and return the units that they form, sorted by number.
 
-        Invalid points are left out and added to ``omissions``, again at each call. Of several points of a unit with one
-        name, all but the first get a number appended.
+        Invalid points are left out and added to ``omissions``, in place of those of an earlier call. Of several points
+        of a unit with one name, all but the first get a number appended.
 
         Raises:
             ConfigError: no valid point is left, or a unit is invalid as a whole.
         """
+        self.omissions = [each for each in self.omissions if not any(each is one for one in self._invalid)]
+        self._invalid = []
         found = [self._unit(number) for number in sorted({*self.points, *self.groups})]
         if not any(section.point or section.group for section in found):
             why = f": {self.omissions[0]}" if self.omissions else ""
             raise ConfigError(f"there is no point in it that could be carried over{why}")
         return found
+
+    def _leave_out(self, where: str, what: str, why: str) -> None:
+        self.omit(where, what, why)
+        self._invalid.append(self.omissions[-1])
 
     def _unit(self, number: int) -> SimulatedUnitSection:
         kept: list[ImportedPoint] = []
@@ -118,7 +126,7 @@ class ImportedDevice:
                 SimulatedPointSection.model_validate(keys)
             except ValidationError as error:
                 why = "; ".join(dict.fromkeys(sentence for _, sentence in faults_in(error, SimulatedPointSection)))
-                self.omit(point.where, keys["name"] or "a point without a name", why)
+                self._leave_out(point.where, keys["name"] or "a point without a name", why)
                 continue
             names.add(keys["name"])
             kept.append(ImportedPoint(keys, point.where))
@@ -149,7 +157,7 @@ class ImportedDevice:
                 if "is taken by" in sentence:
                     kept[place].keys["overlaps"] = True
                 else:
-                    self.omit(kept[place].where, kept[place].keys["name"], sentence)
+                    self._leave_out(kept[place].where, kept[place].keys["name"], sentence)
             kept = [each for at, each in enumerate(kept) if at not in wrong or "is taken by" in wrong[at]]
 
     def text(self, source: str) -> str:

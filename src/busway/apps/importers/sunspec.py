@@ -49,6 +49,8 @@ _ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
 
 The number is None for types without one, and for floats, where it is NaN.
 """
+_LARGEST_EXPONENT: Final = 10
+"""Largest power of ten of a scale factor, up or down (SunSpec Device Information Model Specification, sunssf)."""
 _UNITS: Final = {"C": "°C", "Secs": "s", "Pct": "%", "Degrees": "°", "deg": "°", "VAr": "var", "Var": "var"}
 _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comments")
 
@@ -164,7 +166,12 @@ class _Model:
             at: 0-based address of the group's first register.
             size: number of registers of one member.
             first: 0-based address of the model's register ``ID``.
+
+        Raises:
+            ConfigError: a member has no registers, so no number of them follows from a length.
         """
+        if not size:
+            raise ConfigError(f"group {name} is there as often as L says, and has no registers", file=self._name)
         counting = f"{name}_count"
         self._found.add(1, {"name": counting, "formula": f"(L - {at - first - 2}) // {size}"}, name)
         return counting
@@ -217,6 +224,8 @@ class _Model:
         if factor is None or (isinstance(factor, int) and not factor):
             return {}
         if isinstance(factor, int):
+            if abs(factor) > _LARGEST_EXPONENT:
+                raise ValueError(f"{name}.sf is -{_LARGEST_EXPONENT}…{_LARGEST_EXPONENT}, not {shown(factor)}")
             return {"scale": float(f"1e{factor}")}
         if factor not in there:
             self._found.omit(name, f"{name}.sf", f"names a point that there is not: {shown(factor)}")
