@@ -8,7 +8,8 @@ Knows numbers, names and a few functions; knows no point: the caller says what a
 2. What cannot be computed (a division by zero, the root of -1) is NaN. True is 1 and False is 0.
 3. A formula has a bounded number of characters and levels, so that evaluating it takes a bounded time. Intermediate
    results are bounded too: powers are computed as floats, rounding takes at most `_MOST_DIGITS` digits, and whole
-   numbers from outside have at most `WHOLE_BITS` bits.
+   numbers from outside have at most `WHOLE_BITS` bits. `Expression.result` checks its inputs; those of
+   `Expression.bind` are numbers from registers, which have no more bits: files with other inputs are refused.
 4. It uses the standard library's ``ast`` and no package for expressions: formulas come from files of others, and rule 3
    must hold.
 """
@@ -109,7 +110,7 @@ class Expression:
 
         Args:
             source: called with each point's name, at once and as often as the name occurs in the formula; returns a
-                function that reads the point's present value.
+                function that reads the point's present value, a number.
         """
         compute = _compiled(self._tree, source)
 
