@@ -331,7 +331,7 @@ def parsed(arguments: list[str] | None = None) -> argparse.Namespace:
     parser.add_argument("--reads", type=int, default=500, help="reads of each master (500)")
     parser.add_argument("--timeout", type=float, default=1.0, help="seconds that a master gives a reply (1)")
     parser.add_argument("--late", type=float, default=LATE_PART, help="part of the answers that are late (0.02)")
-    parser.add_argument("--late-by", type=float, default=LATE_BY, help="seconds by which they are (1.3)")
+    parser.add_argument("--late-by", type=float, default=LATE_BY, help="their delay in seconds (1.3)")
     parser.add_argument("--service", type=float, default=SERVICE, help="seconds of work on each request (0.03)")
     parser.add_argument("--only", default=",".join(MASTERS), help="masters, separated by commas")
     parser.add_argument("--markdown", action="store_true", help="print the table for a page")

@@ -80,7 +80,7 @@ class Seen:
         self.memory.append(resident())
 
     def growth(self) -> float:
-        """Bytes by which memory in the last tenth of the time is above that in the first."""
+        """Growth of memory in bytes, from the first tenth of the time to the last."""
         tenth = max(1, len(self.memory) // 10)
         return statistics.median(self.memory[-tenth:]) - statistics.median(self.memory[:tenth])
 

@@ -62,5 +62,5 @@ def _add_long_run(bench: Bench, table: Table, minutes: float) -> None:
     table.bars += [
         Bar("samples stored and sealed for minutes in one core", found["rows/s"], ">=", GOAL, "/s"),
         Bar("bytes of the largest log meanwhile", found["largest log"], "<=", LARGEST_LOG, " B"),
-        Bar("bytes by which a point grew meanwhile", found["growth/point"], "<=", MOST_GROWTH, " B"),
+        Bar("growth of a point meanwhile", found["growth/point"], "<=", MOST_GROWTH, " B"),
     ]

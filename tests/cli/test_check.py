@@ -141,7 +141,7 @@ def test_a_report_replaces_a_report_and_nothing_else_and_is_refused_before_the_c
         (f"md={tmp_path}", f"{tmp_path}: cannot be opened: it is a directory"),
         (f"html={pipe}", f"{pipe}: cannot be opened: it is a pipe"),
         (f"junit={tmp_path}/none/x", f"{tmp_path}/none/x: cannot be written: there is no such folder"),
-        ("json=/proc/x.json", "/proc/x.json: cannot be written: "),  # root may write there, and nobody can
+        ("json=/proc/x.json", "/proc/x.json: cannot be written: "),  # also for root
     ]
     for report, words in refusals:
         result = run("check", "tcp://127.0.0.1:1", "--report", report)

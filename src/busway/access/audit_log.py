@@ -52,7 +52,7 @@ _LATE: Final = 1.0
 
 
 class FlushSchedule(Protocol):
-    """Interface of the function by which an audit log schedules a later call of one of its own methods.
+    """Interface of the function that schedules a later call of a method of the audit log.
 
     The audit log uses it to write buffered lines, and to append lines about repeated denials.
     """

@@ -106,7 +106,7 @@ class Question:
         listener: str = "",
         asker: Asker | None = None,
     ) -> "Question":
-        """Return the facts of a decoded request by which a policy decides.
+        """Return the facts of a decoded request that a policy decides on.
 
         Args:
             request: the decoded request.

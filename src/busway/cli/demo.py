@@ -53,7 +53,7 @@ BAUD = 19_200
 LINE_TIMEOUT = 0.4
 """Seconds that the gateway waits for a reply of a device."""
 METER_DELAY = 0.15
-"""Seconds by which the replies of the meter, a slow device on purpose, are delayed."""
+"""Delay of the replies of the meter, in seconds; it is a slow device on purpose."""
 DEATH_AFTER, DEATH_LASTS, DEATH_EVERY = 3.0, 3.0, 8.0
 """When the thermometer, a failing device on purpose, does not answer, in seconds.
 

@@ -334,7 +334,7 @@ class BuswayUnit:
 
     @_operation
     async def report_server_id(self) -> bytes:
-        """Return the bytes by which a device identifies itself, function 17: those before the run indicator (00 or FF).
+        """Return the server identifier of a device, function 17: the bytes before the run indicator (00 or FF).
 
         All bytes of the reply are returned if there is no run indicator.
         """

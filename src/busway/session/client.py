@@ -43,8 +43,8 @@ from .unit_breaker import Breakers, BreakerState
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _EXPIRED_LIMIT = 4096
 _PACE_FORGETS = 0.9
-"""Factor by which the usual response time of a unit falls at each reply that took less than that; a reply that took
-longer sets it to its own time.
+"""Factor that multiplies the usual response time of a unit at each reply that took less; a reply that took longer sets
+the usual response time to its own.
 """
 _LAUNCHES_APART = 32
 """After a pipelined batch had to be split (replies in another order, or an exception), so many sends are made without

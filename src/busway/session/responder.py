@@ -251,7 +251,7 @@ class ForwardingTarget(Protocol):
 
         For each request a method of ``asker`` is called, possibly before this method returns: ``answer`` with data (of
         several requests at once), ``reply`` with a message, or ``refuse`` with an exception code. It gets the request,
-        and the element of ``tags`` at the same position, by which ``asker`` knows the request. After these calls
+        and the element of ``tags`` at the same position, which identifies the request for ``asker``. After these calls
         ``send`` of ``asker`` is called.
         """
 

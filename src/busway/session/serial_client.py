@@ -56,8 +56,8 @@ requests: even a unit that breaks the order of replies has replied by then (rule
 """
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
-"""Factor by which the usual response time of a unit falls at each reply that took less than that; a reply that took
-longer sets it to its own time.
+"""Factor that multiplies the usual response time of a unit at each reply that took less; a reply that took longer sets
+the usual response time to its own.
 """
 
 

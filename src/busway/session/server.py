@@ -36,7 +36,7 @@ from .transaction_slots import TransactionSlots
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
 _cut_reads = Struct("2s10s").iter_unpack
-"""Splits reads of twelve bytes into the transaction identifier and the ten bytes by which a known read is found."""
+"""Splits reads of twelve bytes into the transaction identifier and the ten bytes that identify a known read."""
 _UNIT = 6
 _FUNCTION = 7
 """Offset of the function code in an ADU; `_UNIT` is that of the unit."""

@@ -52,7 +52,7 @@ SPIN = 0.0001
 A sleeping thread is woken some 50 µs late, and finding out what to deliver takes as long.
 """
 ROUNDING = 1e-9
-"""Most seconds by which a time may be wrong after the transit time of a pty was subtracted and added again."""
+"""Largest error of a time, in seconds, after the transit time of a pty was subtracted and added again."""
 
 TRANSIT_SAMPLES = 11
 """Number of measurements of the time that a pty takes."""

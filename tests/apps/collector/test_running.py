@@ -1,4 +1,4 @@
-"""Notes of running collectors, by which `busway status` finds them."""
+"""Notes of running collectors, which `busway status` reads to find them."""
 
 import json
 import os

@@ -182,7 +182,7 @@ async def test_a_client_that_takes_nothing_keeps_no_more_than_one_mark_per_point
         connection = plant.page.traffic.line("rtu:///dev/none")
         for number in range(5000):
             client.changed([number % 60])
-            plant.page.traffic.add("somebody", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+            plant.page.traffic.add("tcp://127.0.0.1:502", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
         del connection
         assert len(client._changed) == 60
         message = await client.next()
@@ -205,7 +205,7 @@ async def test_a_frame_that_is_recorded_while_others_are_told_is_told_next(monke
             return found
 
         monkeypatch.setattr(tail, "after", after)
-        tail.add("somebody", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+        tail.add("tcp://127.0.0.1:502", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
         messages = []
         for _ in range(2):
             client.passed()

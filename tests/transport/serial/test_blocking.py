@@ -111,7 +111,7 @@ def test_rts_is_down_again_where_the_port_takes_no_more_bytes(pty: Pty, monkeypa
     with BlockingSerialPort(pty.path, SerialSettings(rs485=Rs485.RTS), ioctl=driver) as port:
         driver.asked.clear()
         with pytest.raises(LinkDown, match="has taken no bytes"):
-            port.write(bytes(1_000_000))  # more than a pseudo-terminal holds that nobody reads
+            port.write(bytes(1_000_000))  # more than a pseudo-terminal holds while its other end is not read
         assert driver.requests() == [TIOCMBIS, TIOCMBIC]
 
 

@@ -80,7 +80,7 @@ def judge(exchange: CheckedExchange, *, framing: str) -> list[Finding]:
 
 
 def is_refused_function(exchange: CheckedExchange) -> bool:
-    """Whether the reply is exception 01, by which a device says that it does not have the function of the request."""
+    """Whether the reply is exception 01: the device does not have the function of the request."""
     own = [one for one in exchange.frames if one.transaction in (0, exchange.transaction)]
     return bool(own) and own[0].pdu == bytes((exchange.ask.pdu[0] | 0x80, 1))
 

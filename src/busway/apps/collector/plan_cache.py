@@ -26,7 +26,7 @@ from .plan import DevicePlan, PlannedRead, ReadItem, ReadRules, Unreadable, plan
 WORTH: Final = 0.05
 """How much slower an old plan must be to be replaced, as a fraction of the new plan's time."""
 NEAR: Final = 1.02
-"""Factor by which costs may leave the range in which a plan was found good enough, before it is compared again."""
+"""How far costs may leave the range in which a plan was found good enough, as a factor, before it is compared again."""
 CHECKED_EVERY: Final = 16
 """Number of successful reads between two checks whether new plans would be faster."""
 MOST_PLANS: Final = 32

@@ -1,4 +1,4 @@
-"""Notes (small files) by which `busway status` finds the running collectors of this user: they have no control socket.
+"""Small files that tell `busway status` which collectors of this user run: collectors have no control socket.
 
 Knows paths, JSON and the lock of a store; asks no collector.
 

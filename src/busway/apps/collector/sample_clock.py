@@ -103,5 +103,5 @@ class SampleClock:
         return time + self._made_up(monotonic) if self._behind else time
 
     def _made_up(self, monotonic: float) -> int:
-        """Return the nanoseconds by which sample times have fallen back since the last `adjust` (rule 2): 0 or less."""
+        """Return how far sample times have fallen back since the last `adjust` (rule 2), in nanoseconds: 0 or less."""
         return -min(self._behind, max(0, int((monotonic - self._since) * NANOSECONDS)) // 2)

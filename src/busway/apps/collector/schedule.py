@@ -628,7 +628,7 @@ class LinkSchedule:
 
 
 def lateness_bound(period: float, blocking: float) -> float:
-    """Return the longest time in seconds by which a polling round is late, if the admission test has passed.
+    """Return how late a polling round can be at most, in seconds, if the admission test has passed.
 
     Args:
         period: poll period of the class, in seconds.

@@ -208,7 +208,7 @@ class FleetMember:
     Args:
         name, run, host: as in `MemberRecord`.
         times: the lengths of the leases; the same for all collectors of the zone.
-        chance: source of random numbers, by which renewals and checks for free shards are spread in time.
+        chance: source of random numbers, which spread renewals and checks for free shards in time.
         capacity: the collector's part of the work, relative to the others.
         shards: how many shards the zone has, 1…1024; the same for all collectors.
 

@@ -129,7 +129,7 @@ def permissions(role: str, zone: str, *, is_site: bool = False) -> Permissions:
 
 
 def in_domain(subject: str, domain: str) -> str:
-    """Return the subject by which a subject of JetStream's API, or a key of a table, is reached in another domain.
+    """Return the subject that reaches a subject of JetStream's API, or a key of a table, in another domain.
 
     Any other subject is returned as it is: it is the same in all domains.
 

@@ -80,7 +80,7 @@ class Batch(Call):
         target: the unit of the upstream.
         link: the link that sends the requests.
         asker: the client.
-        tags: for each request of the client, the tag by which the client knows the request.
+        tags: for each request of the client, the tag that identifies it for the client.
         asked: the client's requests.
 
     Attributes:

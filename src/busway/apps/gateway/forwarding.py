@@ -66,7 +66,7 @@ class ForwardTarget:
 
         Args:
             asker: the client.
-            tags: for each request, the tag by which the client knows the request.
+            tags: for each request, the tag that identifies it for the client.
             asked: the requests.
         """
         forwarder = self.forwarder

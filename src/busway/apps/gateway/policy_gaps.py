@@ -31,7 +31,7 @@ def policy_gaps(
 ) -> Iterator[tuple[Place, str]]:
     """Yield the access rules that clients can evade by another route to the same device.
 
-    Yields the path of the rule in the gateway file and a message, once for each route by which it can be evaded.
+    Yields the path of the rule in the gateway file and a message, once for each route that evades it.
 
     Args:
         policy: the access rules.

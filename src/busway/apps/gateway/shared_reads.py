@@ -31,7 +31,7 @@ def share(
 
     Args:
         asker: the client.
-        tags: for each read, the tag by which the client knows the read.
+        tags: for each read, the tag that identifies it for the client.
         asked: the reads, all to one unit.
         shared: the unit's reads in flight: for each key, the batch that has the read.
         within: seconds from now until the client must be answered; None for no limit.

@@ -349,7 +349,7 @@ class _RecordedUnit:
         return refused - known
 
     def faults(self, *, delays: bool) -> Iterator[dict[str, Any]]:  # what TOML has
-        """Yield the ``[[fault]]`` tables by which the simulated unit refuses what the unit of the capture refused.
+        """Yield ``[[fault]]`` tables that make the simulated unit refuse what the unit of the capture refused.
 
         With ``delays`` one more follows, which delays the replies by the median response time of the unit.
         """
