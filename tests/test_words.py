@@ -48,13 +48,19 @@ def retired_in(name: str) -> list[str]:
 
 
 def names_defined() -> Iterator[tuple[str, str]]:
-    """Each module and package, class and function, however deep: its name, and the file."""
+    """Modules, classes, functions, arguments, variables and attributes, however deep: each name, and its file."""
     for file in sorted(SOURCES.rglob("*.py")):
         module = file.relative_to(SOURCES).with_suffix("").as_posix()
         yield from ((part, module) for part in module.split("/"))
         for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
             if isinstance(node, ast.ClassDef | ast.FunctionDef | ast.AsyncFunctionDef):
                 yield node.name, module
+            elif isinstance(node, ast.arg):
+                yield node.arg, module
+            elif isinstance(node, ast.Name):
+                yield node.id, module
+            elif isinstance(node, ast.Attribute):
+                yield node.attr, module
 
 
 def classes_by_name() -> dict[str, list[str]]:

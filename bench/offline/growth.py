@@ -71,7 +71,7 @@ async def connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads of a server with so many connections, all of them busy."""
     device = busway.Device(holding_registers=1000)
     async with busway.serve(TCP, units={1: device}, max_connections=size + 10) as server:
-        wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
+        wires = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
         yield await turns(wires, in_batches([read(number, number * REGISTERS % 900) for number in range(READS)]))
 
 
@@ -81,7 +81,7 @@ async def units(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     devices = {unit: busway.Device(holding_registers=1000) for unit in range(1, size + 1)}
     async with busway.serve(TCP, units=devices) as server:
         asked = [to_unit(read(number, 0), 1 + number % size) for number in range(READS)]
-        yield await turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+        yield await turns([loop.new_connection(port_of(server.endpoints[0]))], in_batches(asked))
 
 
 @asynccontextmanager
@@ -90,7 +90,7 @@ async def table_size(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     chance = random.Random(1)
     async with busway.serve(TCP, units={1: busway.Device(holding_registers=size)}) as server:
         asked = [read(number, chance.randrange(size - REGISTERS)) for number in range(READS)]
-        yield await turns([loop.newcomer(port_of(server.endpoints[0]))], in_batches(asked))
+        yield await turns([loop.new_connection(port_of(server.endpoints[0]))], in_batches(asked))
 
 
 MIXED = (1, 2, 3, 4, 5, 6, 15, 16, 22, 23)
@@ -137,7 +137,7 @@ async def mixed_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Mixed traffic at a server with so many connections, all of them busy."""
     chance = random.Random(2)
     async with busway.serve(TCP, units={1: all_tables()}, max_connections=size + 10) as server:
-        wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
+        wires = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
         yield in_turns(loop, wires, in_batches([mixed(number, chance) for number in range(2560)]))
 
 
@@ -146,7 +146,7 @@ async def mixed_ranges(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Mixed traffic of so many different requests."""
     chance = random.Random(3)
     async with busway.serve(TCP, units={1: all_tables()}) as server:
-        wires = [loop.newcomer(port_of(server.endpoints[0]))]
+        wires = [loop.new_connection(port_of(server.endpoints[0]))]
         yield in_turns(loop, wires, in_batches([mixed(number, chance) for number in range(size)]))
 
 
@@ -154,7 +154,7 @@ async def mixed_ranges(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
 async def rtu_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
     """Reads in RTU over TCP at a server with so many connections, all of them busy."""
     async with busway.serve("rtu+tcp://127.0.0.1:0", units={1: busway.Device(holding_registers=1000)}) as server:
-        wires = [loop.newcomer(port_of(server.endpoints[0]), number) for number in range(size)]
+        wires = [loop.new_connection(port_of(server.endpoints[0]), number) for number in range(size)]
         frames = [encode_rtu(1, read(0, number * REGISTERS % 900)[7:]) for number in range(READS)]
         yield in_turns(loop, wires, in_batches(frames))
 
@@ -162,7 +162,7 @@ async def rtu_connections(loop: MemoryLoop, size: int) -> AsyncIterator[Step]:
 async def forwarding(loop: MemoryLoop, plan: GatewayPlan, asked: Sequence[bytes], running: AsyncExitStack) -> Step:
     """Reads through a gateway; a step runs the loop until all are answered."""
     gateway = await running.enter_async_context(Gateway(plan))
-    wire = loop.newcomer(port_of(gateway.endpoints[0]))
+    wire = loop.new_connection(port_of(gateway.endpoints[0]))
     batches = in_batches(asked)
 
     async def turn() -> None:

@@ -72,7 +72,7 @@ async def _asked(
     loop: MemoryLoop, server: busway.Server, batches: Sequence[bytes], *first: bytes
 ) -> AsyncIterator[Turn]:
     async with server:
-        wire = loop.newcomer(port_of(server.endpoints[0]))
+        wire = loop.new_connection(port_of(server.endpoints[0]))
         for one in first:
             wire.feed(one)
             await asyncio.sleep(0)
@@ -181,7 +181,7 @@ async def _forwarded(
     loop.listeners[1] = Device
     plan = simple_plan([TCP], "tcp://127.0.0.1:1", max_transactions=IN_FLIGHT, queue=4096, share_reads=False)
     async with Gateway(plan) as gateway:
-        wires = [loop.newcomer(port_of(gateway.endpoints[0])) for _ in range(clients)]
+        wires = [loop.new_connection(port_of(gateway.endpoints[0])) for _ in range(clients)]
 
         async def turn() -> None:
             for begin in range(0, len(batches), clients):

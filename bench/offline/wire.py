@@ -96,7 +96,7 @@ class _Listening:
 
 
 class MemoryLoop(asyncio.SelectorEventLoop):
-    """The loop. Attributes: ``listeners``, what makes the protocol of a newcomer, by port."""
+    """The loop. Attributes: ``listeners``, what makes the protocol of a new connection, by port."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -116,7 +116,7 @@ class MemoryLoop(asyncio.SelectorEventLoop):
         client.connection_made(near)
         return near, client
 
-    def newcomer(self, port: int, number: int = 0) -> Wire:
+    def new_connection(self, port: int, number: int = 0) -> Wire:
         """A connection whose client is only fed by hand, and takes what it is sent for nothing."""
         protocol = self.listeners[port]()
         wire = Wire(self, protocol, ("127.0.0.1", 40_000 + number))

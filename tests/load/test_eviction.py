@@ -19,7 +19,7 @@ PLACES = 12
 """For those that are not marked."""
 NEWCOMERS, AT_ONCE = 1200, 40
 QUESTIONS = 4
-"""Of each newcomer, sent at once."""
+"""Of each new connection, sent at once."""
 REPLY = struct.Struct(">HHHBBBHH")
 
 
@@ -69,7 +69,7 @@ class _Client:
 
 
 @pytest.mark.clause("T12", "T13", "T29")
-async def test_hundreds_of_newcomers_move_no_marked_connection_and_no_answer_goes_to_another() -> None:
+async def test_hundreds_of_new_connections_move_no_marked_connection_and_no_answer_goes_to_another() -> None:
     chance = random.Random(4)
     before = open_handles()
     server = busway.serve(

@@ -455,7 +455,7 @@ async def test_reply_given_before_the_handler_returns_goes_out_before_what_break
 
 
 @pytest.mark.clause("T12")
-async def test_newcomer_beyond_the_limit_takes_the_place_of_the_connection_unused_longest() -> None:
+async def test_new_connection_beyond_the_limit_takes_the_place_of_the_connection_unused_longest() -> None:
     handler = ScriptedHandler(lambda context, request: registers(address_of(request)))
     async with busway.serve(ANY_PORT, responder=handler, max_connections=3) as server:
         connections = [await asyncio.open_connection("127.0.0.1", _port(server)) for _ in range(3)]
@@ -463,9 +463,9 @@ async def test_newcomer_beyond_the_limit_takes_the_place_of_the_connection_unuse
             reader, writer = connections[turn]
             writer.write(_question(turn, turn))
             await reader.readexactly(11)
-        newcomer = await asyncio.open_connection("127.0.0.1", _port(server))
-        newcomer[1].write(_question(9, 9))
-        assert await newcomer[0].readexactly(11) == _answer(9, 9)
+        new_connection = await asyncio.open_connection("127.0.0.1", _port(server))
+        new_connection[1].write(_question(9, 9))
+        assert await new_connection[0].readexactly(11) == _answer(9, 9)
         assert await connections[1][0].read(-1) == b""
         for turn in (0, 2):
             reader, writer = connections[turn]
@@ -473,7 +473,7 @@ async def test_newcomer_beyond_the_limit_takes_the_place_of_the_connection_unuse
             assert await reader.readexactly(11) == _answer(turn, turn)
         assert server.counters.evicted == 1
         assert len(server.status().connections) == 3
-        for _, writer in (*connections, newcomer):
+        for _, writer in (*connections, new_connection):
             await _close(writer)
 
 

@@ -66,7 +66,7 @@ def test_who_had_time_and_said_nothing_makes_room_before_all_that_have_said_some
 
 
 @pytest.mark.clause("T13")
-def test_newcomer_that_has_just_come_keeps_its_place_though_it_said_nothing_yet() -> None:
+def test_new_connection_that_has_just_come_keeps_its_place_though_it_said_nothing_yet() -> None:
     both = pools(other=2)
     worker, fresh = Connection("a", last_used=1.0), Connection("b", last_used=5.0, received=0)
     both.admit(worker)
@@ -75,7 +75,7 @@ def test_newcomer_that_has_just_come_keeps_its_place_though_it_said_nothing_yet(
 
 
 @pytest.mark.clause("T13")
-def test_newcomer_whose_other_end_has_closed_takes_nobodys_place() -> None:
+def test_new_connection_whose_other_end_has_closed_takes_nobodys_place() -> None:
     both = pools(other=1)
     both.admit(Connection("a"))
     assert not both.admit(Connection("x", last_used=9.0, received=0, has_ended=True)).accepted
@@ -83,7 +83,7 @@ def test_newcomer_whose_other_end_has_closed_takes_nobodys_place() -> None:
 
 
 @pytest.mark.clause("T13")
-def test_marked_newcomer_without_a_priority_place_pushes_out_one_that_is_not_marked() -> None:
+def test_marked_new_connection_without_a_priority_place_pushes_out_one_that_is_not_marked() -> None:
     both = pools(priority=1, other=1)
     stranger = Connection("x")
     both.admit(stranger)
@@ -95,7 +95,7 @@ def test_marked_newcomer_without_a_priority_place_pushes_out_one_that_is_not_mar
 
 @pytest.mark.clause("T13")
 @pytest.mark.clause("T40")
-def test_newcomer_that_is_not_marked_is_refused_where_only_marked_ones_are_left() -> None:
+def test_new_connection_that_is_not_marked_is_refused_where_only_marked_ones_are_left() -> None:
     both = pools(priority=1, other=1)
     is_priority = [Connection("a", is_priority=True) for _ in range(2)]
     for one in is_priority:
@@ -107,7 +107,7 @@ def test_newcomer_that_is_not_marked_is_refused_where_only_marked_ones_are_left(
 
 
 @pytest.mark.clause("T13")
-def test_marked_newcomer_among_marked_ones_replaces_the_oldest_of_its_own_device_beyond_the_priority_places() -> None:
+def test_marked_new_connection_among_marked_ones_replaces_the_oldest_of_its_own_device_beyond_its_places() -> None:
     both = pools(priority=1, other=2, priority_per_host=1)
     first, foreign, own = (
         Connection("a", is_priority=True),

@@ -74,7 +74,7 @@ async def closed(*clients: Client) -> None:
 
 @pytest.mark.clause("T13")
 @pytest.mark.clause("T14")
-async def test_newcomers_push_out_strangers_and_never_a_marked_connection() -> None:
+async def test_new_connections_push_out_strangers_and_never_a_marked_connection() -> None:
     options = {"max_priority_connections": 2, "max_priority_per_host": 2, "max_connections": 2}
     async with served(priority=[MARKED], **options) as server:
         marked = [await Client.of(server, MARKED) for _ in range(2)]
@@ -128,7 +128,7 @@ async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monk
 
 
 @pytest.mark.clause("T13")
-async def test_marked_newcomer_beyond_its_limit_is_accepted_and_takes_a_place_of_the_others() -> None:
+async def test_marked_new_connection_beyond_its_limit_is_accepted_and_takes_a_place_of_the_others() -> None:
     options = {"max_priority_connections": 4, "max_priority_per_host": 1, "max_connections": 1}
     async with served(priority=["127.0.0.2/32"], **options) as server:
         stranger = await Client.of(server)
@@ -162,7 +162,7 @@ async def test_who_may_not_connect_pushes_nobody_out() -> None:
 
 
 @pytest.mark.clause("T18")
-async def test_with_one_connection_for_each_address_the_newcomer_replaces_the_old_one() -> None:
+async def test_with_one_connection_for_each_address_the_new_connection_replaces_the_old_one() -> None:
     async with served(max_per_host=1) as server:
         other, old = await Client.of(server, "127.0.0.4"), await Client.of(server)
         for one in (other, old):

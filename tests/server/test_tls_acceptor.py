@@ -570,11 +570,11 @@ async def test_strangers_take_no_marked_device_its_handshake(
 ) -> None:
     url = f"tls://127.0.0.1:0?{server_files.query()}&max_handshakes=2"
     async with busway.serve(url, units=device(), priority=["127.0.0.2"]) as server:
-        newcomers = []
+        new_connections = []
 
         async def come(host: str, handshakes: int) -> asyncio.StreamReader:
             reader, writer = await asyncio.open_connection("127.0.0.1", port_of(server), local_addr=(host, 0))
-            newcomers.append(writer)
+            new_connections.append(writer)
             await until(lambda: security_of(server).handshakes == handshakes)
             return reader
 
@@ -591,7 +591,7 @@ async def test_strangers_take_no_marked_device_its_handshake(
             assert await link.unit(1).read_holding_registers(0, count=1) == [REGISTER]
         assert await marked[0].read() == b""
         assert security_of(server).handshakes == 1
-        for writer in newcomers:
+        for writer in new_connections:
             writer.close()
             with contextlib.suppress(ConnectionError):
                 await writer.wait_closed()

@@ -196,7 +196,7 @@ def test_two_that_ask_one_by_one_take_turns_with_a_flood() -> None:
     assert order == ["flood", "one", "two", "flood", "one", "two", "flood", "flood", "flood"]
 
 
-def test_no_newcomer_keeps_another_waiting_for_ever() -> None:
+def test_no_new_connection_keeps_another_waiting_for_ever() -> None:
     queue = filled(call("first"), call("second"))
     assert queue.pick().caller == "first"  # type: ignore[union-attr]
     served = []

@@ -74,7 +74,7 @@ def acceptor_of(
 
 @pytest.mark.parametrize("loop", LOOPS)
 @pytest.mark.parametrize("with_crowd", [False, True])
-def test_newcomers_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, with_crowd: bool) -> None:
+def test_new_connections_are_taken_until_no_more_are_wanted_and_then_wait(loop: str, with_crowd: bool) -> None:
     async def main() -> None:
         running, accepted_protocols = asyncio.get_running_loop(), AcceptedProtocols()
         bound = listening()
@@ -163,7 +163,7 @@ async def test_client_that_has_gone_before_it_was_taken_does_not_stop_the_next()
         await accepted_protocols.leave()
 
 
-async def test_newcomer_for_whom_no_protocol_can_be_made_is_closed_and_reported() -> None:
+async def test_new_connection_for_whom_no_protocol_can_be_made_is_closed_and_reported() -> None:
     loop = asyncio.get_running_loop()
     reported: list[dict[str, Any]] = []
     loop.set_exception_handler(lambda loop, context: reported.append(context))
@@ -190,7 +190,7 @@ class Full(EpollSet):
         super().watch(descriptor, events, member)
 
 
-async def test_newcomer_that_cannot_be_watched_is_closed_and_counts_as_a_lack_of_means() -> None:
+async def test_new_connection_that_cannot_be_watched_is_closed_and_counts_as_a_lack_of_means() -> None:
     loop, accepted_protocols = asyncio.get_running_loop(), AcceptedProtocols()
     failures: list[OSError] = []
     bound = listening()

@@ -58,12 +58,12 @@ def scan(
     settings = list(_settings(endpoint, baud, parity))
     asked = _units(units, endpoint)
     longest = seconds(timeout, "--timeout", low=0.001, high=60)
-    patience = seconds(listen, "--listen", low=0.01, high=3600)
+    listening = seconds(listen, "--listen", low=0.01, high=3600)
     show_traffic(verbose)
     found = 0
     with capturing(capture):
         if not force:
-            _refuse_busy_line(settings[0], patience)
+            _refuse_busy_line(settings[0], listening)
         for each in settings:
             one = _Scan(each, asked, longest, learns=not patient, names=names, as_json=as_json)
             found += one.run()

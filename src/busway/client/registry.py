@@ -141,14 +141,14 @@ class LocalConnections:
             raise ConfigError(f"must be 1…65535, not {supported}", key="supported")
         self.supported = supported
 
-    def make_room(self, newcomer: LocalLink, endpoint: str) -> None:
+    def make_room(self, connecting: LocalLink, endpoint: str) -> None:
         """Close an unused connection if the process is at its limit; called before a link connects.
 
         Of the shared connections that no call uses, the one whose last use is longest ago is closed. Only connections
         of the same event loop and of blocking links are closed; for a blocking link, only those of blocking links.
 
         Args:
-            newcomer: the link that is about to connect.
+            connecting: the link that is about to connect.
             endpoint: URL of its peer, for the error.
 
         Raises:
@@ -157,10 +157,10 @@ class LocalConnections:
         """
         if len(self._links) <= self.supported:
             return
-        standing = [link for link in self.links() if link.is_connected and link is not newcomer]
+        standing = [link for link in self.links() if link.is_connected and link is not connecting]
         if len(standing) < self.supported:
             return
-        candidates = [link for link in standing if link.shared and link.home in (None, newcomer.home)]
+        candidates = [link for link in standing if link.shared and link.home in (None, connecting.home)]
         candidates.sort(key=lambda link: link.last_used)
         if not any(link.make_room() for link in candidates):
             raise LinkDown(

@@ -163,19 +163,19 @@ class Pools(Generic[One]):
         self._take(candidate)
         return Admission(True, evicted)
 
-    def leave(self, member: One) -> None:
+    def leave(self, connection: One) -> None:
         """Free the slot of a connection that has ended; no effect if it has lost its slot already.
 
         A priority slot that becomes free goes to the oldest connection of a priority host in the other pool whose host
         is below its limit.
         """
-        if member in self._other:
-            self._remove(member)
-        elif member in self._priority:
-            del self._priority[member]
-            self._priority_of[member.host] -= 1
-            if not self._priority_of[member.host]:
-                del self._priority_of[member.host]
+        if connection in self._other:
+            self._remove(connection)
+        elif connection in self._priority:
+            del self._priority[connection]
+            self._priority_of[connection.host] -= 1
+            if not self._priority_of[connection.host]:
+                del self._priority_of[connection.host]
             self._move_up()
 
     # Who goes.
@@ -197,11 +197,11 @@ class Pools(Generic[One]):
         Its client must have closed it already, or it must be `SECONDS_TO_SPEAK` old. Only the `_LOOKS` oldest are
         searched.
         """
-        for member in list(islice(self._silent, _LOOKS)):
-            if member.received:
-                del self._silent[member]
-            elif member.has_ended or candidate.last_used - member.last_used >= SECONDS_TO_SPEAK:
-                return member
+        for connection in list(islice(self._silent, _LOOKS)):
+            if connection.received:
+                del self._silent[connection]
+            elif connection.has_ended or candidate.last_used - connection.last_used >= SECONDS_TO_SPEAK:
+                return connection
         return None
 
     def _longest_unused(self) -> One | None:
@@ -213,25 +213,27 @@ class Pools(Generic[One]):
         if found is None:
             # Sorted once for many new connections: what has not been used since then stands in its order still, and all
             # others have been used later. A storm of new connections costs a step for each, not a look at all.
-            without_priority = ((member, member.last_used) for member in self._other if not member.is_priority)
+            without_priority = (
+                (connection, connection.last_used) for connection in self._other if not connection.is_priority
+            )
             self._by_use = OrderedDict(sorted(without_priority, key=itemgetter(1)))
             found = self._first_idle()
-        return found or next((member for member in self._other if not member.is_priority), None)
+        return found or next((connection for connection in self._other if not connection.is_priority), None)
 
     def _first_idle(self) -> One | None:
         busy: list[tuple[One, float]] = []
         found = None
         while self._by_use and found is None:
-            member, used = self._by_use.popitem(last=False)
-            if member.last_used != used:
+            connection, used = self._by_use.popitem(last=False)
+            if connection.last_used != used:
                 continue
-            if member.is_busy:
-                busy.append((member, used))
+            if connection.is_busy:
+                busy.append((connection, used))
             else:
-                found = member
-        for member, used in reversed(busy):
-            self._by_use[member] = used
-            self._by_use.move_to_end(member, last=False)
+                found = connection
+        for connection, used in reversed(busy):
+            self._by_use[connection] = used
+            self._by_use.move_to_end(connection, last=False)
         return found
 
     def _oldest_priority(self, candidate: One) -> One | None:
@@ -241,7 +243,7 @@ class Pools(Generic[One]):
         """
         if not candidate.is_priority:
             return None
-        own = (member for member in self._other if member.host == candidate.host)
+        own = (connection for connection in self._other if connection.host == candidate.host)
         return next(own, None) or next(iter(self._other))
 
     # Slots.
@@ -250,33 +252,33 @@ class Pools(Generic[One]):
         limits = self.limits
         return len(self._priority) < limits.priority and self._priority_of[host] < limits.priority_per_host
 
-    def _prefer(self, member: One) -> None:
-        member.pool = Pool.PRIORITY
-        self._priority[member] = None
-        self._priority_of[member.host] += 1
+    def _prefer(self, connection: One) -> None:
+        connection.pool = Pool.PRIORITY
+        self._priority[connection] = None
+        self._priority_of[connection.host] += 1
 
-    def _take(self, member: One) -> None:
-        member.pool = Pool.OTHER
-        self._other[member] = None
-        if not member.is_priority:
+    def _take(self, connection: One) -> None:
+        connection.pool = Pool.OTHER
+        self._other[connection] = None
+        if not connection.is_priority:
             if self.limits.per_host is not None:
-                self._of_device.setdefault(member.host, {})[member] = None
-            self._silent[member] = None
+                self._of_device.setdefault(connection.host, {})[connection] = None
+            self._silent[connection] = None
 
-    def _remove(self, member: One) -> None:
-        del self._other[member]
-        self._by_use.pop(member, None)
-        self._silent.pop(member, None)
-        own = self._of_device.get(member.host)
-        if own is not None and not member.is_priority:
-            del own[member]
+    def _remove(self, connection: One) -> None:
+        del self._other[connection]
+        self._by_use.pop(connection, None)
+        self._silent.pop(connection, None)
+        own = self._of_device.get(connection.host)
+        if own is not None and not connection.is_priority:
+            del own[connection]
             if not own:
-                del self._of_device[member.host]
+                del self._of_device[connection.host]
 
     def _move_up(self) -> None:
         """Move the oldest connection of a priority host in the other pool to a priority slot, if one is free for it."""
-        for member in self._other:
-            if member.is_priority and self._has_priority_place(member.host):
-                self._remove(member)
-                self._prefer(member)
+        for connection in self._other:
+            if connection.is_priority and self._has_priority_place(connection.host):
+                self._remove(connection)
+                self._prefer(connection)
                 return

@@ -100,7 +100,7 @@ class Meeting:
         await until(lambda: len(self.protocols) > before and self.protocols[-1].heard)
         return client, self.protocols[-1]
 
-    def newcomer(self) -> Recorder:
+    def new_connection(self) -> Recorder:
         one = Recorder()
         self.prepare(one)
         self.protocols.append(one)
@@ -117,7 +117,7 @@ async def meeting(transport: str) -> AsyncIterator[Meeting]:
         listening.bind(("127.0.0.1", 0))
         here.port = listening.getsockname()[1]
         acceptor = await accept_from(
-            listening, here.newcomer, loop=loop, epoll_set=here.epoll_set, backlog=100, failed=pytest.fail
+            listening, here.new_connection, loop=loop, epoll_set=here.epoll_set, backlog=100, failed=pytest.fail
         )
         yield here
         acceptor.close()

@@ -12,7 +12,7 @@ from event_loops import LOOPS, run_on
 from handles import settled_handles
 from waiting import until
 
-from busway.transport.epoll.watcher import MEMBERS_OF_A_LOOK, READABLE, WRITABLE, EpollSet, epoll_set_for
+from busway.transport.epoll.watcher import MOST_READY, READABLE, WRITABLE, EpollSet, epoll_set_for
 
 pytestmark = pytest.mark.skipif(not hasattr(select, "epoll"), reason="this system has no epoll objects")
 
@@ -100,7 +100,7 @@ async def test_member_that_another_one_removes_in_the_same_look_is_not_called() 
 
 @pytest.mark.parametrize("loop", LOOPS)
 def test_with_everybody_ready_all_the_time_each_has_a_turn_and_so_have_the_timers(loop: str) -> None:
-    size = 2 * MEMBERS_OF_A_LOOK + 10
+    size = 2 * MOST_READY + 10
     turns = 0
 
     async def main() -> None:
@@ -116,7 +116,7 @@ def test_with_everybody_ready_all_the_time_each_has_a_turn_and_so_have_the_timer
                 before = sum(len(one.calls) for one in members)
                 await asyncio.sleep(0)
                 turns += 1
-                assert sum(len(one.calls) for one in members) - before <= 2 * MEMBERS_OF_A_LOOK
+                assert sum(len(one.calls) for one in members) - before <= 2 * MOST_READY
             calls = [len(one.calls) for one in members]
             assert max(calls) - min(calls) <= 2
             for descriptor in descriptors:

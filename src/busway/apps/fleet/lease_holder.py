@@ -55,9 +55,9 @@ LOOK_EVERY: Final = 0.5
 """Seconds between two checks for free shards."""
 SETTLE: Final = 2.0
 """Seconds that a new collector waits before it takes shards, and that an imbalance must last before shards move."""
-PATIENCE: Final = 0.4
+WAIT_FOR_OWNER: Final = 0.4
 """Seconds after which any collector that may own a free shard takes it, not only the one that `balance` chooses."""
-PATIENCE_OF_BACKUPS: Final = 3.0
+WAIT_OF_BACKUPS: Final = 3.0
 """Seconds for which a free pinned shard is left to the collector that `balance` chooses; then any of its hosts may."""
 CLOCK_LIMIT: Final = 5.0
 """Most seconds that a wall clock may differ from the coordinator's, not counting the time that an answer takes."""
@@ -683,10 +683,10 @@ class FleetMember:
         for shard, taker in mapped.items():
             if len(self._open) >= MOST_OPEN:
                 return
-            patience = PATIENCE_OF_BACKUPS if hosts_of(shard) else PATIENCE
+            wait = WAIT_OF_BACKUPS if hosts_of(shard) else WAIT_FOR_OWNER
             seen = self._leases.get(shard)
             is_for_me = seen is not None and seen.record is not None and seen.record.target == self.name
-            is_late = now >= self._free_since[shard] + patience
+            is_late = now >= self._free_since[shard] + wait
             is_mine = taker == self.name or is_for_me or (is_late and self._may_own(shard))
             if is_mine and f"{LEASES}{shard}" not in self._open:
                 hole = self._hole_before(shard, seen, now + self.wall_ahead)

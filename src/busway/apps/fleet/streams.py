@@ -180,8 +180,8 @@ async def _found_or_made(client: Any, config: Any, domain: str | None) -> Any:
             looking = jetstream.stream_info(config.name)
             return (await asked(client, f"{calls}.INFO.{config.name}", looking)).config
         except errors.NotFoundError:
-            making = jetstream.add_stream(config)
-            return (await asked(client, f"{calls}.CREATE.{config.name}", making)).config
+            request = jetstream.add_stream(config)
+            return (await asked(client, f"{calls}.CREATE.{config.name}", request)).config
     except errors.APIError as error:
         if error.err_code in NOT_YET:
             raise StreamDown(f"the stream {config.name} cannot be used yet: {error.description}") from error

@@ -25,7 +25,7 @@ READABLE: Final = 0x001
 WRITABLE: Final = 0x004
 """EPOLLIN and EPOLLOUT, by their numbers: on other systems `select` has no such names."""
 
-MEMBERS_OF_A_LOOK: Final = 64
+MOST_READY: Final = 64
 """Most watchers that are called in one turn of the event loop. Asking epoll once costs some 10 µs, which is small
 beside the cost of 64 watchers.
 """
@@ -60,8 +60,8 @@ class EpollSet:
     def __len__(self) -> int:
         return len(self._watched)
 
-    def watch(self, descriptor: int, events: int, member: Watcher) -> None:
-        """Call ``ready`` of ``member`` whenever ``descriptor`` is ready for one of ``events`` or has ended.
+    def watch(self, descriptor: int, events: int, watcher: Watcher) -> None:
+        """Call ``ready`` of ``watcher`` whenever ``descriptor`` is ready for one of ``events`` or has ended.
 
         The descriptor must not be watched yet (`watch_for` changes its events). ``events`` is `READABLE`, `WRITABLE` or
         both.
@@ -77,7 +77,7 @@ class EpollSet:
         except OSError:
             self._close_if_empty()
             raise
-        self._watched[descriptor] = member
+        self._watched[descriptor] = watcher
 
     def watch_for(self, descriptor: int, events: int) -> None:
         """Change the events for which a descriptor is watched, to `READABLE`, `WRITABLE` or both.
@@ -114,14 +114,14 @@ class EpollSet:
             self._epoll = None
 
     def _look(self) -> None:
-        """Ask epoll which descriptors are ready, and call their watchers, at most `MEMBERS_OF_A_LOOK`."""
+        """Ask epoll which descriptors are ready, and call their watchers, at most `MOST_READY`."""
         if self._epoll is None:
             return  # the last one has gone in this very turn
         watched = self._watched
-        for descriptor, events in self._epoll.poll(0, MEMBERS_OF_A_LOOK):
-            member = watched.get(descriptor)
-            if member is not None:
-                member.ready(events)
+        for descriptor, events in self._epoll.poll(0, MOST_READY):
+            watcher = watched.get(descriptor)
+            if watcher is not None:
+                watcher.ready(events)
 
 
 def epoll_set_for(loop: asyncio.AbstractEventLoop) -> EpollSet | None:
