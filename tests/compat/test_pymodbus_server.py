@@ -7,6 +7,7 @@ from contextlib import asynccontextmanager
 from typing import Any
 
 import pytest
+from waiting import until
 
 import busway
 from busway.compat.pymodbus import server as servers
@@ -219,8 +220,9 @@ def test_server_context_is_a_collection_of_units() -> None:
 async def test_server_serves_until_it_is_stopped(start: Callable[..., Any]) -> None:
     context = ModbusServerContext(devices=ModbusDeviceContext())
     task = asyncio.create_task(start(context=context, address=ANY_PORT))
-    while (server := servers.ModbusBaseServer.active_server) is None or not server.endpoints:  # noqa: ASYNC110
-        await asyncio.sleep(0.001)  # the function tells nothing when the server listens
+    await until(lambda: (server := servers.ModbusBaseServer.active_server) and server.endpoints)
+    server = servers.ModbusBaseServer.active_server
+    assert server is not None
     async with busway.open(server.endpoints[0]) as link:
         assert await link.unit(1).read_coils(0, count=1) == [False]
     await servers.ServerAsyncStop()
@@ -238,8 +240,7 @@ async def test_server_that_was_shut_down_serves_again(background: bool) -> None:
             await server.serve_forever(background=True)
         else:
             tasks.append(asyncio.create_task(server.serve_forever()))
-            while not server.endpoints and not tasks[-1].done():  # noqa: ASYNC110
-                await asyncio.sleep(0)  # the function tells nothing when the server listens
+            await until(lambda: server.endpoints or tasks[-1].done())
         async with busway.open(server.endpoints[0]) as link:
             assert await link.unit(1).read_coils(0, count=1) == [False]
         await server.shutdown()
@@ -251,8 +252,7 @@ async def test_server_that_was_shut_down_serves_again(background: bool) -> None:
 async def test_end_of_an_earlier_serve_forever_leaves_the_next_one_alone() -> None:
     server = servers.ModbusTcpServer(ModbusServerContext(devices=ModbusDeviceContext()), address=ANY_PORT)
     earlier = asyncio.create_task(server.serve_forever())
-    while not server.endpoints:  # noqa: ASYNC110
-        await asyncio.sleep(0)
+    await until(lambda: server.endpoints)
     await server.shutdown()
     assert not earlier.done()  # it returns in the next turn, when the server serves again
     await server.serve_forever(background=True)

@@ -50,7 +50,7 @@ from ..errors import (
 )
 from ..errors import ModbusError as BuswayError
 from ..options.endpoints import parse_endpoint
-from ..options.presets import SHORTEST_PAUSE, SHORTEST_PORT_PAUSE, Preset
+from ..options.presets import Preset
 from ..pdu.server_id import ServerId
 from ..session.reconnect import ConnectionState
 
@@ -133,18 +133,19 @@ class ModbusConnection(BaseModbusConnection):
         return min(max(wanted, LEAST_TIMEOUT), LONGEST_TIMEOUT)
 
     async def _connect_client(self) -> AsyncLink:
-        serial = isinstance(self._params, ModbusSerialParams)
         try:
             if not self._is_ready:
                 if isinstance(self._params, ModbusTlsParams):
                     self._link = self._new_link(await self._params.create_ssl_context())
                 self._link.on_state(self._on_state)
                 self._is_ready = True
-            if self._link.state == ConnectionState.BACKING_OFF.value:
-                # The link has failed just now, and refuses so long.
-                await asyncio.sleep(2 * (SHORTEST_PORT_PAUSE if serial else SHORTEST_PAUSE))
+            driver = self._link._bound()
+            # The link has failed just now, and refuses so long. uvloop rounds so short a sleep, so one may not suffice.
+            while pause := driver.next_attempt:  # noqa: ASYNC110 - no event tells its end
+                await asyncio.sleep(pause)
             await self._link.connect()
         except LinkDown as error:
+            serial = isinstance(self._params, ModbusSerialParams)
             where = f"open serial port {self._target}" if serial else f"connect to {self._target}"
             kind = ModbusTimeoutError if error.kind == "timeout" else ModbusConnectionError
             raise kind(f"could not {where}: {error}") from error

@@ -139,23 +139,24 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
         url = _with_scheme(url)
     scheme, _, rest = url.partition("://")
     scheme = scheme.lower()
+    name = _cut(url)
     if scheme not in SCHEMES:
-        raise ConfigError(f"{_cut(url)}: unknown scheme {_cut(scheme)!r}; {_hint_of_scheme(scheme, _cut(rest))}")
+        raise ConfigError(f"{name}: unknown scheme {_cut(scheme)!r}; {_hint_of_scheme(scheme, _cut(rest))}")
     try:
         parts = urlsplit(url)
     except ValueError:
-        raise ConfigError(f"{_cut(url)}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
+        raise ConfigError(f"{name}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
     try:
         port = parts.port
     except ValueError:
         if parts.netloc.count(":") > 1 and "[" not in parts.netloc:
-            raise ConfigError(f"{_cut(url)}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
+            raise ConfigError(f"{name}: an IPv6 address stands in brackets, as in {scheme}://[fe80::1]") from None
         given = _cut(parts.netloc.rpartition(":")[2])
-        raise ConfigError(f"{_cut(url)}: the port must be 0…65535, not {given!r}") from None
+        raise ConfigError(f"{name}: the port must be 0…65535, not {given!r}") from None
     if parts.fragment:
-        raise ConfigError(f"{_cut(url)}: an endpoint has no #{_cut(parts.fragment)}")
+        raise ConfigError(f"{name}: an endpoint has no #{_cut(parts.fragment)}")
     if parts.username is not None:
-        raise ConfigError(f"{_cut(url)}: an endpoint has no user name")
+        raise ConfigError(f"{name}: an endpoint has no user name")
     options = _options(url, parts.query)
     rule = SCHEMES[scheme]
     if rule.carrier == "serial":
@@ -165,19 +166,19 @@ def parse_endpoint(url: "str | Endpoint") -> Endpoint:
         elif parts.netloc:
             meant = rest if rest.startswith("dev/") else f"dev/{rest}"
             raise ConfigError(
-                f"{_cut(url)}: a serial line is {scheme}:///dev/… with three slashes; is it {scheme}:///{_cut(meant)}?"
+                f"{name}: a serial line is {scheme}:///dev/… with three slashes; is it {scheme}:///{_cut(meant)}?"
             )
         if len(path) < 2:
-            raise ConfigError(f"{_cut(url)}: the path of the serial port is missing, as in {scheme}:///dev/ttyUSB0")
+            raise ConfigError(f"{name}: the path of the serial port is missing, as in {scheme}:///dev/ttyUSB0")
         return Endpoint(scheme, path=unquote(path), options=options)
     if parts.path not in ("", "/"):
-        raise ConfigError(f"{_cut(url)}: a network endpoint has no path {_cut(parts.path)}")
+        raise ConfigError(f"{name}: a network endpoint has no path {_cut(parts.path)}")
     netloc = parts.netloc.rsplit(":", 1)[0] if port is not None or parts.netloc.endswith(":") else parts.netloc
     if not _HOST.match(netloc):
-        raise ConfigError(f"{_cut(url)}: {_cut(netloc)!r} is no host name or address (IPv6 goes in brackets)")
+        raise ConfigError(f"{name}: {_cut(netloc)!r} is no host name or address (IPv6 goes in brackets)")
     port = rule.default_port if port is None else port
     if port is None:
-        raise ConfigError(f"{_cut(url)}: the port is missing; {scheme} has no usual one")
+        raise ConfigError(f"{name}: the port is missing; {scheme} has no usual one")
     return Endpoint(scheme, host=parts.hostname or "", port=port, options=options)
 
 

@@ -44,7 +44,7 @@ class Preset(Word):
 
 
 SHORTEST_PAUSE: Final = 0.001
-"""Seconds between two attempts of a link to connect over a network, with the preset ``passive``."""
+"""Most seconds between two attempts of a link to connect over a network, with the preset ``passive``."""
 SHORTEST_PORT_PAUSE: Final = 0.01
 """Most seconds between two attempts of a link to open a serial port, with the preset ``passive``."""
 PASSIVE_SETTINGS: Final[Mapping[str, object]] = {

@@ -136,12 +136,12 @@ def parse_address(
         return _in_table(value, table)
     if isinstance(value, bool) or not isinstance(value, int | str):
         raise InvalidRequest(f"an address is an int or text such as '4x1', not {shown(value)}")
-    if isinstance(value, int):
-        found = _address(shown(value), table, value, base or 0, None)
-    else:
+    if isinstance(value, str):
         found = _in_table(_from_text(value.strip(), table, base), table)
-    if isinstance(value, str) and base is None:
-        return found
+        if base is None:
+            return found
+    else:
+        found = _address(shown(value), table, value, base or 0, None)
     return Address(found.table, found.offset, found.bit)  # its text would be read as another address
 
 

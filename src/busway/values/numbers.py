@@ -69,7 +69,7 @@ def _integer(value: object) -> int | None:
         return None
     try:
         return operator.index(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, OverflowError):
+    except TypeError:
         return None
 
 
