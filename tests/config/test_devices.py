@@ -47,6 +47,17 @@ def test_points_have_values_in_their_unit_of_measure() -> None:
     assert list(points) == ["temperature", "pressure", "burner", "alarm"]
 
 
+def test_a_point_of_some_bits_keeps_the_others_of_its_register() -> None:
+    text = '[[unit]]\nunit = [1]\n[[unit.point]]\nname = "mode"\naddress = "4x1.4-7"\n'
+    (unit,) = parse_device_file(text, "x.toml").unit
+    device = build_device(unit)
+    device.holding_registers[0] = 0xF00F
+    points = Points(device, unit.point)
+    points["mode"] = 5
+    assert points["mode"] == 5
+    assert device.holding_registers[0] == 0xF05F
+
+
 def test_a_point_takes_no_value_that_does_not_fit() -> None:
     (boiler, _) = parse_device_file(GOOD, "good.toml").unit
     points = Points(build_device(boiler), boiler.point)

@@ -10,7 +10,7 @@ from websockets.sync.client import connect
 
 import busway
 from busway.apps.web.connections import MOST_VIEWERS
-from busway.apps.web.simulation_messages import SimulationAnswer
+from busway.apps.web.simulation_messages import SimulationAnswer, TrafficQuery
 from busway.apps.web.simulation_stream import FRAMES_AT_ONCE, MOST_POINTS, SimulationViewer, Wish
 
 MANY = "\n".join(f'[[unit.point]]\nname = "p{number}"\naddress = "holding:{number}"' for number in range(60))
@@ -191,21 +191,34 @@ async def test_a_client_that_takes_nothing_keeps_no_more_than_one_mark_per_point
         assert message["skipped"] == 5000 - FRAMES_AT_ONCE
 
 
+def record_another_meanwhile(tail, monkeypatch):
+    """Record a frame, and a second one while the first is read: as a line's timer does, in its thread."""
+    kept_after = tail.after
+
+    def after(number, limit):
+        found = kept_after(number, limit)
+        if tail.last == 1:
+            tail.add("another", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+        return found
+
+    monkeypatch.setattr(tail, "after", after)
+    tail.add("tcp://127.0.0.1:502", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+
+
+async def test_a_frame_that_is_recorded_while_others_are_listed_is_listed_next(monkeypatch):
+    async with watching(BUSY) as plant:
+        record_another_meanwhile(plant.page.traffic, monkeypatch)
+        first = await plant.page.api.list_traffic(TrafficQuery(after=0))
+        second = await plant.page.api.list_traffic(TrafficQuery(after=first.last))
+        assert [[frame.number for frame in each.frames] for each in (first, second)] == [[1], [2]]
+        assert (first.lost, second.lost, second.last) == (0, 0, 2)
+
+
 async def test_a_frame_that_is_recorded_while_others_are_told_is_told_next(monkeypatch):
     async with watching(BUSY) as plant:
         client = SimulationViewer(plant.page.api)
         client.wish(Wish(traffic=True))
-        tail = plant.page.traffic
-        kept_after = tail.after
-
-        def after(number, limit):
-            found = kept_after(number, limit)
-            if tail.last == 1:  # as a line's timer does, in its thread
-                tail.add("another", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
-            return found
-
-        monkeypatch.setattr(tail, "after", after)
-        tail.add("tcp://127.0.0.1:502", b"\x03\x00\x00\x00\x01", is_reply=False, unit=1)
+        record_another_meanwhile(plant.page.traffic, monkeypatch)
         messages = []
         for _ in range(2):
             client.passed()

@@ -14,6 +14,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, Final
 
 from ...errors import ConfigError
+from ...points.conversion import LARGEST_EXPONENT
 from ...values.refusal import shown
 from .imported import WRONG_VALUE, ImportedDevice
 
@@ -49,8 +50,6 @@ _ABSENT: Final[Mapping[str, tuple[str, int | None]]] = {
 
 The number is None for types without one, and for floats, where it is NaN.
 """
-_LARGEST_EXPONENT: Final = 10
-"""Largest power of ten of a scale factor, up or down (SunSpec Device Information Model Specification, sunssf)."""
 _UNITS: Final = {"C": "°C", "Secs": "s", "Pct": "%", "Degrees": "°", "deg": "°", "VAr": "var", "Var": "var"}
 _SAYING_NOTHING: Final = ("mandatory", "static", "standards", "detail", "comments")
 
@@ -224,8 +223,8 @@ class _Model:
         if factor is None or (isinstance(factor, int) and not factor):
             return {}
         if isinstance(factor, int):
-            if abs(factor) > _LARGEST_EXPONENT:
-                raise ValueError(f"{name}.sf is -{_LARGEST_EXPONENT}…{_LARGEST_EXPONENT}, not {shown(factor)}")
+            if abs(factor) > LARGEST_EXPONENT:
+                raise ValueError(f"{name}.sf is -{LARGEST_EXPONENT}…{LARGEST_EXPONENT}, not {shown(factor)}")
             return {"scale": float(f"1e{factor}")}
         if factor not in there:
             self._found.omit(name, f"{name}.sf", f"names a point that there is not: {shown(factor)}")

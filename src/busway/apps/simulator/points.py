@@ -7,7 +7,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager
 from typing import Any
 
-from ...config.device_writes import check_scaled
+from ...config.devices import put_value
 from ...config.files.points import PointSection
 from ...errors import InvalidRequest
 from ...server.device import Device
@@ -51,11 +51,7 @@ class Points:
             InvalidRequest: there is no such point, or the value does not fit its type or range.
         """
         section = self._section(name)
-        raw = section.raw(value)
-        scale = self._sections.get(section.scale_from)
-        if scale is not None:
-            check_scaled(self._device, section, value, scale)
-        self._device.write(section.place, raw if section.form is None else [raw], section.form)
+        put_value(self._device, section, value, self._sections.get(section.scale_from))
 
     def update(self) -> AbstractContextManager[None]:
         """Return a context manager that groups changes of the device: clients see all of these changes, or none."""

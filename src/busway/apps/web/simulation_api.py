@@ -351,6 +351,7 @@ class Api:
         """Return the latest Modbus frames, or the latest after a number; and how many after it are kept no longer."""
         tail = self.traffic
         after = 0 if query.after is None else query.after
+        last = tail.last  # before the frames are read: what another thread adds meanwhile comes next time
         frames = [tail.shown(one) for one in tail.after(after, query.limit)]
         lost = 0 if query.after is None else max(tail.first - after - 1, 0)
-        return TrafficMessage(frames=frames, last=tail.last, lost=lost)
+        return TrafficMessage(frames=frames, last=frames[-1].number if frames else last, lost=lost)

@@ -11,7 +11,7 @@ from collected import PUMP, at, read_of
 from deliveries import RecordingSink, delivery_to, run_until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind, alarms_after
-from busway.apps.collector.sinks.delivery import ASIDE, DeliveryOptions
+from busway.apps.collector.sinks.delivery import ASIDE, Delivery, DeliveryOptions
 from busway.apps.collector.sinks.documents import alarm_document
 from busway.apps.collector.sinks.interface import SinkDown, SinkRefused
 from busway.apps.collector.sinks.prometheus import LastValues, PrometheusPage
@@ -77,13 +77,19 @@ async def test_an_event_comes_again_with_the_same_key_where_the_answer_was_lost(
         assert len(set(keys)) == 3
 
 
+async def delivered_but_for_one(writer: StoreWriter) -> Delivery:
+    """The delivery to a sink that refuses one event, after all others have arrived."""
+    sink = AlarmRecordingSink()
+    sink.refused = ACKNOWLEDGED
+    delivery = delivery_to(sink, writer)
+    await run_until(delivery, lambda: len(sink.alarms) == 2)
+    assert [each.event for each in sink.alarms] == [RAISED, CLEARED]
+    return delivery
+
+
 async def test_an_event_that_is_refused_is_found_and_set_aside_and_all_others_arrive(tmp_path: Path) -> None:
     with journalled(tmp_path) as writer:
-        sink = AlarmRecordingSink()
-        sink.refused = ACKNOWLEDGED
-        delivery = delivery_to(sink, writer)
-        await run_until(delivery, lambda: len(sink.alarms) == 2)
-        assert [each.event for each in sink.alarms] == [RAISED, CLEARED]
+        delivery = await delivered_but_for_one(writer)
         (line,) = map(json.loads, (tmp_path / ASIDE / "sink.jsonl").read_text().splitlines())
         assert (line["event"], line["error"]) == ("acknowledged", "no stream")
         assert (delivery.status().set_aside, delivery.status().error) == (1, "no stream")
@@ -92,11 +98,7 @@ async def test_an_event_that_is_refused_is_found_and_set_aside_and_all_others_ar
 async def test_an_event_that_is_refused_and_cannot_be_set_aside_holds_no_other(tmp_path: Path) -> None:
     (tmp_path / ASIDE).write_text("no folder, so nothing can be written into it")
     with journalled(tmp_path) as writer:
-        sink = AlarmRecordingSink()
-        sink.refused = ACKNOWLEDGED
-        delivery = delivery_to(sink, writer)
-        await run_until(delivery, lambda: len(sink.alarms) == 2)
-        assert [each.event for each in sink.alarms] == [RAISED, CLEARED]
+        delivery = await delivered_but_for_one(writer)
         assert delivery.status().set_aside == 1
         assert (delivery.status().error or "").startswith("no stream; it cannot be set aside: ")
 

@@ -213,12 +213,13 @@ async def test_a_store_that_is_too_large_drops_what_a_dead_sink_has_not_got_coun
         assert f"sink sink: {lost} samples were dropped with the oldest parts of the store" in caplog.text
 
 
+def full(*arguments: object) -> None:
+    raise sqlite3.OperationalError("database or disk is full")
+
+
 async def test_a_full_disk_ends_no_delivery_and_nothing_is_sent_twice_for_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*arguments: object) -> None:
-        raise sqlite3.OperationalError("database or disk is full")
-
     sink = RecordingSink()
     with filled(tmp_path, 10) as writer:
         delivery = delivery_to(sink, writer, DeliveryOptions(age=0, most=6))
@@ -237,9 +238,6 @@ async def test_a_full_disk_ends_no_delivery_and_nothing_is_sent_twice_for_it(
 async def test_a_delivery_goes_on_while_its_cursor_cannot_be_saved_and_saves_it_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def full(*arguments: object) -> None:
-        raise sqlite3.OperationalError("database or disk is full")
-
     sink = RecordingSink()
     with filled(tmp_path, 10, step=100.0) as writer:  # at 0, 100 … 900; now is 1000
         delivery = delivery_to(sink, writer, DeliveryOptions(age=0, most=6, keep=550.0))
