@@ -1,3 +1,4 @@
+import math
 from contextlib import suppress
 
 import pytest
@@ -98,6 +99,72 @@ def test_numbers_take_most_of_the_room_that_is_computed_for_them() -> None:
     rows = [CommittedSample(2**33, "meter", "power", 2**60 + n, 2**20, 230.5, 0) for n in range(1000)]
     bound = longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in rows)
     assert bound < 2 * len(message(rows).encode())
+
+
+FEW_TEXTS = st.sampled_from(["", "V", "W", "1", "a\ud800", "V\0", "\u20ac" * 11, "x" * 40])
+FEW_NUMBERS = [
+    1,
+    0,
+    0.0,
+    -0.0,
+    1.0,
+    2**53,
+    float(2**53),
+    2**63 - 1,
+    2**63,
+    2**64 - 1,
+    2**64,
+    float(2**64),
+    -(2**63) - 1,
+]
+EQUAL_VALUES = st.sampled_from(
+    [*FEW_NUMBERS, *map(str, FEW_NUMBERS), True, False, "", None, "V", math.nan, math.inf, -math.inf]
+)
+EQUAL_SAMPLES = st.builds(
+    CommittedSample,
+    commit=st.sampled_from([1, 2, 2**63 - 1]),
+    device=FEW_TEXTS,
+    point=FEW_TEXTS,
+    time=st.sampled_from([0, 7, 2**63 - 1]),
+    half_width=st.sampled_from([0, 7, 2**63 - 1]),
+    value=EQUAL_VALUES,
+    reason=st.sampled_from([0, 1, 15, 16, 22, 127, 128, 255, 256, 511]),
+    unit_of_measure=FEW_TEXTS,
+    revision=st.just(0),
+)
+
+
+@given(st.lists(st.one_of(EQUAL_SAMPLES, st.just(CommittedSample(1, "V", "V", 7, 0, 1, 0, "V"))), max_size=40))
+def test_names_and_values_that_are_equal_across_devices_points_units_and_types_stay_apart(
+    samples: list[CommittedSample],
+) -> None:
+    """Compared as text: `1`, `1.0` and `True` are equal, a NaN is not, and `-0.0` is another number than `0.0`."""
+    sent = message(samples)
+    data = sent.encode()
+    assert repr(decode_message(data)) == repr(sent)
+    assert repr(decode_message(decode_message(data).encode())) == repr(sent), "as sent on once more"
+    known = set[str]()
+    assert len(data) <= longest_head("one", "a1", "hall") + sum(longest_row(each, known) for each in samples)
+
+
+@pytest.mark.parametrize("length", [0, 1, 31, 32, 255, 256, 65_536])
+@pytest.mark.parametrize("letter", ["x", "\u20ac", "\ud800"])
+def test_a_name_of_device_point_and_unit_at_once_is_not_longer_than_computed_before(length: int, letter: str) -> None:
+    name = letter * length
+    rows = [
+        CommittedSample(1, name, name, 1, 0, 1, 0, name),
+        CommittedSample(1, name, "p", 1, 0, 1, 0, ""),
+        CommittedSample(1, "d", name, 1, 0, 1, 0, "p"),
+        CommittedSample(1, "p", "d", 1, 0, name, 0, name),
+    ]
+    for count in range(len(rows) + 1):
+        for first in range(count):
+            known = set[str]()
+            bound = longest_head(name, name, name) + sum(longest_row(each, known) for each in rows[first:count])
+            sent = message(rows[first:count], collector=name, store=name, link=name)
+            data = sent.encode()
+            assert len(data) <= bound
+            assert decode_message(data) == sent
 
 
 def test_text_with_half_a_pair_of_surrogates_comes_back() -> None:
