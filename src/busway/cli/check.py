@@ -21,7 +21,7 @@ from ..values.addresses import parse_address
 from ..values.counts import counted
 from .arguments import CAPTURE, QUIET, URL, VERBOSE, seconds, show_traffic, whole_number
 from .exits import ExitCode
-from .files import capturing
+from .files import cannot_be_written, capturing
 from .output import say
 
 if TYPE_CHECKING:
@@ -204,7 +204,7 @@ def _report_files(text: str | None) -> "list[tuple[str, Callable[[Summary], str]
             with tempfile.TemporaryFile(dir=os.path.dirname(whole)):
                 pass
         except OSError as error:
-            raise _cannot_be_written(path, error) from error
+            raise cannot_be_written(path, error) from error
         files.append((whole, REPORTS[name]))
     return files
 
@@ -224,14 +224,9 @@ def _write_reports(files: "Sequence[tuple[str, Callable[[Summary], str]]]", summ
         try:
             write_whole(path, form(summary))
         except OSError as error:
-            problems.append(_cannot_be_written(path, error))
+            problems.append(cannot_be_written(path, error))
     if problems:
         raise FileError(problems)
-
-
-def _cannot_be_written(path: str, error: OSError) -> ConfigError:
-    reason = error.strerror or str(error)
-    return ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=path)
 
 
 def _begins_with(begin: bytes, head: bytes) -> bool:

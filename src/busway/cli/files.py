@@ -36,8 +36,7 @@ def open_capture(name: str) -> "Capture":
     except (OSError, ValueError) as error:
         with contextlib.suppress(OSError):
             stream.close()
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=name) from error
+        raise cannot_be_written(name, error) from error
 
 
 def refuse_to_replace(path: str, *, force: bool) -> None:
@@ -73,15 +72,20 @@ def write_new(path: str, text: str, *, force: bool, kind: str) -> None:
     except FileExistsError as error:  # it came in the meantime
         raise _there_already(path) from error
     except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=path) from error
+        raise cannot_be_written(path, error) from error
+
+
+def cannot_be_written(path: str, error: OSError | ValueError) -> ConfigError:
+    """Return the error that says why a file cannot be written, for the caller to raise; it names the file."""
+    reason = getattr(error, "strerror", None) or str(error)
+    return ConfigError(f"cannot be written: {reason[:1].lower()}{reason[1:]}", file=path)
 
 
 def _there_already(path: str) -> ConfigError:
     return ConfigError("is there already; --force writes over it", file=path)
 
 
-__all__ = ["capturing", "open_capture", "read_text", "refuse_to_replace", "write_new"]
+__all__ = ["cannot_be_written", "capturing", "open_capture", "read_text", "refuse_to_replace", "write_new"]
 
 
 @contextlib.contextmanager

@@ -466,8 +466,8 @@ def _one_each(table: Table, blocks: list[_Block], places: list[_Place], cost: Re
         places: the range to read for each block of items.
         cost: how long reads take.
     """
-    same = groupby(zip(places, blocks, strict=True), key=_START)
-    return [_read(table, start, end, [block for _, block in each], cost) for (start, end), each in same]
+    by_place = groupby(zip(places, blocks, strict=True), key=itemgetter(0))
+    return [_read(table, start, end, [block for _, block in each], cost) for (start, end), each in by_place]
 
 
 def _with_items(table: Table, places: list[_Place], blocks: list[_Block], cost: ReadCost) -> list[PlannedRead]:
