@@ -69,7 +69,7 @@ ONE_PYTHON := $(addprefix tests/, \
 	$(addprefix apps/collector/store/test_, crashes.py power_failure.py reading.py same_answers.py sealed_files.py \
 	store_walk.py) \
 	apps/control/test_service.py \
-	$(addprefix apps/fleet/test_, chain_model.py coordinators.py gap_coverage.py lease_holder.py) \
+	$(addprefix apps/fleet/test_, chain_model.py coordinators.py gap_coverage.py lease_holder.py outbox_walk.py) \
 	$(addprefix cli/test_, demo.py fleet.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \
 	simulate_sources.py status.py))
 PYTEST_FLAGS ?=
