@@ -65,7 +65,7 @@ ONE_PYTHON := $(addprefix tests/, \
 	many_dead_devices.py plan.py reload_walk.py right_values.py schedule.py) \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
 	$(addprefix apps/collector/commands/test_, crashes.py no_way_round_rules.py no_write_twice.py) \
-	$(addprefix apps/collector/sinks/test_, hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
+	$(addprefix apps/collector/sinks/test_, delivery_walk.py hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
 	$(addprefix apps/collector/store/test_, crashes.py power_failure.py reading.py same_answers.py sealed_files.py \
 	store_walk.py) \
 	apps/control/test_service.py \

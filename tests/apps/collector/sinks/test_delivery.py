@@ -252,6 +252,48 @@ async def test_a_delivery_goes_on_while_its_cursor_cannot_be_saved_and_saves_it_
     assert (len(sink.taken), delivery.status().lost) == (15, 15)
 
 
+async def test_a_cursor_that_could_not_be_saved_is_saved_at_the_end_so_that_the_next_start_sends_nothing_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*arguments: object) -> None:
+        raise sqlite3.OperationalError("database or disk is full")
+
+    sink = RecordingSink()
+    with filled(tmp_path, 3) as writer:
+        delivery = delivery_to(sink, writer)
+        with monkeypatch.context() as disk:
+            disk.setattr(writer.manifest, "set_cursor", full)
+            await run_until(delivery, lambda: len(sink.taken) == 9)
+        await delivery.finish(60.0)
+        assert writer.manifest.cursors()["sink"] == (writer.newest_commit, 0)
+
+
+async def test_what_arrived_of_a_batch_before_the_sink_went_away_is_neither_sent_nor_set_aside_again(
+    tmp_path: Path,
+) -> None:
+    class Leaving(RecordingSink):
+        """Refuses one sample, and takes what comes behind it only when it is back."""
+
+        async def send(self, samples: Sequence[CommittedSample]) -> None:
+            if is_away and samples[0].time >= at(2):
+                raise SinkDown("no answer")
+            await super().send(samples)
+
+    is_away = True
+    sink = Leaving(poison=lambda sample: sample.point == "current" and sample.value == 1)
+    with filled(tmp_path, 4) as writer:
+        delivery = delivery_to(sink, writer)
+        await run_until(delivery, lambda: sink.opened == 5)
+        assert {sample.time for sample in sink.taken} == {at(0), at(1)}
+        commit_reads(writer, 4, 1)
+        is_away = False
+        await run_until(delivery, lambda: delivery.status().cursor == writer.newest_commit)
+        assert (delivery.status().sent, delivery.status().set_aside) == (14, 1)
+    assert len(sink.taken) == len(delivered_once(sink.taken)) == 14
+    assert_in_order(sink.taken)
+    assert len((tmp_path / ASIDE / "sink.jsonl").read_text().splitlines()) == 1
+
+
 async def test_a_set_aside_line_that_was_cut_off_is_ended_before_the_next(tmp_path: Path) -> None:
     sink = RecordingSink(poison=lambda sample: sample.point == "current" and sample.value == 1)
     (tmp_path / ASIDE).mkdir()

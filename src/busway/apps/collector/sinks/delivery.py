@@ -17,7 +17,9 @@ Knows when to send, to wait, to drop and to set aside; knows no receiver.
 7. A sink that shows current values stays connected while nothing is to be sent, and is told which points exist. After a
    restart it gets the last sent samples of points of which only some samples are sent.
 8. If the cursor cannot be saved (a full disk), the delivery goes on, and saves it when there is room. After a crash
-   before that, the samples since the saved cursor are sent again.
+   before that, the samples since the saved cursor are sent again. `Delivery.finish` tries to save it too.
+9. If the receiver goes away in the middle of a batch, what it took of it by an earlier `Sink.send`, and what was set
+   aside of it, is not sent again, unless the process ends before.
 """
 
 import asyncio
@@ -173,6 +175,8 @@ class Delivery:
         self._store_error: str | None = None
         self._is_saved = True  # whether the cursor is in the manifest
         self._unsaved: dict[tuple[str, str], ReportedSample] = {}  # sent, and not in the manifest yet
+        self._arrived: list[Sequence[CommittedSample]] = []  # taken or set aside since the cursor moved (rule 9)
+        self._arrived_alarms: list[Sequence[CommittedAlarm]] = []
         self._is_open = False
         self._is_finishing = False
         self._step_ended: asyncio.Event | None = None
@@ -236,12 +240,16 @@ class Delivery:
     async def finish(self, seconds: float) -> None:
         """Begin no further batch, and wait until the one that is being sent has arrived or failed.
 
-        Returns after ``seconds`` at the latest.
+        A cursor that could not be saved before is saved then, if that succeeds now (rule 8). Returns after ``seconds``
+        at the latest.
         """
         self._is_finishing = True
-        if self._step_ended is not None:
-            with contextlib.suppress(TimeoutError):
-                await asyncio.wait_for(self._step_ended.wait(), seconds)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(seconds):
+                if self._step_ended is not None:
+                    await self._step_ended.wait()
+                if not self._is_saved:
+                    await asyncio.to_thread(self._save_cursor)
 
     async def _whole_step(self) -> bool:
         if self._is_finishing:
@@ -261,7 +269,8 @@ class Delivery:
                 must wait for the clock to be set.
 
         Raises:
-            SinkDown: some samples may have arrived; the cursor stays, so that all of them are sent again.
+            SinkDown: some samples may have arrived; the cursor stays, so that all are sent again that are not known to
+                have arrived.
         """
         found = await asyncio.to_thread(self._next)
         if found is None or self._clock.must_wait(found):
@@ -271,6 +280,7 @@ class Delivery:
         sink = self._sink
         alarms = found.alarms if isinstance(sink, AlarmSink) else []
         alarms = [each for each in alarms if self._is_named((each.event.device, each.event.point))]
+        wanted, alarms = self._not_arrived(wanted, alarms)
         if wanted or alarms:
             await self._open()
         if wanted:
@@ -282,6 +292,18 @@ class Delivery:
         if not found.more:
             await self._show_current()
         return found.more
+
+    def _not_arrived(
+        self, samples: list[CommittedSample], alarms: list[CommittedAlarm]
+    ) -> tuple[list[CommittedSample], list[CommittedAlarm]]:
+        """Return those samples and events of a batch that an earlier attempt has not sent or set aside (rule 9)."""
+        if self._arrived:
+            keys = {_key(sample) for part in self._arrived for sample in part}
+            samples = [sample for sample in samples if _key(sample) not in keys]
+        if self._arrived_alarms:
+            places = {(alarm.commit, alarm.place) for part in self._arrived_alarms for alarm in part}
+            alarms = [alarm for alarm in alarms if (alarm.commit, alarm.place) not in places]
+        return samples, alarms
 
     def _forget_all_but(self, points: Collection[tuple[str, str]] | None) -> None:
         """Forget the last sent sample of each point that is not in ``points``; None forgets none.
@@ -350,6 +372,8 @@ class Delivery:
             reported: the last sent samples of points of which only some are sent.
         """
         self._cursor = cursor
+        self._arrived.clear()
+        self._arrived_alarms.clear()
         self._reported.update(reported)
         self._unsaved.update(reported)
         self._save_cursor()
@@ -428,11 +452,12 @@ class Delivery:
         """Send samples to the sink; those that it refuses for good are found by halving and set aside.
 
         Raises:
-            SinkDown: some samples may have arrived; all of them will be sent again.
+            SinkDown: some samples may have arrived; those that are not in `_arrived` will be sent again.
         """
         try:
             await self._sink.send(samples)
             self._sent += len(samples)
+            self._arrived.append(samples)
         except SinkRefused as error:
             if len(samples) > 1:
                 middle = len(samples) // 2
@@ -448,15 +473,17 @@ class Delivery:
                 "reason": reason_text(sample.reason),
             }
             await self._set_aside("a sample", line, error)
+            self._arrived.append(samples)
 
     async def _send_alarms(self, sink: AlarmSink, alarms: Sequence[CommittedAlarm]) -> None:
         """Send alarm events to the sink; those that it refuses for good are found by halving and set aside.
 
         Raises:
-            SinkDown: some events may have arrived; all of them will be sent again.
+            SinkDown: some events may have arrived; those that are not in `_arrived_alarms` will be sent again.
         """
         try:
             await sink.send_alarms(alarms)
+            self._arrived_alarms.append(alarms)
         except SinkRefused as error:
             if len(alarms) > 1:
                 middle = len(alarms) // 2
@@ -464,6 +491,7 @@ class Delivery:
                 await self._send_alarms(sink, alarms[middle:])
                 return
             await self._set_aside("an event of an alarm", alarm_document(alarms[0]).content, error)
+            self._arrived_alarms.append(alarms)
 
     async def _set_aside(self, what: str, line: Mapping[str, Any], error: SinkRefused) -> None:  # what JSON has
         """Count a refused sample or event of an alarm, and set it aside in the file, if that can be written (rule 5).
@@ -503,6 +531,10 @@ class Delivery:
         self._down_error = str(error)
         self._is_open = False
         await self._sink.close()
+
+
+def _key(sample: CommittedSample) -> tuple[int, str, str, int]:
+    return sample.commit, sample.device, sample.point, sample.time
 
 
 def _passes(rule: ReportRule, last: ReportedSample, sample: CommittedSample) -> bool:
