@@ -68,7 +68,7 @@ PROFILES: dict[str, tuple[Part, ...]] = {
         Part("L5 link, its one future, the loop's turns", "client many", ("client own", "peer")),
     ),
     "client, one await for each read, 16 in flight": (
-        Part("L1–L3 session, one demand for each request", "client session, one by one", ("answers",)),
+        Part("L1–L3 session, one call for each request", "client session, one by one", ("answers",)),
         Part("L5 call, link, future, values, a switch of tasks", "client await", ("client own, one by one", "peer")),
     ),
 }
@@ -124,7 +124,7 @@ def server_steps() -> dict[str, Step]:
 
 
 def client_steps() -> dict[str, Step]:
-    """The session with one demand for all or one for each, and what plays its peer."""
+    """The session with one call for all or one for each, and what plays its peer."""
     requests = [busway.ReadHoldingRegisters(number * REGISTERS, REGISTERS) for number in range(TRANSACTIONS)]
 
     def answers() -> None:

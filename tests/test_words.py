@@ -4,6 +4,7 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterator
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -34,6 +35,7 @@ def is_form_of(word: str, retired: str) -> bool:
     return word in (retired, f"{retired}s", f"{retired}es", f"{retired[:-1]}ies")
 
 
+@cache
 def retired_in(name: str) -> list[str]:
     """The retired words that a name contains; "in flight" is what a request is, and no flight."""
     parts = words_of(name)

@@ -1,4 +1,4 @@
-"""A crowd that asks seldom: 5000 connections, each with one request per second.
+"""Many clients that ask seldom: 5000 connections, each with one request per second.
 
 What a server of many clients does all day. Here it is not the rate that counts, but what of one core a server needs for
 it, and whether anybody waits. The questions are spread evenly over the second, so nearly each of them wakes the server:
@@ -40,7 +40,7 @@ LEAST, LONGEST = 3.0, 10.0
 def run(bench: Bench) -> Table:
     turns = 3 + (1 if bench.quick else OUR_ROUNDS)
     seconds = min(max(bench.budget / turns - PERIOD - SETTLE, LEAST), LONGEST)
-    table = Table(f"A crowd: {CONNECTIONS} connections, a request each {PERIOD:g} s", COLUMNS)
+    table = Table(f"Many clients: {CONNECTIONS} connections, a request each {PERIOD:g} s", COLUMNS)
     ours: list[Mapping[str, float]] = []
     with tempfile.TemporaryDirectory() as folder:
         plant = Path(folder) / "plant.toml"

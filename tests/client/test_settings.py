@@ -58,6 +58,8 @@ def test_a_letter_stands_for_a_parity(letter: str, parity: Parity) -> None:
         ("tcp://h", "retry", "retry: unknown option of tcp://h:502; is it retries?"),
         ("rtu:///dev/ttyX", "stopbit", "stopbit: unknown option of rtu:///dev/ttyX; is it stop_bits?"),
         ("rtu:///dev/ttyX", "speed", "speed: unknown option of rtu:///dev/ttyX; is it baud?"),
+        ("rtu:///dev/ttyX", "baudrat", "baudrat: unknown option of rtu:///dev/ttyX; is it baud?"),
+        ("rtu:///dev/ttyX", "byte_size", "byte_size: unknown option of rtu:///dev/ttyX; is it data_bits?"),
         ("tcp://h", "slave", "slave: unknown option of tcp://h:502; a unit is named where it is asked: link.unit(1)"),
     ],
 )

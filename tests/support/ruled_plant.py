@@ -15,12 +15,12 @@ from types import SimpleNamespace
 from typing import Any
 
 from busway.access.audit_log import AuditLog
+from busway.apps.collector.command_targets import CollectedTargets
 from busway.apps.collector.commands.command import CommandResult
 from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
 from busway.apps.collector.commands.journal import CommandJournal
 from busway.apps.collector.commands.runner import CommandRunner
 from busway.apps.collector.commands.sparkplug import PLACE
-from busway.apps.collector.commands.targets import CollectedTargets
 from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
 from busway.apps.collector.cost import network_cost
 from busway.apps.collector.plan_cache import PlanBook

@@ -109,7 +109,7 @@ class Offer:
         for name, value in (with_preset(own_names, self.options) if self.options else own_names).items():
             kind = next((kind for kind, options in self.kinds.items() if name in options), None)
             if kind is None:
-                raise unknown_option(name, self.names, of=of)
+                raise unknown_option(name, self.names, of=of, aliases=aliases())
             values[kind][name] = value
         return ChosenOptions(self, values)
 

@@ -17,13 +17,16 @@ Parameters = TypeVar("Parameters")
 _OTHER_WORDS: Final = {"retry": "retries", "speed": "baud", "rate": "baud"}
 """Names that users try for an option and that are too different from its name to be recognised as typing errors."""
 _WORDS_FOR_UNIT: Final = frozenset({"unit", "unit_id", "slave", "slave_id", "device_id", "station"})
+_NO_ALIASES: Final[Mapping[str, str]] = {}
 _NEAR: Final = 0.75
 """Similarity 0…1 of an unknown name and an option from which on the error suggests that option."""
 _TRUE = frozenset({"1", "true", "yes", "on"})
 _FALSE = frozenset({"0", "false", "no", "off"})
 
 
-def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigError:
+def unknown_option(
+    name: str, known: Iterable[str], *, of: str = "", aliases: Mapping[str, str] = _NO_ALIASES
+) -> ConfigError:
     """Return the error for an unknown option: it suggests a known option with a similar name, or else lists all.
 
     For a name such as ``unit`` or ``slave`` it says how a unit is chosen.
@@ -32,14 +35,15 @@ def unknown_option(name: str, known: Iterable[str], *, of: str = "") -> ConfigEr
         name: the unknown option; it becomes the key of the error.
         known: the names of the options that the component has.
         of: name of the component, if the message needs one.
+        aliases: other names of options, each with the option's own name.
     """
     from difflib import get_close_matches  # here: it is needed for this sentence alone
 
     there = sorted(known)
-    near = get_close_matches(name.lower(), there, 1, _NEAR)
-    other = _OTHER_WORDS.get(name)
-    if near or other in there:
-        hint = f"is it {near[0] if near else other}?"
+    others = {word: option for word, option in {**_OTHER_WORDS, **aliases}.items() if option in there}
+    near = get_close_matches(name.lower(), [*there, *others], 1, _NEAR)
+    if near:
+        hint = f"is it {others.get(near[0], near[0])}?"
     elif name in _WORDS_FOR_UNIT:
         hint = "a unit is named where it is asked: link.unit(1)"
     else:

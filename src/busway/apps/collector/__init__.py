@@ -21,6 +21,7 @@
 `samples`         Samples: the value of a point at a time, its quality, and the reason if it is not good
 `store`           The store of the collector: the folder in which it keeps samples
 `commands`        Commands: values that people and programs write to points of a running collector, each at most once
+`command_targets`  Finds points of a running collector for commands to write, and their last values
 `device_status`   The status of a polled device: whether it answers, and what its reads have brought
 `learnt_file`     The file beside the store in which a collector keeps what it learns about devices, over restarts
 `sample_readers`  The programs that follow the samples of a running collector

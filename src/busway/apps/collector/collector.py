@@ -31,6 +31,7 @@ from ...errors import ConfigError
 from ...points.point import Point
 from . import time_service
 from .alarms.collected import CollectorAlarms
+from .command_targets import CollectedTargets
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
@@ -38,7 +39,6 @@ from .commands.inputs import CommandInput, CommandReceiver, InputStatus
 from .commands.journal import CommandJournal
 from .commands.other_owners import OtherOwners
 from .commands.runner import CommandRunner
-from .commands.targets import CollectedTargets
 from .configuration import CollectedDevice, CollectorConfiguration, load_collector
 from .connected_systems import ConnectedSystems
 from .derived_points import DerivedPoints

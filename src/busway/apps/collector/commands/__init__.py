@@ -9,7 +9,6 @@
 `other_owners`   the interface through which a collector of a fleet deals with commands for links of other collectors
 `runner`         executes commands that write points of a running collector: checks, records, sends, reads back, reports
 `audit`          audit lines, as JSON, for commands that write points and for changes of the configuration
-`targets`        finds points of a running collector for commands to write, and their last values
 `rights`         whether a writer may write a point: by its role, and by whether the command was armed
 `inputs`         commands that arrive as messages: which points they may write, how they are answered
 `input_options`  makes the receiver of commands that the key `commands` of a sink's table asks for

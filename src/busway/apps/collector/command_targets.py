@@ -5,13 +5,13 @@ Knows the configuration, pollers and last values; decides nothing.
 
 from collections.abc import Callable
 
-from ....errors import ConfigError
-from ..configuration import CollectedDevice, CollectorConfiguration
-from ..poller import LinkPoller
-from ..samples import NANOSECONDS, quality_of
-from ..sinks.prometheus import LastValues
-from .command import OldValue
-from .runner import NoSuchPoint, NotPolledNow, WriteTarget
+from ...errors import ConfigError
+from .commands.command import OldValue
+from .commands.runner import NoSuchPoint, NotPolledNow, WriteTarget
+from .configuration import CollectedDevice, CollectorConfiguration
+from .poller import LinkPoller
+from .samples import NANOSECONDS, quality_of
+from .sinks.prometheus import LastValues
 
 
 class CollectedTargets:
