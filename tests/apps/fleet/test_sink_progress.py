@@ -291,6 +291,9 @@ def samples_of(number: int, sender: str, commits: Sequence[int], times: Sequence
         ([samples_of(1, "one", [4, 5], [1]), samples_of(2, "two", [5, 6], [2])], 2),  # the numbers of two collectors
         ([samples_of(1, "one", [5], [1]), samples_of(2, "two", [5], [1])], 2),
         ([samples_of(number, "one", [5], [1, 2]) for number in (1, 2)], 2),  # sent again
+        ([samples_of(1, "one", [8, 9], [1]), samples_of(2, "one", [5, 6], [1])], 2),  # sent again from an earlier one
+        ([samples_of(1, "one", [900], [1]), samples_of(2, "two", [5], [2])], 2),  # its new owner has a younger store
+        ([samples_of(1, "one", [5], [1]), samples_of(2, "two", [900], [2])], 1),
     ],
 )
 async def test_documents_have_the_same_keys_whether_messages_come_together_or_one_by_one(

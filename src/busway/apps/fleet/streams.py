@@ -758,21 +758,21 @@ class StreamSink:
     async def _send_all(self, messages: list[SampleMessage]) -> None:
         """Send the samples and gaps of messages to the sink in order, the samples of many messages at once.
 
-        Samples of one device and one commit number from two messages are sent one after the other, never together: a
-        sink can make one document with a key of them, which must be the same at a repetition.
+        Samples of one device from two messages are sent together only if those of the later message have higher commit
+        numbers. Of those with the same number a sink can make one document with a key, which must be the same at a
+        repetition; and a sink sorts by these numbers, which of two collectors' stores mean nothing.
         """
         waiting: list[CommittedSample] = []
-        places = set[tuple[str, int]]()
+        newest: dict[str, int] = {}
         for each in messages:
             if each.gap is not None and isinstance(self._sink, OwnershipGapSink):
                 await self._send(waiting)  # a gap begins after what was there before it
-                waiting, places = [], set()
+                waiting, newest = [], {}
                 await self._send_gap(self._sink, each.gap, each.revision)
-            added = {(sample.device, sample.commit) for sample in each.samples}
-            if not places.isdisjoint(added):
+            if any(sample.commit <= newest.get(sample.device, 0) for sample in each.samples):
                 await self._send(waiting)
-                waiting, places = [], set()
-            places |= added
+                waiting, newest = [], {}
+            newest |= {sample.device: sample.commit for sample in each.samples}  # the last one is the highest
             waiting.extend(sample._replace(revision=each.revision) for sample in each.samples)
         await self._send(waiting)
 
