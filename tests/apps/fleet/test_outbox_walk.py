@@ -114,7 +114,7 @@ class Stored:
         self.newest = 0
         self.commits: list[int] = []
         self.changed: set[tuple[str, int]] = set()
-        """Devices and commits that have lost a sample to a later one."""
+        """Links and commits that have lost a sample to a later one."""
         self.writer = StoreWriter(folder, now=NOW)
         self.writer.describe_points(
             [PointDescription(device, point, unit, point == "on") for (device, point), unit in UNITS.items()]
@@ -158,7 +158,7 @@ class Stored:
         if self.commits[-1:] != [sample.commit]:
             self.commits.append(sample.commit)
         if key in self.rows:
-            self.changed.add((sample.device, self.rows[key].commit))
+            self.changed.add((LINKS.get(sample.device, ""), self.rows[key].commit))
         self.rows[key] = sample
         self.ever[repr(sample)] = sample.device
         self.aside.discard(key)
@@ -301,7 +301,7 @@ class Stream:
             assert found.revision == self.world.revision_of(each.commit)
         for commit in {each.commit for each in found.samples}:
             piece = tuple(repr(each) for each in found.samples if each.commit == commit)
-            if not {(each.device, commit) for each in found.samples} & self.world.stored.changed:
+            if (found.link, commit) not in self.world.stored.changed:
                 for text in piece:
                     assert self.pieces.setdefault(text, piece) == piece, "the commit is cut at another place"
 
@@ -393,6 +393,7 @@ class World:
 
     async def settle(self) -> None:
         """With nothing failing any more, all sinks come to have everything, and the cursor to be there."""
+        self.failures.fails = lambda number, name: False
         for _ in range(int(4 * AGAIN_LIMIT / AGAIN_AFTER)):
             while await self.step():
                 pass
@@ -480,7 +481,7 @@ async def test_whatever_operation_fails_once_all_samples_reach_all_sinks_as_they
                     if world.saved() >= stored.newest:
                         break
                 await world.settle()
-            last = failures.number
+                last = failures.number
             at += STRIDE
     finally:
         stored.writer.close(stored.now)
@@ -560,7 +561,6 @@ class Walk:
             if isinstance(found, Awaitable):
                 await found
             self.world.check()
-        self.rate = 0.0
         self.commit()
         await self.world.settle()
 
