@@ -447,44 +447,54 @@ def filled(folder: Path) -> Stored:
     return stored
 
 
-@pytest.mark.parametrize("restarts", [False, True], ids=["it goes on", "it begins anew"])
-@pytest.mark.parametrize("is_late", [False, True], ids=["not done", "done and not answered"])
-async def test_whatever_operation_fails_once_all_samples_reach_all_sinks_as_they_were_stored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_late: bool, restarts: bool
+WAYS = [(is_late, restarts) for is_late in (False, True) for restarts in (False, True)]
+
+
+async def test_whatever_operation_fails_all_samples_reach_all_sinks_as_they_were_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Once or several times, done or not done; then the outbox goes on, or another one begins."""
     monkeypatch.setattr(outbox_module, "MOST", 30)
     failures = Failures()
     failures.patch(monkeypatch)
     stored = filled(tmp_path)
-    failures.is_late = lambda number: is_late
-    offset = 2 * is_late + restarts
-    at, last = 1 + offset % STRIDE, 10**9
+    at, last = 1, 10**9
     try:
         while at <= last:
-            for length in (1, 3) if STRIDE == 1 else (1 + at % 3,):
-                stored.writer.manifest.set_cursor(OUTBOX, 0, 0)
-                failures.number = 0
-                failures.log.clear()
-                failing = range(at, at + length)
-                failures.fails = lambda number, name, failing=failing: number in failing  # type: ignore[misc]
-                world = World(stored, failures, 1100)
-                for _ in range(30):
-                    more = True
-                    while more:
-                        failed = len(failures.log)
-                        more = await world.step()
-                        if restarts and len(failures.log) > failed:
-                            world.outbox = None
-                    for each in world.receivers:
-                        await each.take(10**6)
-                    world.show()
-                    if world.saved() >= stored.newest:
-                        break
-                await world.settle()
+            ways = WAYS if STRIDE == 1 else [WAYS[at % len(WAYS)]]
+            for is_late, restarts in ways:
+                failing = range(at, at + (1, 3, 40)[(at + restarts) // len(WAYS) % 3])
+                await fail(stored, failures, failing, is_late=is_late, restarts=restarts)
                 last = failures.number
             at += STRIDE
     finally:
         stored.writer.close(stored.now)
+
+
+async def fail(stored: Stored, failures: Failures, failing: range, *, is_late: bool, restarts: bool) -> None:
+    """Send the whole store anew, while the operations with these numbers fail."""
+    stored.writer.manifest.set_cursor(OUTBOX, 0, 0)
+    failures.number = 0
+    failures.log.clear()
+    failures.fails = lambda number, name: number in failing
+    failures.is_late = lambda number: is_late
+    world = World(stored, failures, 1100)
+    try:
+        for _ in range(50):
+            more = True
+            while more:
+                failed = len(failures.log)
+                more = await world.step()
+                if restarts and len(failures.log) > failed:
+                    world.outbox = None
+            for each in world.receivers:
+                await each.take(10**6)
+            world.show()
+            if world.saved() >= stored.newest:
+                break
+        await world.settle()
+    except AssertionError as error:
+        raise AssertionError(f"{error}\n{failing}, {is_late=}, {restarts=}: {', '.join(failures.log)}") from error
 
 
 class Walk:
