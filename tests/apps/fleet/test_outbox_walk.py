@@ -27,7 +27,7 @@ from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message, longest_head, longest_row
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import CURSORS, CursorBook, SinkProgress, StreamSink
@@ -288,7 +288,11 @@ class Stream:
         if problem is not None and not world.failures.is_late(world.failures.number):
             raise problem
         data = message.encode()
-        assert len(data) <= world.longest
+        known = set[str]()
+        devices = () if message.gap is None else message.gap.devices
+        bound = longest_head("hall", "V", message.link, *devices)
+        bound += sum(longest_row(each, known) for each in message.samples)
+        assert len(data) <= bound <= world.longest
         self.check(message, decode_message(data))
         self.messages.append(data)
         if problem is not None:
