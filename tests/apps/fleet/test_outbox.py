@@ -5,6 +5,7 @@ import itertools
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from random import Random
 
 import pytest
 from waiting import until
@@ -652,6 +653,28 @@ def test_messages_of_any_limit_have_each_sample_once_in_order_and_each_commit_wh
             counts.add((len(messages), len(aside)))
     assert (3, 0) in counts, "those before the gap, the gap, and those after it"
     assert len(counts) > 8
+
+
+def test_messages_with_long_names_are_not_too_long_wherever_they_are_cut(tmp_path: Path) -> None:
+    """Names take most of a message, and a commit begins a message with names that the one before had already."""
+    sending, chance = Sending(tmp_path), Random(1)
+    names = [letter * 300 for letter in "abc"]
+    with sending.writer:
+        for limit in range(1300, 3300, 40):
+            sending.stream.longest = limit
+            samples = [
+                CommittedSample(
+                    commit, chance.choice(names), chance.choice(names), place, 0, "x", 0, chance.choice(names)
+                )
+                for commit in range(1, 30)
+                for place in range(chance.randrange(1, 6))
+            ]
+            messages = sending.outbox._messages_of(samples, [])
+            assert [each for message in messages for each in message.samples] == samples
+            for message in messages:
+                known = set[str]()
+                bound = longest_head("one", "s", "") + sum(longest_row(each, known) for each in message.samples)
+                assert len(message.encode()) <= bound <= limit
 
 
 def test_a_message_that_has_exactly_the_most_bytes_is_not_cut(tmp_path: Path) -> None:

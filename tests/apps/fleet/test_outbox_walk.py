@@ -4,7 +4,7 @@ The model is what was committed. It is compared with what sinks get, which is de
 of devices, points, links and units of measure are the same texts, values are equal and of other types, and times are
 equal.
 
-`BUSWAY_OUTBOX_SEEDS` has other seeds of the walk, and `BUSWAY_OUTBOX_STRIDE=1` fails at every operation, not at some.
+`BUSWAY_OUTBOX_SEEDS` has other seeds of the walk; `BUSWAY_OUTBOX_EVERY=1` fails every operation, not one of each kind.
 """
 
 import os
@@ -27,7 +27,7 @@ from busway.apps.collector.store.writer import StoreWriter
 from busway.apps.fleet import outbox as outbox_module
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message
+from busway.apps.fleet.messages import MOST_BYTES, SampleMessage, decode_message, longest_head, longest_row
 from busway.apps.fleet.outbox import AGAIN_AFTER, AGAIN_LIMIT, OUTBOX, Outbox, SinkPlace, StreamDown
 from busway.apps.fleet.ownership_gaps import OwnershipGap
 from busway.apps.fleet.streams import CURSORS, CursorBook, SinkProgress, StreamSink
@@ -35,7 +35,7 @@ from busway.apps.fleet.streams import CURSORS, CursorBook, SinkProgress, StreamS
 pytest.importorskip("msgpack")
 
 SEEDS = [int(each) for each in os.environ.get("BUSWAY_OUTBOX_SEEDS", "1 2 5").split()]
-STRIDE = int(os.environ.get("BUSWAY_OUTBOX_STRIDE", "41"))
+EVERY = os.environ.get("BUSWAY_OUTBOX_EVERY") == "1"
 
 NOW = 1_800_000_000 * 10**9
 LINKS = {"V": "hall", "W": "V", "hall": "hall"}
@@ -70,6 +70,7 @@ class Failures:
         self.is_late: Callable[[int], bool] = lambda number: False
         self.number = 0
         self.is_watching = False
+        self.names: list[str] = []
         self.log: list[str] = []
 
     def patch(self, patch: pytest.MonkeyPatch) -> None:
@@ -94,6 +95,7 @@ class Failures:
         if not self.is_watching:
             return None
         self.number += 1
+        self.names.append(name)
         if not self.fails(self.number, name):
             return None
         self.log.append(f"{name} fails{' late' if self.is_late(self.number) else ''}")
@@ -114,7 +116,7 @@ class Stored:
         self.newest = 0
         self.commits: list[int] = []
         self.changed: set[tuple[str, int]] = set()
-        """Devices and commits that have lost a sample to a later one."""
+        """Links and commits that have lost a sample to a later one."""
         self.writer = StoreWriter(folder, now=NOW)
         self.writer.describe_points(
             [PointDescription(device, point, unit, point == "on") for (device, point), unit in UNITS.items()]
@@ -158,7 +160,7 @@ class Stored:
         if self.commits[-1:] != [sample.commit]:
             self.commits.append(sample.commit)
         if key in self.rows:
-            self.changed.add((sample.device, self.rows[key].commit))
+            self.changed.add((LINKS.get(sample.device, ""), self.rows[key].commit))
         self.rows[key] = sample
         self.ever[repr(sample)] = sample.device
         self.aside.discard(key)
@@ -286,7 +288,11 @@ class Stream:
         if problem is not None and not world.failures.is_late(world.failures.number):
             raise problem
         data = message.encode()
-        assert len(data) <= world.longest
+        known = set[str]()
+        devices = () if message.gap is None else message.gap.devices
+        bound = longest_head("hall", "V", message.link, *devices)
+        bound += sum(longest_row(each, known) for each in message.samples)
+        assert len(data) <= bound <= world.longest
         self.check(message, decode_message(data))
         self.messages.append(data)
         if problem is not None:
@@ -301,7 +307,7 @@ class Stream:
             assert found.revision == self.world.revision_of(each.commit)
         for commit in {each.commit for each in found.samples}:
             piece = tuple(repr(each) for each in found.samples if each.commit == commit)
-            if not {(each.device, commit) for each in found.samples} & self.world.stored.changed:
+            if (found.link, commit) not in self.world.stored.changed:
                 for text in piece:
                     assert self.pieces.setdefault(text, piece) == piece, "the commit is cut at another place"
 
@@ -393,6 +399,7 @@ class World:
 
     async def settle(self) -> None:
         """With nothing failing any more, all sinks come to have everything, and the cursor to be there."""
+        self.failures.fails = lambda number, name: False
         for _ in range(int(4 * AGAIN_LIMIT / AGAIN_AFTER)):
             while await self.step():
                 pass
@@ -446,44 +453,56 @@ def filled(folder: Path) -> Stored:
     return stored
 
 
-@pytest.mark.parametrize("restarts", [False, True], ids=["it goes on", "it begins anew"])
-@pytest.mark.parametrize("is_late", [False, True], ids=["not done", "done and not answered"])
-async def test_whatever_operation_fails_once_all_samples_reach_all_sinks_as_they_were_stored(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, is_late: bool, restarts: bool
+WAYS = [(is_late, restarts) for is_late in (False, True) for restarts in (False, True)]
+
+
+async def test_whatever_operation_fails_all_samples_reach_all_sinks_as_they_were_stored(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Once or several times, done or not done; then the outbox goes on, or another one begins."""
     monkeypatch.setattr(outbox_module, "MOST", 30)
     failures = Failures()
     failures.patch(monkeypatch)
     stored = filled(tmp_path)
-    failures.is_late = lambda number: is_late
-    offset = 2 * is_late + restarts
-    at, last = 1 + offset % STRIDE, 10**9
     try:
-        while at <= last:
-            for length in (1, 3) if STRIDE == 1 else (1 + at % 3,):
-                stored.writer.manifest.set_cursor(OUTBOX, 0, 0)
-                failures.number = 0
-                failures.log.clear()
-                failing = range(at, at + length)
-                failures.fails = lambda number, name, failing=failing: number in failing  # type: ignore[misc]
-                world = World(stored, failures, 1100)
-                for _ in range(30):
-                    more = True
-                    while more:
-                        failed = len(failures.log)
-                        more = await world.step()
-                        if restarts and len(failures.log) > failed:
-                            world.outbox = None
-                    for each in world.receivers:
-                        await each.take(10**6)
-                    world.show()
-                    if world.saved() >= stored.newest:
-                        break
-                await world.settle()
-            last = failures.number
-            at += STRIDE
+        await fail(stored, failures, range(0), is_late=False, restarts=False)
+        places: dict[str, list[int]] = {}
+        for number, name in enumerate(failures.names, 1):
+            places.setdefault(name, []).append(number)
+        for name, numbers in places.items():
+            for number in numbers if EVERY else numbers[len(numbers) // 2 :][:1]:
+                for is_late, restarts in WAYS if EVERY or name == "set_cursor" else [WAYS[number % len(WAYS)]]:
+                    failing = range(number, number + (1, 3, 40)[number % 3])
+                    await fail(stored, failures, failing, is_late=is_late, restarts=restarts)
     finally:
         stored.writer.close(stored.now)
+
+
+async def fail(stored: Stored, failures: Failures, failing: range, *, is_late: bool, restarts: bool) -> None:
+    """Send the whole store anew, while the operations with these numbers fail."""
+    stored.writer.manifest.set_cursor(OUTBOX, 0, 0)
+    failures.number = 0
+    failures.names.clear()
+    failures.log.clear()
+    failures.fails = lambda number, name: number in failing
+    failures.is_late = lambda number: is_late
+    world = World(stored, failures, 1100)
+    try:
+        for _ in range(50):
+            more = True
+            while more:
+                failed = len(failures.log)
+                more = await world.step()
+                if restarts and len(failures.log) > failed:
+                    world.outbox = None
+            for each in world.receivers:
+                await each.take(10**6)
+            world.show()
+            if world.saved() >= stored.newest:
+                break
+        await world.settle()
+    except AssertionError as error:
+        raise AssertionError(f"{error}\n{failing}, {is_late=}, {restarts=}: {', '.join(failures.log)}") from error
 
 
 class Walk:
@@ -560,7 +579,6 @@ class Walk:
             if isinstance(found, Awaitable):
                 await found
             self.world.check()
-        self.rate = 0.0
         self.commit()
         await self.world.settle()
 

@@ -189,6 +189,56 @@ async def test_a_message_that_the_stream_does_not_give_is_left_out_after_some_ti
     assert sink._progress.cursors.commits == {"one/s": 0}
 
 
+async def test_messages_that_a_stream_has_dropped_are_left_out_and_those_behind_them_are_waited_for() -> None:
+    """The oldest that the stream has is 5: it comes, although a later one came before it."""
+
+    class Stream:
+        async def stream_info(self, name: str) -> Any:
+            return SimpleNamespace(state=SimpleNamespace(first_seq=5))
+
+    def given(sequence: int) -> Any:
+        return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
+
+    sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
+    sink._progress.take(2, None)
+    for _ in range(2):
+        assert await sink._following(Stream(), "s", [given(6), given(9)]) == []
+        assert sink.dropped == 2, "counted once"
+    later = [given(5), given(6), given(9)]
+    assert await sink._following(Stream(), "s", later) == later[:2]
+    assert sink.dropped == 2
+
+
+async def test_after_a_message_that_is_left_out_the_next_one_that_is_missing_is_waited_for_too(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    class Stream:
+        async def stream_info(self, name: str) -> Any:
+            return SimpleNamespace(state=SimpleNamespace(first_seq=1))
+
+    def given(sequence: int) -> Any:
+        return SimpleNamespace(metadata=SimpleNamespace(sequence=SimpleNamespace(stream=sequence)))
+
+    now = 100.0
+    monkeypatch.setattr("busway.apps.fleet.streams.time.monotonic", lambda: now)
+    sink = StreamSink(None, None, "hall", "history", None)  # type: ignore[arg-type]
+    sink._progress.take(2, None)
+    assert await sink._following(Stream(), "s", [given(6), given(9)]) == []
+    assert await sink._following(Stream(), "s", [given(5), given(6), given(9)]) == []
+    now += MISSING_SECONDS + 1.0
+    assert await sink._following(Stream(), "s", [given(6), given(9)]) == [], "5 came once, and comes again"
+    assert await sink._following(Stream(), "s", [given(5), given(6), given(9)]) == [given(5), given(6)]
+    sink._progress.take(6, None)
+    assert await sink._following(Stream(), "s", [given(9)]) == [given(9)], "7 was missing as long as 3"
+    sink._progress.take(9, None)
+    assert await sink._following(Stream(), "s", [given(11), given(12)]) == []
+    assert await sink._following(Stream(), "s", [given(12)]) == []
+    now += MISSING_SECONDS + 1.0
+    assert await sink._following(Stream(), "s", [given(12)]) == [], "11 has come, and is not given any more"
+    now += MISSING_SECONDS + 1.0
+    assert await sink._following(Stream(), "s", [given(12)]) == [given(12)]
+
+
 async def test_cursors_are_followed_anew_after_a_defect_of_the_coordinator(caplog: pytest.LogCaptureFixture) -> None:
     class Broken:
         begun = 0
@@ -241,6 +291,9 @@ def samples_of(number: int, sender: str, commits: Sequence[int], times: Sequence
         ([samples_of(1, "one", [4, 5], [1]), samples_of(2, "two", [5, 6], [2])], 2),  # the numbers of two collectors
         ([samples_of(1, "one", [5], [1]), samples_of(2, "two", [5], [1])], 2),
         ([samples_of(number, "one", [5], [1, 2]) for number in (1, 2)], 2),  # sent again
+        ([samples_of(1, "one", [8, 9], [1]), samples_of(2, "one", [5, 6], [1])], 2),  # sent again from an earlier one
+        ([samples_of(1, "one", [900], [1]), samples_of(2, "two", [5], [2])], 2),  # its new owner has a younger store
+        ([samples_of(1, "one", [5], [1]), samples_of(2, "two", [900], [2])], 1),
     ],
 )
 async def test_documents_have_the_same_keys_whether_messages_come_together_or_one_by_one(

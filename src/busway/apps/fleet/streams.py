@@ -575,7 +575,10 @@ class StreamSink:
         self._progress = SinkProgress(None)
         self._book = CursorBook()
         self._is_open = False
-        self._missing = 0, 0.0
+        self._missing: dict[int, float] = {}
+        """By number of the first message of a gap in the numbers, since when it is missing, by `time.monotonic`."""
+        self._came = set[int]()
+        """Numbers of messages behind the first gap: they were given back to the stream, which delivers them again."""
 
     async def run(self) -> None:
         """Pass samples on to the sink until cancelled; after a failure try again every half second.
@@ -679,8 +682,9 @@ class StreamSink:
         """Return the messages that may be sent to the sink now; the caller gives the others back to the stream.
 
         These are the messages before the first gap in the numbers, counted from the last message that the sink has
-        taken; the list can be empty. All messages are returned if the missing ones will not come any more: the stream
-        has dropped them (counted in ``dropped``), or has not delivered them for `MISSING_SECONDS`.
+        taken; the list can be empty. A gap at the begin is left out once its messages will not come any more: the
+        stream has dropped them (counted in ``dropped``), or has not delivered them for `MISSING_SECONDS`. Then the
+        messages up to the next gap are returned.
 
         Args:
             jetstream: JetStream context of nats-py.
@@ -694,38 +698,46 @@ class StreamSink:
                 break
             expected = max(expected, int(message.metadata.sequence.stream) + 1)
             place += 1
-        if place == len(messages):
-            return messages
+        if place or not messages:
+            return messages[:place]
         first = int((await jetstream.stream_info(stream)).state.first_seq)
-        if first <= expected:
-            if place or not self._is_missing_for_good(expected):
-                return messages[:place]
+        self._note_missing(expected, [int(each.metadata.sequence.stream) for each in messages])
+        following = min(number for number in self._came if number > expected)
+        if first > expected:
+            following = min(first, following)  # what the stream still has behind those that it has dropped comes
+            dropped = following - expected
+            self.dropped += dropped
+            _log.warning(
+                "sink %s: the stream was full and has dropped %d messages that were not taken;"
+                " collectors send them again",
+                self._name,
+                dropped,
+            )
+        elif time.monotonic() > self._missing[expected] + MISSING_SECONDS:
             _log.warning(
                 "sink %s: the stream does not give message %d for %g s: it is left out; collectors send it again",
                 self._name,
                 expected,
                 MISSING_SECONDS,
             )
-            return messages
-        self.dropped += first - expected
-        _log.warning(
-            "sink %s: the stream was full and has dropped %d messages that were not taken; collectors send them again",
-            self._name,
-            first - expected,
-        )
-        return messages
+        else:
+            return []
+        self._progress.take(following - 1, None)
+        return await self._following(jetstream, stream, messages)
 
-    def _is_missing_for_good(self, sequence: int) -> bool:
-        """Whether a message has been missing for more than `MISSING_SECONDS`, counted from the first call for it.
+    def _note_missing(self, expected: int, numbers: list[int]) -> None:
+        """Note which messages have come, and since when those before them are missing.
 
-        True means not to wait for it any longer. Servers of a cluster can differ in which message has a number.
+        Servers of a cluster can differ in which message has a number, so some may never come.
 
         Args:
-            sequence: number of the message in the stream.
+            expected: number of the first message that is missing.
+            numbers: numbers of the messages that the stream gives now, all above that.
         """
-        if self._missing[0] != sequence:
-            self._missing = sequence, time.monotonic()
-        return time.monotonic() > self._missing[1] + MISSING_SECONDS
+        now = time.monotonic()
+        self._came = {number for number in (*self._came, *numbers) if number >= expected}
+        behind = {number + 1 for number in self._came} - self._came - {max(self._came) + 1}
+        self._missing = {begin: self._missing.get(begin, now) for begin in (expected, *behind)}
 
     async def _give_back(self, messages: Iterable[Any]) -> None:
         """Give messages back to the stream, which delivers them again after 0.2 s; errors are ignored."""
@@ -746,21 +758,21 @@ class StreamSink:
     async def _send_all(self, messages: list[SampleMessage]) -> None:
         """Send the samples and gaps of messages to the sink in order, the samples of many messages at once.
 
-        Samples of one device and one commit number from two messages are sent one after the other, never together: a
-        sink can make one document with a key of them, which must be the same at a repetition.
+        Samples of one device from two messages are sent together only if those of the later message have higher commit
+        numbers. Of those with the same number a sink can make one document with a key, which must be the same at a
+        repetition; and a sink sorts by these numbers, which of two collectors' stores mean nothing.
         """
         waiting: list[CommittedSample] = []
-        places = set[tuple[str, int]]()
+        newest: dict[str, int] = {}
         for each in messages:
             if each.gap is not None and isinstance(self._sink, OwnershipGapSink):
                 await self._send(waiting)  # a gap begins after what was there before it
-                waiting, places = [], set()
+                waiting, newest = [], {}
                 await self._send_gap(self._sink, each.gap, each.revision)
-            added = {(sample.device, sample.commit) for sample in each.samples}
-            if not places.isdisjoint(added):
+            if any(sample.commit <= newest.get(sample.device, 0) for sample in each.samples):
                 await self._send(waiting)
-                waiting, places = [], set()
-            places |= added
+                waiting, newest = [], {}
+            newest |= {sample.device: sample.commit for sample in each.samples}  # the last one is the highest
             waiting.extend(sample._replace(revision=each.revision) for sample in each.samples)
         await self._send(waiting)
 

@@ -29,7 +29,7 @@ from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.mqtt import MqttSink
 from busway.apps.collector.sinks.nats import NatsSink
 from busway.apps.collector.sinks.postgresql import PostgresqlSink
-from busway.apps.collector.store.committed_samples import CommittedAlarm
+from busway.apps.collector.store.committed_samples import CommittedAlarm, CommittedSample
 from busway.apps.collector.store.writer import StoreWriter
 
 READS = 30
@@ -473,6 +473,25 @@ async def test_a_database_gets_every_kind_of_value_and_poison_is_set_aside(
         "bool": (1.0, None, 0, 7),
         "bad": (None, None, 258, 7),
     }
+
+
+async def test_of_samples_of_one_time_in_one_batch_a_database_has_the_one_that_was_committed_last(
+    database: PostgresqlServer,
+) -> None:
+    def sample(commit: int, point: str, time: int, value: int) -> CommittedSample:
+        return CommittedSample(commit, "d", point, time, 5, value, 0)
+
+    points = [f"p{number}" for number in range(40)]
+    batch = [sample(commit, point, at(1), 10 * commit) for commit in (1, 2, 3, 4) for point in points]
+    batch += [sample(5, "finer", at(1) + 7, 1), sample(6, "finer", at(1) + 3, 2)]
+    sink = PostgresqlSink(database.url, password=database.PASSWORD, table="equal_times")
+    await sink.open()
+    try:
+        await sink.send(batch)
+    finally:
+        await sink.close()
+    rows = await rows_of(database, "SELECT point, value FROM equal_times")
+    assert dict(rows) == {**dict.fromkeys(points, 40.0), "finer": 1.0}
 
 
 async def test_a_database_refuses_values_by_type_range_constraint_and_trigger_and_waits_for_a_column(

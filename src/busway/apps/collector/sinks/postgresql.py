@@ -194,7 +194,7 @@ class PostgresqlSink:
             await self._connection.execute(
                 f"INSERT INTO {self._table} ({columns})"
                 f" SELECT DISTINCT ON (device, point, time) {columns} FROM arriving"
-                f" ORDER BY device, point, time, nanoseconds DESC"
+                f" ORDER BY device, point, time, nanoseconds DESC, ctid DESC"  # of equal times the one that came last
                 f" ON CONFLICT (device, point, time) DO UPDATE SET {changed}"
             )
             if self._has_gap_table:
