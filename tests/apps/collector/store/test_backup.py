@@ -156,3 +156,25 @@ def test_what_happens_while_a_backup_is_made_takes_nothing_from_it(
     kept = Store(tmp_path / "again").read()
     assert len(kept) == (9 if meanwhile == "sealed" else 10)
     assert kept == Store(tmp_path / "data").read()
+
+
+def test_a_segment_that_is_sealed_just_before_it_is_copied_is_in_the_backup_and_leaves_no_file_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Path] = []
+    open_really = backup.open_for_reading
+
+    def open_and_seal(path: Path) -> sqlite3.Connection:
+        database = open_really(path)
+        if path.parent.name == SEGMENTS and not opened:
+            opened.append(path)
+            writer.roll()
+            writer.seal_closed()
+        return database
+
+    with filled(tmp_path / "data", 3) as writer, monkeypatch.context() as patched:
+        patched.setattr(backup, "open_for_reading", open_and_seal)
+        back_up(tmp_path / "data", tmp_path / "copy")
+    assert restore(tmp_path / "copy", tmp_path / "again") == 1
+    assert len(Store(tmp_path / "again").read()) == 9
+    assert [path.exists() for path in opened] == [False]
