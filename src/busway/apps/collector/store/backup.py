@@ -168,12 +168,19 @@ def _make_way(folder: Path) -> None:
     try:
         if not folder.exists():
             return
-        if any(path.name != LOCK for path in folder.iterdir()):
-            raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
+        _check_empty(folder)
         lock = StoreLock(folder)
         try:
-            shutil.rmtree(folder)
+            _check_empty(folder)  # a process may have made a store meanwhile, and ended
+            (folder / LOCK).unlink()
+            folder.rmdir()
         finally:
             lock.release()
     except OSError as error:
         raise ConfigError(f"no backup can be restored here: {error.strerror}", file=str(folder)) from error
+
+
+def _check_empty(folder: Path) -> None:
+    """Raise `ConfigError` if there is anything but a lock file in a folder."""
+    if any(path.name != LOCK for path in folder.iterdir()):
+        raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
