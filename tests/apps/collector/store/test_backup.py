@@ -89,6 +89,42 @@ def test_a_backup_is_not_restored_into_a_folder_that_a_writer_has_locked(tmp_pat
     assert restore(tmp_path / "backup", folder) == 1
 
 
+@pytest.mark.parametrize("moment", ["before the lock", "between open and lock"])
+def test_a_restore_deletes_no_store_that_was_made_while_it_looked_and_leaves_no_lock_of_a_deleted_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moment: str
+) -> None:
+    with filled(tmp_path / "store", 2):
+        back_up(tmp_path / "store", tmp_path / "backup")
+    folder = tmp_path / "again"
+    folder.mkdir()
+    begins = [True]
+
+    def lock_late(folder: Path) -> StoreLock:
+        if begins.pop():
+            filled(folder, 1).close(at(2))
+        return StoreLock(folder)
+
+    def take_late(lock: StoreLock) -> None:
+        if begins and begins.pop():
+            restore(tmp_path / "backup", folder)
+        take(lock)
+
+    take = StoreLock._take
+    with monkeypatch.context() as patched:
+        if moment == "before the lock":
+            patched.setattr(backup, "StoreLock", lock_late)
+            with pytest.raises(ConfigError, match="is not empty"):
+                restore(tmp_path / "backup", folder)
+            assert len(Store(folder).read("meter-7/voltage")) == 1
+            return
+        patched.setattr(StoreLock, "_take", take_late)
+        lock = StoreLock(folder)
+    assert len(Store(folder).read()) == 6, "the restored store"
+    with pytest.raises(ConfigError, match="collects into this store"):
+        StoreLock(folder)
+    lock.release()
+
+
 def test_a_backup_is_not_restored_into_a_file(tmp_path: Path) -> None:
     with filled(tmp_path / "store", 2):
         back_up(tmp_path / "store", tmp_path / "backup")
@@ -156,3 +192,25 @@ def test_what_happens_while_a_backup_is_made_takes_nothing_from_it(
     kept = Store(tmp_path / "again").read()
     assert len(kept) == (9 if meanwhile == "sealed" else 10)
     assert kept == Store(tmp_path / "data").read()
+
+
+def test_a_segment_that_is_sealed_just_before_it_is_copied_is_in_the_backup_and_leaves_no_file_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    opened: list[Path] = []
+    open_really = backup.open_for_reading
+
+    def open_and_seal(path: Path) -> sqlite3.Connection:
+        database = open_really(path)
+        if path.parent.name == SEGMENTS and not opened:
+            opened.append(path)
+            writer.roll()
+            writer.seal_closed()
+        return database
+
+    with filled(tmp_path / "data", 3) as writer, monkeypatch.context() as patched:
+        patched.setattr(backup, "open_for_reading", open_and_seal)
+        back_up(tmp_path / "data", tmp_path / "copy")
+    assert restore(tmp_path / "copy", tmp_path / "again") == 1
+    assert len(Store(tmp_path / "again").read()) == 9
+    assert [path.exists() for path in opened] == [False]

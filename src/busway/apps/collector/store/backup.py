@@ -14,6 +14,7 @@ Knows files and what the manifest says of them; changes nothing in the store tha
 3. A backup that was interrupted is a folder whose name ends with ``.unfinished``, and is no store.
 """
 
+import os
 import shutil
 import sqlite3
 from contextlib import closing
@@ -93,8 +94,7 @@ def _copied(folder: Path, target: Path) -> int | None:
                 shutil.copyfile(source, copy)
                 sync_file(copy)
             else:
-                with closing(open_for_reading(source)):
-                    _copy_database(source, copy)
+                _copy_database(source, copy)
         except FileNotFoundError:
             if part.kind != "open" or not _is_listed(folder, part):
                 return None
@@ -120,9 +120,21 @@ def _is_listed(folder: Path, part: StorePart) -> bool:
 
 
 def _copy_database(source: Path, target: Path) -> None:
+    """Copy an SQLite file.
+
+    Raises:
+        FileNotFoundError: there is no such file, or it was deleted meanwhile: what its log had may not be in the copy.
+    """
     target.unlink(missing_ok=True)
-    with closing(sqlite3.connect(source, timeout=10.0)) as read, closing(sqlite3.connect(target)) as written:
-        read.backup(written)
+    try:
+        with closing(open_for_reading(source)) as read, closing(sqlite3.connect(target)) as written:
+            read.backup(written)
+    except sqlite3.Error as error:
+        if source.exists():
+            raise
+        raise FileNotFoundError(os.fspath(source)) from error
+    if not source.exists():
+        raise FileNotFoundError(os.fspath(source))
     sync_file(target)
 
 
@@ -156,12 +168,19 @@ def _make_way(folder: Path) -> None:
     try:
         if not folder.exists():
             return
-        if any(path.name != LOCK for path in folder.iterdir()):
-            raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))
+        _check_empty(folder)
         lock = StoreLock(folder)
         try:
-            shutil.rmtree(folder)
+            _check_empty(folder)  # a process may have made a store meanwhile, and ended
+            (folder / LOCK).unlink()
+            folder.rmdir()
         finally:
             lock.release()
     except OSError as error:
         raise ConfigError(f"no backup can be restored here: {error.strerror}", file=str(folder)) from error
+
+
+def _check_empty(folder: Path) -> None:
+    """Raise `ConfigError` if there is anything but a lock file in a folder."""
+    if any(path.name != LOCK for path in folder.iterdir()):
+        raise ConfigError("is not empty; a backup is restored into a new folder", file=str(folder))

@@ -79,6 +79,15 @@ class StoreLock:
                 cannot be opened, or the system has no file locks.
         """
         check_locks()
+        self._open_and_take(folder)
+        while not self._is_of(folder):  # a restore removed the file between open and lock: another could lock a new one
+            os.close(self._handle)
+            self._open_and_take(folder)
+        with contextlib.suppress(OSError):  # a full disk: the lock holds, only its holder has no number then
+            os.ftruncate(self._handle, 0)
+            os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
+
+    def _open_and_take(self, folder: Path) -> None:
         path = folder / LOCK
         try:
             self._handle = os.open(path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
@@ -93,9 +102,13 @@ class StoreLock:
             raise ConfigError(
                 f"{who} collects into this store; end it first, or name another folder", file=str(folder)
             ) from error
-        with contextlib.suppress(OSError):  # a full disk: the lock holds, only its holder has no number then
-            os.ftruncate(self._handle, 0)
-            os.pwrite(self._handle, f"{os.getpid()}\n".encode(), 0)
+
+    def _is_of(self, folder: Path) -> bool:
+        """Whether the file that is locked is still the lock file of a folder."""
+        try:
+            return os.path.samestat(os.fstat(self._handle), os.stat(folder / LOCK))
+        except FileNotFoundError:
+            return False
 
     def _take(self) -> None:
         """Lock the store's lock file. If it is still held for a process that has ended, wait up to `_ENDING` seconds.
