@@ -257,6 +257,8 @@ def test_a_backup_has_what_was_committed_before_at_each_step_of_the_writer(tmp_p
     promised: list[tuple[str, dict[tuple[str, int], Any], int]] = []
 
     def back_up_now(step: str) -> None:
+        if step in steps and EVERY > 1:
+            return
         steps.append(step)
         back_up(plant.folder, tmp_path / f"copy{len(steps)}")
         promised.append((step, {key: value for key, (_, value) in plant.rows.items()}, newest_of(plant)))
