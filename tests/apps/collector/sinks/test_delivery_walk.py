@@ -27,8 +27,8 @@ from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 SEEDS = [int(each) for each in os.environ.get("BUSWAY_DELIVERY_SEEDS", "1 2 3").split()]
 STEPS = int(os.environ.get("BUSWAY_DELIVERY_STEPS", "150"))
 PAIR = PointGroup("pair", ("a", "b"))
-REFUSED = 13.0
-"""A time or value that is refused has this many seconds, modulo 17."""
+REFUSED = 13
+"""A sample that is refused has a time of this many seconds, modulo 17."""
 
 Key = tuple[int, str, str, int]
 
@@ -142,8 +142,7 @@ class Walk:
     paced: dict[str, Paced] = field(default_factory=dict)
     now: int = 0
     rows: dict[tuple[str, str, int], tuple[int, Any]] = field(default_factory=dict)
-    every: set[Key] = field(default_factory=set)
-    events: int = 0
+    events: dict[tuple[int, int], str] = field(default_factory=dict)
     counted: dict[str, int] = field(default_factory=dict)
 
     def begin(self) -> None:
@@ -181,10 +180,10 @@ class Walk:
                 batches.append(batches[-1])  # equal in everything
         alarms = []
         for _ in range(self.chance.choice((0, 0, 1, 2))):
-            self.events += 1
             limit = self.chance.choice(("H", "refused"))
             alarms.append(AlarmEvent("pair", "a", limit, AlarmEventKind.RAISED, at(self.now), 1.0))
         made = self.writer.commit(batches, [], at(self.now), alarms)
+        self.events |= {(made.number, place): alarm.limit for place, alarm in enumerate(alarms)}
         for batch in batches:
             for point, value in zip(batch.group.points, batch.values, strict=True):
                 self.rows[batch.group.device, point, batch.time] = made.number, value
@@ -194,9 +193,6 @@ class Walk:
 
     def roll(self) -> None:
         self.writer.roll()
-
-    def seal(self) -> None:
-        self.writer.seal_closed()
 
     def fail(self) -> None:
         self.failing.symmetric_difference_update([self.chance.choice(("read", "cursor", "aside"))])
@@ -249,7 +245,7 @@ class Walk:
             assert paced.sink.again == [], name
             status = paced.delivery.status()
             assert status.lost == 0
-            assert self.counted.get(name, 0) + status.set_aside <= len(paced.sink.refused)
+            assert self.counted.get(name, 0) + status.set_aside == len(paced.sink.refused)
 
 
 @pytest.mark.parametrize("seed", SEEDS)
@@ -324,3 +320,6 @@ def check_arrived(walk: Walk, name: str, sink: WalkedSink) -> None:
         key = commit, device, point, time
         assert (key in values) == (wanted and not is_refused(device, point, time)), (name, key)
         assert values.get(key, value) == value
+        assert (key in sink.refused) == (wanted and is_refused(device, point, time)), (name, key)
+    assert sink.alarms == {place: limit for place, limit in walk.events.items() if limit != "refused"}
+    assert {place for place, limit in walk.events.items() if limit == "refused"} <= set(sink.refused)
