@@ -63,7 +63,7 @@ def test_a_request_through_openssl_is_answered(openssl: str, port: str, client: 
         program.stdin.flush()
         readable, _, _ = select.select([program.stdout], [], [], foreign.LIMIT)
         answer = program.stdout.read(len(REPLY)) if readable else b""
-        program.terminate()
+        program.kill()
     assert answer == REPLY
 
 
@@ -156,5 +156,5 @@ def test_openssl_resumes_its_session(
                 more = program.stdout.read1(10_000)  # type: ignore[attr-defined]
                 assert more
                 seen += more
-            program.terminate()
+            program.kill()
         assert f"{expected}, TLSv1".encode() in seen

@@ -96,7 +96,7 @@ class MqttReceiver:
             for line in process.stdout:
                 topic, _, payload = line.rstrip("\n").partition("\t")
                 if topic == self.END:
-                    process.terminate()
+                    process.kill()  # a subscriber can block in its handler of SIGTERM
                     return
                 if not topic.endswith("/status"):
                     yield json.loads(payload)

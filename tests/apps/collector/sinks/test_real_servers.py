@@ -69,7 +69,7 @@ async def heard(server: ForeignServer, folder: Path, *options: str) -> AsyncIter
         yield messages
     finally:
         with contextlib.suppress(ProcessLookupError):
-            process.terminate()
+            process.kill()  # a subscriber can block in its handler of SIGTERM; all that is wanted was heard before
         await process.wait()
         await task
 
