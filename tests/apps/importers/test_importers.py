@@ -27,6 +27,8 @@ name = "pump"
 slave_id = 3
 controller = "tcp://10.0.0.7:502"
 busy_retries = 2
+timeout = "3s"
+interval = "5s"
 holding_registers = [
   { name = "level", byte_order = "CDAB", data_type = "FLOAT32-IEEE", scale = 1.0, address = [0, 1] },
   { name = "temp", byte_order = "AB", data_type = "FIXED", scale = 0.1, address = [8] },
@@ -201,11 +203,26 @@ def test_the_three_styles_of_telegraf_become_points() -> None:
     assert points[3, "big"].conversion.scale == 0.01
     report = said(found)
     assert any("busy_retries" in each and each.startswith("line 9") for each in report)
+    assert any("timeout" in each and each.startswith("line 10") for each in report)
+    assert any("interval" in each and each.startswith("line 11") for each in report)
     assert any("odd: has a type that there is not: 'FLOAT31'" in each for each in report)
-    assert any(each.startswith("line 26: gap") for each in report)
+    assert any(each.startswith("line 28: gap") for each in report)
     assert any("power.output" in each for each in report)
     assert any("optimization" in each for each in report)
     assert not any("agent" in each for each in report)
+
+
+@pytest.mark.parametrize(
+    ("hub", "said"),
+    [
+        ("type: tcp\n    host: plc\n    port: 1502", "plc:1502"),
+        ("type: rtuovertcp\n    host: plc\n    port: 1502", "plc:1502 (rtuovertcp)"),
+        ("type: serial\n    port: /dev/ttyUSB0", "/dev/ttyUSB0 (serial)"),
+    ],
+)
+def test_where_a_hub_of_home_assistant_leads_is_a_remark(hub: str, said: str) -> None:
+    text = f"modbus:\n  - name: cellar\n    {hub}\n    sensors: [{{ name: a, slave: 1, address: 1 }}]\n"
+    assert read_home_assistant(text, "x.yaml").remarks == [f"Home Assistant's hub cellar: {said}"]
 
 
 def test_home_assistant_s_sensors_and_switches_become_points() -> None:

@@ -53,8 +53,10 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
 
 
 def _hub(hub: Mapping[str, Any], place: KeyPath, document: YamlDocument, found: ImportedDevice) -> None:
-    if "host" in hub:
-        found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {hub['host']}:{hub.get('port', 502)}")
+    if "host" in hub or "port" in hub:
+        where = f"{hub['host']}:{hub.get('port', 502)}" if "host" in hub else hub["port"]
+        kind = "" if hub.get("type", "tcp") == "tcp" else f" ({hub['type']})"
+        found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {where}{kind}")
     for key in others_of(hub, _OF_HUB):
         is_list = isinstance(hub[key], list)
         why = "is more than a point: write its registers as points" if is_list else "is an option of the link"

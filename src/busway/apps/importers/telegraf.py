@@ -28,7 +28,7 @@ FLOAT32 is an old name of UFIXED (an integer) in this style. In the other styles
 """
 _KNOWN: Final = {
     "name", "slave_id", "controller", "configuration_type", "coils", "discrete_inputs", "holding_registers",
-    "input_registers", "request", "metric", "timeout", "interval",
+    "input_registers", "request", "metric",
 }  # fmt: skip
 _FIELD_KEYS: Final = {
     "name", "address", "type", "data_type", "byte_order", "scale", "bit", "length", "register", "omit", "measurement",
