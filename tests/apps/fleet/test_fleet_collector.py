@@ -646,7 +646,7 @@ async def test_a_collector_that_was_killed_tells_at_its_next_start_alone_when_it
     assert ends[1] in marks
 
 
-async def test_a_device_stays_in_maintenance_over_a_restart_and_at_whoever_takes_its_link_until_somebody_ends_it(
+async def test_a_device_stays_in_maintenance_over_a_restart_and_where_its_link_goes_until_it_is_ended(
     tmp_path: Path,
 ) -> None:
     async with devices_of(2) as devices:

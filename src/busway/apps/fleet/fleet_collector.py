@@ -24,9 +24,9 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    refused, by its check or because a sink differs, changes nothing, and `refused` says why. Links that a new
    configuration changes stop before the last commit of the old one, so every sample has the revision with which it was
    taken. The store stays the one with which the collector was started, whatever the new configuration names.
-7. Maintenance belongs to the device, whoever polls its link: the lease of a shard says which of its devices are in
-   maintenance. Who takes the shard takes over their maintenance before it polls anything, and ends that of others that
-   another owner has ended since.
+7. Maintenance of a device goes with its link: the lease of a shard says which of its devices are in maintenance. The
+   collector that takes the shard takes over their maintenance before it polls anything, and ends a maintenance of its
+   own that another owner has ended since.
 """
 
 import asyncio
