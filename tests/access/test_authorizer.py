@@ -18,7 +18,7 @@ from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.server.responder_failures import answer_later
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit

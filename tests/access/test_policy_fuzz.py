@@ -28,7 +28,7 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext

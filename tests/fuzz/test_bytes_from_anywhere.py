@@ -21,7 +21,7 @@ from busway.pdu.malformed import MalformedPdu
 from busway.pdu.message import Message
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession

@@ -15,7 +15,7 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import CommunicationState
 from busway.session.responder import Judged, Replaced, RequestContext
 

@@ -15,7 +15,7 @@ from busway.pdu.functions import STANDARD, FunctionTable
 from busway.pdu.message import Message, ReplyMessage, Request
 from busway.pdu.model import Context, DataModel
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession

@@ -20,7 +20,7 @@ from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.cells import Cells
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (

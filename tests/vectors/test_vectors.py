@@ -21,7 +21,7 @@ from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.cells import Cells
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession

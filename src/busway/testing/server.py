@@ -30,7 +30,7 @@ from ..faults.responder import FaultyResponder
 from ..options.server import UnitPolicy
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
-from ..server.local import DeviceResponder
+from ..server.device_responder import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000
