@@ -25,7 +25,7 @@ from ..pdu.model import Context, Refusal
 from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType
 from ..values.names import Order, TableName, WritableTableName
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .blocks import BitRun, RegisterRun, Run
 from .cells import TableLike, lay_out
 from .groups import Groups

@@ -1,6 +1,6 @@
 """Conversion between registers and numbers, strings and bits, and the notations of addresses.
 
-===========  ========================================================================================================
+===========  ==========================================================================================================
 `addresses`  Parses data addresses as people write them, such as `40001` or `4x1`, into table and offset
 `bits`       Conversion between registers and bits: a register as sixteen bits, and single bits or bit fields of it
 `constants`  Value types as constants: with them a type checker knows what a read returns
@@ -12,14 +12,14 @@
 `numbers`    Conversion between registers and integers, floats and binary-coded decimals
 `orders`     Byte orders, such as `CDAB`: the order of bytes and registers inside a value of 16, 32, 48 or 64 bits
 `printable`  Makes text from devices and certificates safe to print on one line of a terminal, a log or a table
-`refusal`    Error messages for values that do not fit their type
 `texts`      Conversion between registers and character strings
 `types`      Value types by name, such as `float32`: how registers become values and back
-===========  ========================================================================================================
+`unfit_values`  Error messages for values that do not fit their type
+===========  ==========================================================================================================
 
 Where it is decided: what a type name means, and how many registers it takes: `types`. In which order bytes are:
 `orders`. What the address `40001` means: `addresses`. Which values fit a type: `numbers`, `texts`, `bits`, `network`;
-how a refusal is worded: `refusal`. How long `5m` is: `durations`.
+how a refusal is worded: `unfit_values`. How long `5m` is: `durations`.
 """
 
 from .addresses import Address, format_address, parse_address

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from ...errors import ConfigError
 from ...extras import require
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 
 Place = tuple[str | int, ...]
 LONGEST: Final = 1_000_000

@@ -17,7 +17,7 @@ from ...access.notation import merged, parse_items, parse_units, parse_whole_fun
 from ...codes import Table
 from ...errors import ConfigError
 from ...options.declaration import Name, Range
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .lines import Path
 from .policy import Numbers
 from .schema import NO_TABLE, FileProblems, Section, Source, keys_of

@@ -31,7 +31,7 @@ from ....errors import InvalidRequest, ModbusError, Overloaded
 from ....points.name_patterns import is_meant
 from ....points.point import Point
 from ....points.point_rules import WriteRule
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from .command import CommandResult, CommandState, PointCommand, new_key
 from .other_owners import OtherOwners
 from .rights import WriterRights
