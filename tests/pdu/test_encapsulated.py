@@ -16,8 +16,8 @@ from busway.pdu.encapsulated import (
     ReadDeviceIdentification,
 )
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import MalformedRequest
 from busway.pdu.malformed import MalformedPdu
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.model import Refusal
 
 Reply = ReadDeviceIdentification.Reply

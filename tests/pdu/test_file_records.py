@@ -6,8 +6,8 @@ from recording_device import FakeContext, RecordingModel
 from busway.errors import InvalidRequest
 from busway.pdu.file_records import FileContent, FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import MalformedRequest
 from busway.pdu.malformed import MalformedPdu
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.model import Refusal
 
 

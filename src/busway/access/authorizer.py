@@ -25,9 +25,9 @@ from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
 from ..options.networks import host_of_peer
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import Answer
 from ..pdu.functions import AnyRequest
-from ..pdu.general import ExceptionResponse
 from ..pdu.message import Request
 from ..session.responder import ClientIdentity, Judged, Refusal, Replaced, RequestContext, ServedUnit
 from ..values.printable import printable

@@ -20,10 +20,12 @@ from ...codes import ExceptionCode, Table
 from ...options.endpoints import Endpoint
 from ...options.tls import TlsParameters
 from ...pdu.bits import pack_bits, unpack_bits
+from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import STANDARD, AnyRequest, FunctionTable
-from ...pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ...pdu.malformed_request import MalformedRequest
 from ...pdu.message import Message
 from ...pdu.model import Context, Refusal
+from ...pdu.unknown_functions import OpaqueRequest
 from ...server.server import Server
 from ...server.serving import serve
 from ...session.responder import SILENCE, Outcome, RequestContext, ServedUnit
