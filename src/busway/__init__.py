@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from .options.endpoints import Endpoint, parse_endpoint
     from .options.server import ListenerParameters
     from .options.tls import TlsParameters
+    from .pdu.device_interface import Refusal
     from .pdu.diagnostics import (
         GetCommEventCounter,
         GetCommEventLog,
@@ -66,7 +67,6 @@ if TYPE_CHECKING:
     from .pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
     from .pdu.functions import STANDARD, FunctionTable
     from .pdu.message import Message, ReplyMessage, Request, Touch
-    from .pdu.model import Refusal
     from .pdu.read_items import (
         ReadCoils,
         ReadDiscreteInputs,
@@ -158,7 +158,7 @@ _HOME = {
     "pdu.functions": ("STANDARD", "FunctionTable"),
     "pdu.unknown_functions": ("OpaqueRequest",),
     "pdu.message": ("Message", "ReplyMessage", "Request", "Touch"),
-    "pdu.model": ("Refusal",),
+    "pdu.device_interface": ("Refusal",),
     "pdu.read_items": (
         "ReadCoils",
         "ReadDiscreteInputs",

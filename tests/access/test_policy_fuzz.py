@@ -16,12 +16,12 @@ from busway.access.audit_log import AuditLog
 from busway.access.rules import AccessKind, Action, Limits, Policy, Rule
 from busway.codes import Table
 from busway.errors import ConfigError
+from busway.pdu.device_interface import Refusal
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Message
-from busway.pdu.model import Refusal
 from busway.pdu.unknown_functions import OpaqueRequest
 from busway.pdu.write_items import (
     MaskWriteRegister,

@@ -4,6 +4,7 @@ import pytest
 from recording_device import FakeContext, RecordingModel
 
 from busway.errors import InvalidRequest
+from busway.pdu.device_interface import Refusal
 from busway.pdu.encapsulated import (
     BASIC,
     EXTENDED,
@@ -18,7 +19,6 @@ from busway.pdu.encapsulated import (
 from busway.pdu.functions import STANDARD
 from busway.pdu.malformed import MalformedPdu
 from busway.pdu.malformed_request import MalformedRequest
-from busway.pdu.model import Refusal
 
 Reply = ReadDeviceIdentification.Reply
 

@@ -2,8 +2,8 @@
 
 import pytest
 
+from busway.pdu.device_interface import Refusal
 from busway.pdu.functions import STANDARD
-from busway.pdu.model import Refusal
 from busway.pdu.write_items import ReadWriteMultipleRegisters
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder

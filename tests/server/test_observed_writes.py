@@ -5,8 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from busway.codes import Table
+from busway.pdu.device_interface import Refusal
 from busway.pdu.file_records import FileData, WriteFileRecord
-from busway.pdu.model import Refusal
 from busway.pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,

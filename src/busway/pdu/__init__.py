@@ -4,6 +4,7 @@
 `bits`                Packing of bits on the wire: eight to a byte, the first item in the lowest bit
 `compiler`            Makes constructor, encoder and decoder of a message class from its declared fields, once
 `describe`            Describes a PDU for people: every field with its offset, its value and its fault, if any
+`device_interface`    Interfaces of a device through which a request reads and writes it (`Request.apply`)
 `diagnostics`         Messages of functions 07, 08, 11, 12 and 17: status and identification of a server
 `encapsulated`        Function 43, Encapsulated Interface Transport: device identification (14) and CANopen (13)
 `exception_response`  The exception reply of any function, and its decoder
@@ -14,7 +15,6 @@
 `malformed`           The error for a received message that breaks a rule of its function, with its exception code
 `malformed_request`   A received request that breaks a rule of its function: its bytes, the rule, the exception code
 `message`             Base classes of request and reply messages: fields are declared
-`model`               Interfaces of a device through which a request reads and writes it (`Request.apply`)
 `read_items`          Messages of functions 01–04 and 24, which read the four tables and a queue of registers
 `server_id`           The data of function 17 in its parts: identification, run indicator, the rest
 `unknown_functions`   Requests and replies of functions that are not in the table of functions, kept as bytes
@@ -28,5 +28,5 @@ its fields take: its class, in the file of its function, with `fields`; the chec
 its request: `message` (``Request.accept``, with ``check_reply`` of the function's class); how long that reply is and
 how it begins: ``reply_shape`` of the class. Where an RTU frame ends by its function: `functions` (``request_length``,
 ``reply_length``). Which requests the server's fast path answers: `fast_answers`. In which order a request reads and
-writes the device: its ``apply``, by the interfaces of `model`. What a trace shows of a message: `describe`.
+writes the device: its ``apply``, by the interfaces of `device_interface`. What a trace shows of a message: `describe`.
 """
