@@ -2,7 +2,8 @@
 
 ===========  ==========================================================================================================
 `addresses`  Parses data addresses as people write them, such as `40001` or `4x1`, into table and offset
-`bits`       Conversion between registers and bits: a register as sixteen bits, and single bits or bit fields of it
+`bits`       Conversion between registers and bits: a register as sixteen bits, single bits, bit fields
+`caseless_enum`  Base of enums for options whose values are words, such as `even`: capitals are accepted too
 `constants`  Value types as constants: with them a type checker knows what a read returns
 `counts`     Text of a number with its noun in singular or plural, such as `3 coils`
 `custom`     Conversion of registers by a `struct` format: `custom:>hHl` is three numbers in four registers
