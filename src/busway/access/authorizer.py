@@ -24,6 +24,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
+from ..log_limiter import LogLimiter, suppressed_note
 from ..options.networks import host_of_peer
 from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import Answer
@@ -34,7 +35,6 @@ from ..values.printable import printable
 from .fast_path_rights import bind
 from .question import Asker, Question
 from .rates import Rates
-from .repeats import Repeats, so_often
 from .rule_evaluation import Decision, Rights
 from .rules import Policy, Rule
 
@@ -128,7 +128,7 @@ class PolicyAuthorizer:
         self._lock = threading.Lock()
         self._clock = clock
         self._rates: dict[str, Rates] = {} if rates is None else rates
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     @property
     def policy(self) -> Policy:
@@ -252,7 +252,7 @@ class PolicyAuthorizer:
         rule = decision.rule_name
         context.judged = Judged(rule, is_denied=True)
         self.refusals[rule] += 1
-        repeated = self._repeats.again(f"{rule} {asker.host}", self._clock())
+        repeated = self._log_limiter.admit(f"{rule} {asker.host}", self._clock())
         if repeated is not None:
             _log.warning(
                 "%s: function %d of unit %d refused with %d by %s: %s%s",
@@ -262,7 +262,7 @@ class PolicyAuthorizer:
                 decision.code,
                 rule,
                 printable(decision.reason),
-                so_often(repeated),
+                suppressed_note(repeated),
             )
         return ExceptionResponse(context.function, decision.code)
 
