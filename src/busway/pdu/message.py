@@ -22,7 +22,7 @@ from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
     from .device_interface import Context, DataModel
-    from .fast_answers import Answer, DirectModel, ReadPlan
+    from .fast_answers import DirectModel, FastAnswer, ReadPlan
 
 UNKNOWN_LENGTH = -1
 """Result of the length rules: the content of the message does not tell its length; the frame around it does."""
@@ -240,7 +240,7 @@ class Request(Message):
     broadcast: ClassVar[bool] = False
 
     @classmethod
-    def direct(cls, model: "DirectModel") -> "Answer | None":
+    def direct(cls, model: "DirectModel") -> "FastAnswer | None":
         """Return a function of the server's fast path that answers requests of this class from the memory of a device.
 
         None if requests of this class must take the generic path (`busway.pdu.fast_answers`): always, unless a subclass
