@@ -1,5 +1,5 @@
-"""Policies and requests at random: fast path, plans and generic path permit what a plain reading of the rules permits,
-item by item, and what is denied never reaches a store.
+"""Policies and requests at random: fast path, prepared answers and generic path permit what a plain reading of the
+rules permits, item by item, and what is denied never reaches a store.
 """
 
 import struct
