@@ -397,7 +397,6 @@ asked_often = st.lists(
 ).map(lambda pool: pool * 3)  # the second time by what was learned the first time
 
 
-@pytest.mark.clause("T15")
 @pytest.mark.clause("M6")
 @given(policies, asked_often)
 @example(
