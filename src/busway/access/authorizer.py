@@ -70,7 +70,7 @@ class PolicyRights:
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
-    def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
+    def permits_prepared(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
         """Whether a gateway or server may cache how it answers a read, so that repetitions of it are not checked again.
 
         True if the request is no write and is permitted without a rate limit to all clients that have these rights.

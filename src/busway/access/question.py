@@ -202,7 +202,11 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
         for touch, writes in ((kind.writes, True), (kind.reads, False))
         if touch is not None
     ]
-    return tuple(found) or (TouchedRange(None, 0, 1, counts_as_write(kind)),)
+    if kind.writes is None:
+        writes = counts_as_write(kind)
+        if writes or not found:
+            found.append(TouchedRange(None, 0, 1, writes))
+    return tuple(found)
 
 
 def _sub_function(function: int, data: bytes) -> int | None:
