@@ -30,8 +30,8 @@ from busway.session.call import Call
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
-from busway.session.server import TcpServerSession
 from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 from busway.transport.tcp import configure
 
@@ -151,7 +151,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
     ("module", "strangers"),
     [
         ("busway.session.tcp_client", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.session.server", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.session.tcp_server", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.session.responder", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),

@@ -17,8 +17,8 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 `retries`            What becomes of a link's calls from submission to outcome: queue, retries, deadlines
 `serial_client`      The master of a serial line: one transaction at a time, with turnaround, gaps and late replies
 `serial_server`      The server's side of a serial line: any number of units on one line, which only answer requests
-`server`             The server's side of one TCP connection: request bytes in, reply bytes out, without IO
 `tcp_client`         The client's side of a TCP connection: sends the requests of calls and matches replies to them
+`tcp_server`         The server's side of one TCP connection: request bytes in, reply bytes out, without IO
 `transaction_slots`  The limit of requests that a server works on at once
 `unit_breaker`       Circuit breakers, one for each unit of a link
 ===================  ===================================================================================================
@@ -28,7 +28,7 @@ of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; w
 `connection_life`. Units that do not answer: `unit_breaker`. Late replies: `late_replies` on serial lines, `tcp_client`
 on TCP (by transaction identifier). Gaps, turnaround and drain of a serial line, and whether a frame is the awaited
 reply, a late or an early one: `serial_client`. The server's way of a request, with policy, audit and other observers:
-`pipeline`; its frames: `server` on TCP, `serial_server` on lines. Reads that a gateway forwards in one step:
+`pipeline`; its frames: `tcp_server` on TCP, `serial_server` on lines. Reads that a gateway forwards in one step:
 `forwarded_reads`. Functions 08, 11 and 12, and when a unit enters and leaves listen-only mode: `diagnostics`; that a
 unit in this mode does not answer: `pipeline` and `serial_server`.
 """

@@ -29,8 +29,8 @@ from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
 from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 SIZE = 500
