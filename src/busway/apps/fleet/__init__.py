@@ -9,7 +9,7 @@
 `balance`          which collector takes a free shard, and which shards move
 `lease_holder`     one collector in its zone: what it owns, takes, renews and hands on, and when it must stop polling
 `lease_driver`     runs a lease holder by asyncio on a coordinator
-`plant`            the part of a plant's configuration that one collector works on
+`plant_configuration`  the part of a plant's configuration that one collector works on
 `control_entries`  the entries of operators: the plant's configuration, and which collectors are drained
 `fleet_status`     the status of a zone: collectors, owners of shards, configuration
 `zone_watch`       follows a zone for its web page: the status now, and times in which shards had no owner
@@ -34,9 +34,9 @@
 Where it is decided: which links make a shard, and which hosts may own it: `shards`. Whether this collector owns a shard
 now, and whether one more transaction may begin before its lease ends (fencing): `lease_holder`
 (`FleetMember.may_begin`); for how long a lease holds: `lease_times`. Whether a request of an old owner may still reach
-the device, also out of the queue of a gateway: `plant`. Which collector takes a free shard, and which shards move:
-`balance`. Which change wins when two are made at once: `coordinator` (compare-and-set). To which epoch a sample
-belongs: `ownership_log`. What becomes of samples that an old owner still sends: they are kept, under the epoch in which
-they were taken (`messages`). How long a gap of ownership really was: `ownership_gaps`. Which samples are sent again:
-`outbox`. Whether a command was sent before: `key_table`; how long that is known: `key_memory`.
+the device, also out of the queue of a gateway: `plant_configuration`. Which collector takes a free shard, and which
+shards move: `balance`. Which change wins when two are made at once: `coordinator` (compare-and-set). To which epoch a
+sample belongs: `ownership_log`. What becomes of samples that an old owner still sends: they are kept, under the epoch
+in which they were taken (`messages`). How long a gap of ownership really was: `ownership_gaps`. Which samples are sent
+again: `outbox`. Whether a command was sent before: `key_table`; how long that is known: `key_memory`.
 """

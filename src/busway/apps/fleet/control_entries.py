@@ -29,7 +29,7 @@ from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .coordinators.local import LocalCoordinator
 from .lease_times import LeaseTimes
-from .plant import (
+from .plant_configuration import (
     refuse_links_of_one_subject,
     refuse_moved_endpoints,
     refuse_ports_of_any_host,
