@@ -1,6 +1,6 @@
 """The store of the collector: the folder in which it keeps samples.
 
-====================  ==========================================================================================
+====================  =========================================================================================
 `folder`              names of the store's files, the lock of its writer, making changes durable (fsync)
 `manifest`            the list of a store's files, points and sinks, with the cursor of each sink
 `segment`             the SQLite file that samples are written to, and when it ends and the next begins
@@ -14,7 +14,7 @@
 `alarm_events`        reads alarm events from the manifest and the open segment; deletes old ones
 `accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
 `clock_correction`    corrects the times of samples stored before the wall clock was set
-`parts`               reads samples and sums from one file of the store, segment or Parquet
+`part_reader`         reads samples and sums from one file of the store, segment or Parquet
 `sealed_files`        reads samples and sums from Parquet files, with DuckDB where it is installed
 `file_rows`           forms of samples read from files of a store: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
@@ -24,7 +24,7 @@
 `check`               checks the files of a store for damage, also while it is written
 `backup`              backs up a store, also while it is written, and restores it
 `database`            connections to the SQLite files of a store, and transactions on them
-====================  ==========================================================================================
+====================  =========================================================================================
 
 Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
 Which samples are kept: `kept_samples`. What is deleted: `retention`. When a commit is made, and what is dropped when

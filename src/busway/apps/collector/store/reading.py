@@ -28,7 +28,7 @@ from .alarm_events import alarm_events, alarm_rows
 from .file_rows import FileRow, Sums, SumsByBucket, add_sums, sums_of_rows
 from .folder import SEGMENTS, check_store
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
-from .parts import open_part_facts, part_intervals, part_rows, part_sums
+from .part_reader import open_part_facts, part_intervals, part_rows, part_sums
 from .query_results import BucketTable, SampleTable
 from .sealed_files import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
 from .segment import sample_value
