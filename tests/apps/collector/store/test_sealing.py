@@ -63,7 +63,7 @@ def test_nothing_is_left_where_the_process_that_asked_has_ended(tmp_path: Path) 
     writer.roll()
     (part,) = writer.manifest.parts()
     asked = {"segment": str(tmp_path / SEGMENTS / part.file), "points": [], "parent": 1}
-    command = [sys.executable, "-m", "busway.apps.collector.store.sealed_part"]
+    command = [sys.executable, "-m", "busway.apps.collector.store.sealed_writer"]
     ended = subprocess.run(command, input=json.dumps(asked), capture_output=True, encoding="utf-8", check=True)
     assert json.loads(ended.stdout) == []
     assert [path.name for path in (tmp_path / SEGMENTS).iterdir() if path.suffix != ".sqlite"] == []

@@ -8,7 +8,7 @@
 `recovery`            closes what an earlier process left open, and finds the gap since its end
 `commit_thread`       the thread that commits for an event loop, several times a second
 `sealing`             turns a segment that has ended into Parquet files
-`sealed_part`         writes the Parquet files of a segment; runs as a program of its own
+`sealed_writer`       writes the Parquet files of a segment; runs as a program of its own
 `kept_samples`        which samples are kept, where a rule says that not all of them are
 `retention`           which files are deleted because they are too old or the store is too large
 `alarm_events`        reads alarm events from the manifest and the open segment; deletes old ones
