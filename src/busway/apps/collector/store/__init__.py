@@ -15,7 +15,7 @@
 `accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
 `clock_correction`    corrects the times of samples stored before the wall clock was set
 `part_reader`         reads samples and sums from one file of the store, segment or Parquet
-`sealed_files`        reads samples and sums from Parquet files, with DuckDB where it is installed
+`sealed_reader`       reads samples and sums from Parquet files, with DuckDB where it is installed
 `file_rows`           forms of samples read from files of a store: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
 `reading`             `Store`: reads rows and buckets of all files as one

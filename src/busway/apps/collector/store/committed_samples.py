@@ -27,7 +27,7 @@ from .file_rows import FileRow
 from .folder import SEGMENTS
 from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
 from .part_reader import open_part_facts, part_intervals
-from .sealed_files import rows_of_table
+from .sealed_reader import rows_of_table
 from .sealing import arrow
 from .segment import open_for_reading, sample_value
 

@@ -30,7 +30,7 @@ from .folder import SEGMENTS, check_store
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
 from .part_reader import open_part_facts, part_intervals, part_rows, part_sums
 from .query_results import BucketTable, SampleTable
-from .sealed_files import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
+from .sealed_reader import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
 from .segment import sample_value
 from .selection import QueryTime, chosen_points, period, span
 
