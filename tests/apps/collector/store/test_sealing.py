@@ -9,7 +9,7 @@ import pytest
 from collected import METER, NOON, at, filled, meter_read, read_of
 
 from busway.apps.collector.samples import PointGroup
-from busway.apps.collector.store import sealed_part, sealing
+from busway.apps.collector.store import sealed_writer, sealing
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS
 from busway.apps.collector.store.reading import Store
@@ -113,6 +113,6 @@ def test_rows_are_sorted_by_point_and_time_whatever_their_order_was(times: list[
     import pyarrow as pa
 
     points = [2, 1, 2, 1, 1]
-    order = sealed_part._order(pa.array(points, pa.int32()), pa.array(times, pa.int64())).to_pylist()
+    order = sealed_writer._order(pa.array(points, pa.int32()), pa.array(times, pa.int64())).to_pylist()
     found = [(points[place], times[place]) for place in order]
     assert found == sorted(zip(points, times, strict=True))

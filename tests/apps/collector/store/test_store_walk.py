@@ -16,7 +16,7 @@ import pytest
 from collected import SECOND, at, read_of
 
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, StateInterval
-from busway.apps.collector.store import manifest, sealed_part, sealing
+from busway.apps.collector.store import manifest, sealed_writer, sealing
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader, CommittedSample
@@ -189,7 +189,7 @@ class Walk:
 def written_here(source: Path, points: Sequence[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
     """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
     texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
-    return list(sealed_part.write_parts(source, texts, os.getppid()))
+    return list(sealed_writer.write_parts(source, texts, os.getppid()))
 
 
 @pytest.mark.parametrize("seed", [2, 7, 27])

@@ -14,7 +14,7 @@
 `alarm_events`        reads alarm events from the manifest and the open segment; deletes old ones
 `accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
 `clock_correction`    corrects the times of samples stored before the wall clock was set
-`part_reader`         reads samples and sums from one file of the store, segment or Parquet
+`part_reader`         reads samples and sums from one part of the store: a segment or a sealed file
 `sealed_reader`       reads samples and sums from Parquet files, with DuckDB where it is installed
 `file_rows`           forms of samples read from files of a store: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
@@ -27,8 +27,11 @@
 ====================  =========================================================================================
 
 Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
-Which samples are kept: `kept_samples`. What is deleted: `retention`. When a commit is made, and what is dropped when
-the disk is full: `commit_thread`. Which samples get another time when the clock is set: `clock_correction`. What a
-crash leaves is put right at the next start by `recovery`; a half-written commit is undone by SQLite itself. Whether a
-command was sent before the crash is not in a store: `busway.apps.collector.commands.journal`.
+Which files belong to the store: `manifest`. When a segment is sealed: `writer`; in which steps, and what a crash
+between them leaves: `sealing`; which rows a sealed file has, and what is late: `sealed_writer`. Which of two samples of
+one point and time counts, in parts that overlap: `reading`. Which samples are kept: `kept_samples`. What is deleted:
+`retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which samples get
+another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start by
+`recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
+store: `busway.apps.collector.commands.journal`.
 """

@@ -1,6 +1,6 @@
 """Reads samples and sums from one file of a store, whatever its format: SQLite for a segment, Parquet if sealed.
 
-Knows how a segment is read; `sealed_files` reads Parquet. Knows nothing of how parts overlap.
+Knows how a segment is read; `sealed_reader` reads Parquet. Knows nothing of how parts overlap.
 
 1. A segment is read in one short transaction, so that a reader does not keep the write-ahead log of the writer from
    shrinking.
