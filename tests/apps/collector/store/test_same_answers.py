@@ -17,7 +17,7 @@ from collected import NOON, SECOND, at
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
 from busway.apps.collector.store import reading, sealed_reader
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 pytest.importorskip("pyarrow")

@@ -16,8 +16,8 @@ from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
 from busway.apps.collector.store import reading, sealed_reader
 from busway.apps.collector.store.file_rows import Sums
 from busway.apps.collector.store.manifest import StorePart
-from busway.apps.collector.store.reading import Store, TimePiece, pieces_of, runs_of
 from busway.apps.collector.store.sealed_reader import sealed_rows, sealed_sums
+from busway.apps.collector.store.store_reader import Store, TimePiece, pieces_of, runs_of
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 pa = pytest.importorskip("pyarrow")

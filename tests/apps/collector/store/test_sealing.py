@@ -12,8 +12,8 @@ from busway.apps.collector.samples import PointGroup
 from busway.apps.collector.store import sealed_writer, sealing
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS
-from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.sealing import SealingFailed
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 
 pytest.importorskip("pyarrow")

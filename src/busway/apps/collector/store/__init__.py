@@ -18,7 +18,7 @@
 `sealed_reader`       reads samples and sums from Parquet files, with DuckDB where it is installed
 `file_rows`           forms of samples read from files of a store: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
-`reading`             `Store`: reads rows and buckets of all files as one
+`store_reader`        `Store`: reads rows and buckets of all files as one
 `query_results`       results of queries: columns of samples or buckets; also as Arrow, pandas or polars tables
 `committed_samples`   reads samples in the order of their commits, for sinks
 `check`               checks the files of a store for damage, also while it is written
@@ -29,9 +29,9 @@
 Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
 Which files belong to the store: `manifest`. When a segment is sealed: `writer`; in which steps, and what a crash
 between them leaves: `sealing`; which rows a sealed file has, and what is late: `sealed_writer`. Which of two samples of
-one point and time counts, in parts that overlap: `reading`. Which samples are kept: `kept_samples`. What is deleted:
-`retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which samples get
-another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start by
+one point and time counts, in parts that overlap: `store_reader`. Which samples are kept: `kept_samples`. What is
+deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which samples
+get another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start by
 `recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
 store: `busway.apps.collector.commands.journal`.
 """
