@@ -66,7 +66,7 @@ ONE_PYTHON := $(addprefix tests/, \
 	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collector_alarms.py \
 	$(addprefix apps/collector/commands/test_, crashes.py no_way_round_rules.py no_write_twice.py) \
 	$(addprefix apps/collector/sinks/test_, delivery_walk.py hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
-	$(addprefix apps/collector/store/test_, backup_walk.py crashes.py power_failure.py reading.py same_answers.py \
+	$(addprefix apps/collector/store/test_, backup_walk.py crashes.py power_failure.py store_reader.py same_answers.py \
 	sealed_reader.py store_walk.py) \
 	apps/control/test_service.py \
 	$(addprefix apps/fleet/test_, chain_model.py coordinators.py gap_coverage.py lease_holder.py outbox_walk.py) \

@@ -37,8 +37,8 @@ from .plant_configuration import (
     refuse_two_owners,
     with_short_user_timeout,
 )
-from .records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_member, decode_zone
 from .shards import checked_name
+from .table_records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_member, decode_zone
 
 CONTROL: Final = "control."
 CONFIGURATION: Final = "control.configuration"

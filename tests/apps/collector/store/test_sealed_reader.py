@@ -13,7 +13,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
-from busway.apps.collector.store import reading, sealed_reader
+from busway.apps.collector.store import sealed_reader, store_reader
 from busway.apps.collector.store.file_rows import Sums
 from busway.apps.collector.store.manifest import StorePart
 from busway.apps.collector.store.sealed_reader import sealed_rows, sealed_sums
@@ -61,7 +61,7 @@ def with_pyarrow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]
 
     def called(ask: Callable[[], Any]) -> Any:
         with monkeypatch.context() as patch:
-            for module in (sealed_reader, reading):
+            for module in (sealed_reader, store_reader):
                 patch.setattr(module, "reads_many", lambda: False)
             return ask()
 
