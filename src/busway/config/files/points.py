@@ -27,7 +27,7 @@ from ...codes import TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
 from ...options.declaration import Name, Range
 from ...points import AlarmRule, Conversion, Linear, Point, ReportRule, WriteRule
-from ...points.conversion import converter
+from ...points.conversion import converter, size_in_bits
 from ...points.expression import Expression, parse_expression
 from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
@@ -702,8 +702,22 @@ class PointSection(WholeSection):
             for index, each in enumerate(self.invalid):
                 if self.is_whole and (isinstance(each, bool) or each != int(each if math.isfinite(each) else 0)):
                     yield ("invalid", index), f"must be a whole number, as the registers hold it, not {shown(each)}"
+                elif self.is_whole and not self._can_be_read(int(each)):
+                    yield ("invalid", index), f"{shown(each)} is never read, because it does not fit {self.form.name if self.form else 'it'}"
         elif self.invalid:
             yield ("invalid",), f"{shown(self.name)} holds no number and has no invalid ones"
+
+    def _can_be_read(self, number: int) -> bool:
+        """Whether the registers of a whole number can hold a number, or its pattern of bits."""
+        assert self.form is not None
+        bits, signed = size_in_bits(self.form)
+        if signed and 0 <= number < 1 << bits:
+            return True
+        try:
+            self.form.merge(number, bytes(2 * self.form.registers))
+        except InvalidRequest:
+            return False
+        return True
 
     def _valid_faults(self) -> Iterator[tuple[Path, str]]:
         if self.valid is not None and not self.valid[0] <= self.valid[1]:
