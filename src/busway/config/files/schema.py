@@ -29,7 +29,7 @@ from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_
 from ...values.counts import counted
 from ...values.refusal import shown
 from .file_error import FileError
-from .lines import Path, key_lines, line_of
+from .lines import KeyPath, key_lines, line_of
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has
@@ -142,9 +142,9 @@ class FileProblems(ValueError):
         faults: path in the section, and sentence, of each problem.
     """
 
-    def __init__(self, faults: Sequence[tuple[Path, str]]) -> None:
+    def __init__(self, faults: Sequence[tuple[KeyPath, str]]) -> None:
         super().__init__("; ".join(sentence for _, sentence in faults))
-        self.faults: tuple[tuple[Path, str], ...] = tuple(faults)
+        self.faults: tuple[tuple[KeyPath, str], ...] = tuple(faults)
 
 
 File = TypeVar("File", bound=Section)
@@ -162,9 +162,9 @@ class Source:
 
     name: str
     data: Mapping[str, Any]  # what TOML has: any of its types
-    lines: Mapping[Path, int]
+    lines: Mapping[KeyPath, int]
 
-    def problem(self, path: Path, sentence: str) -> ConfigError:
+    def problem(self, path: KeyPath, sentence: str) -> ConfigError:
         """Return an error about a path of the file, with file name, line and key; it is not raised here.
 
         If the file does not have the path, the line is that of the nearest key or table around it; 1 if there is none.
@@ -297,28 +297,30 @@ def read_section(schema: type[File], data: object) -> File:
         raise FileProblems(faults_in(error, schema)) from None
 
 
-def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[Path, str]]:
+def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[KeyPath, str]]:
     """Return the problems in an error of pydantic: path in the section, and sentence, of each.
 
     A value that is none of several types is one problem; pydantic reports it once for each type.
     """
-    found: list[tuple[Path, str]] = []
-    choices: dict[Path, list[Any]] = {}
+    found: list[tuple[KeyPath, str]] = []
+    choices: dict[KeyPath, list[Any]] = {}
     for each in error.errors():
-        path: Path = tuple(each["loc"])
+        path: KeyPath = tuple(each["loc"])
         if len(path) > 1 and _takes_several_types(schema, path[:-1]):
             choices.setdefault(path[:-1], []).append(each)
         else:
             found += faults_of(each, schema)
-    for path, errors in choices.items():
+    for at, errors in choices.items():
         got = f", not {shown(errors[0]['input'])}"
-        parts = [_sentence(each, schema, path).removesuffix(got) for each in errors]
+        parts = [_sentence(each, schema, at).removesuffix(got) for each in errors]
+        if "must be a number" in parts:  # which a whole number is too
+            parts = [part for part in parts if part != "must be a whole number"]
         rest = [part.removeprefix("must be ") for part in parts[1:]]
-        found.append((path, ", or ".join([parts[0], *rest]) + got))
+        found.append((at, ", or ".join([parts[0], *rest]) + got))
     return found
 
 
-def _takes_several_types(schema: type[Section], path: Path) -> bool:
+def _takes_several_types(schema: type[Section], path: KeyPath) -> bool:
     """Whether the value at a path of a section may be of several types that pydantic tries one after the other.
 
     The last part of the path of its errors is then the name of a type, which is no key of the file.
@@ -351,14 +353,14 @@ def _kinds(hint: Any) -> list[Any]:  # types as annotations have them
     return [hint]
 
 
-def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
+def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[KeyPath, str]]:
     """Yield the problems in one error of pydantic: path in the section, and sentence, of each.
 
     Args:
         error: an entry of ``ValidationError.errors()``, hence Any.
         schema: the class of the section.
     """
-    path: Path = tuple(error["loc"])
+    path: KeyPath = tuple(error["loc"])
     raised = error.get("ctx", {}).get("error")
     if isinstance(raised, FileProblems):
         for inner, sentence in raised.faults:
@@ -367,7 +369,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
         yield path, _sentence(error, schema, path)
 
 
-def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
+def _standing(path: KeyPath, lines: Mapping[KeyPath, int]) -> KeyPath:
     """Return the path under which the file has a value, for a path of the checked data.
 
     A key that takes one value or a list has an index in the path, but not in the file if one value is written there.
@@ -378,7 +380,7 @@ def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
     return next((each for each in shorter if each in lines and isinstance(path[-1], int)), path)
 
 
-def _written(path: Path) -> str | None:
+def _written(path: KeyPath) -> str | None:
     """Return the path of a key as text: ``unit[0].point[3].type``; None for an empty path."""
     text = ""
     for each in path:
@@ -404,7 +406,7 @@ _WORDS = {
 }
 
 
-def _sentence(error: Any, schema: type[Section], path: Path) -> str:
+def _sentence(error: Any, schema: type[Section], path: KeyPath) -> str:
     kind, details = error["type"], error.get("ctx", {})
     got = f", not {shown(error['input'])}"
     if kind == "extra_forbidden":
@@ -441,7 +443,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
     return f"unknown key; {only} {', '.join(known)}"
 
 
-def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
+def _section_at(schema: type[Section], path: KeyPath) -> type[Section] | None:
     """Return the schema class of the table at a path; None if a key of the path is unknown or has no schema class."""
     for key in path:
         if isinstance(key, int):
