@@ -699,6 +699,7 @@ class PointSection(WholeSection):
         if self.rollover and not self.is_whole:
             yield ("rollover",), f"{shown(self.name)} holds no whole number and does not roll over"
         if self.is_number:
+            form = self.form
             for index, each in enumerate(self.invalid):
                 if self.is_whole and (isinstance(each, bool) or each != int(each if math.isfinite(each) else 0)):
                     yield ("invalid", index), f"must be a whole number, as the registers hold it, not {shown(each)}"
@@ -709,18 +710,6 @@ class PointSection(WholeSection):
                     )
         elif self.invalid:
             yield ("invalid",), f"{shown(self.name)} holds no number and has no invalid ones"
-
-    def _can_be_read(self, number: int) -> bool:
-        """Whether the registers of a whole number can hold a number, or its pattern of bits."""
-        assert self.form is not None
-        bits, signed = size_in_bits(self.form)
-        if signed and 0 <= number < 1 << bits:
-            return True
-        try:
-            self.form.merge(number, bytes(2 * self.form.registers))
-        except InvalidRequest:
-            return False
-        return True
 
     def _valid_faults(self) -> Iterator[tuple[KeyPath, str]]:
         if self.valid is not None and not self.valid[0] <= self.valid[1]:
@@ -798,6 +787,18 @@ class PointSection(WholeSection):
             low, high = self._bits[1:]
             keys["address"] = format_address(shifted) + (f".{low}-{high}" if low >= 0 else "")
         return type(self).model_validate(keys)
+
+
+def _can_be_read(form: ValueType[Any], number: int) -> bool:
+    """Whether registers of a type for whole numbers can hold a number, or its pattern of bits."""
+    bits, signed = size_in_bits(form)
+    if signed and 0 <= number < 1 << bits:
+        return True
+    try:
+        form.merge(number, bytes(2 * form.registers))
+    except InvalidRequest:
+        return False
+    return True
 
 
 def resolved(name: str, known: Sequence[str]) -> str:
