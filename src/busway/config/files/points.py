@@ -703,11 +703,8 @@ class PointSection(WholeSection):
             for index, each in enumerate(self.invalid):
                 if self.is_whole and (isinstance(each, bool) or each != int(each if math.isfinite(each) else 0)):
                     yield ("invalid", index), f"must be a whole number, as the registers hold it, not {shown(each)}"
-                elif self.is_whole and not self._can_be_read(int(each)):
-                    yield (
-                        ("invalid", index),
-                        f"{shown(each)} is never read, because it does not fit {self.form.name if self.form else 'it'}",
-                    )
+                elif form is not None and self.is_whole and not _can_be_read(form, int(each)):
+                    yield ("invalid", index), f"{shown(each)} is never read: it does not fit {form.name}"
         elif self.invalid:
             yield ("invalid",), f"{shown(self.name)} holds no number and has no invalid ones"
 
