@@ -24,17 +24,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
+from ..log_limiter import LogLimiter, suppressed_note
 from ..options.networks import host_of_peer
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import FastAnswer
 from ..pdu.functions import AnyRequest
-from ..pdu.general import ExceptionResponse
 from ..pdu.message import Request
 from ..session.responder import ClientIdentity, Judged, Refusal, Replaced, RequestContext, ServedUnit
 from ..values.printable import printable
 from .fast_path_rights import bind
 from .question import Asker, Question
 from .rates import Rates
-from .repeats import Repeats, so_often
 from .rule_evaluation import Decision, Rights
 from .rules import Policy, Rule
 
@@ -70,7 +70,7 @@ class PolicyRights:
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
-    def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
+    def permits_prepared(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
         """Whether a gateway or server may cache how it answers a read, so that repetitions of it are not checked again.
 
         True if the request is no write and is permitted without a rate limit to all clients that have these rights.
@@ -102,7 +102,7 @@ class PolicyAuthorizer:
     """Permits or denies the requests to a server by a policy, which can be replaced while the server runs.
 
     Args:
-        policy: the rules.
+        policy: the rules; None permits every request, until `replace_policy`.
         audit: the audit log, for writes on the fast path; an `AuditObserver` records the others. None records no write.
         rates: token buckets by rule name, for several authorizers that count together; None: this one counts alone.
         clock: monotonic seconds, for rates and for repeated log messages.
@@ -111,11 +111,12 @@ class PolicyAuthorizer:
         refusals: number of requests that the policy refused, also those above a rate, by name of the rule that decided
             (``default`` if no rule applied).
         generation: a number that grows by 1 when the policy is replaced.
+        has_policy: whether a policy was given, even one that permits everything.
     """
 
     def __init__(
         self,
-        policy: Policy,
+        policy: Policy | None,
         audit: "AuditLog | None" = None,
         *,
         rates: dict[str, Rates] | None = None,
@@ -123,12 +124,13 @@ class PolicyAuthorizer:
     ) -> None:
         self.refusals: Counter[str] = Counter()
         self.generation: int = 0
+        self.has_policy: bool = policy is not None
         self._audit = audit
-        self._in_force = _InForce(policy)
+        self._in_force = _InForce(Policy.allow_all() if policy is None else policy)
         self._lock = threading.Lock()
         self._clock = clock
         self._rates: dict[str, Rates] = {} if rates is None else rates
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     @property
     def policy(self) -> Policy:
@@ -142,6 +144,7 @@ class PolicyAuthorizer:
         rules are dropped, also for other authorizers that were given the same ``rates``.
         """
         with self._lock:
+            self.has_policy = True
             self._in_force = _InForce(policy)
             rates = {rule.name: rule.rate for rule in policy.rules}
             for name, counted in list(self._rates.items()):
@@ -252,7 +255,7 @@ class PolicyAuthorizer:
         rule = decision.rule_name
         context.judged = Judged(rule, is_denied=True)
         self.refusals[rule] += 1
-        repeated = self._repeats.again(f"{rule} {asker.host}", self._clock())
+        repeated = self._log_limiter.admit(f"{rule} {asker.host}", self._clock())
         if repeated is not None:
             _log.warning(
                 "%s: function %d of unit %d refused with %d by %s: %s%s",
@@ -262,7 +265,7 @@ class PolicyAuthorizer:
                 decision.code,
                 rule,
                 printable(decision.reason),
-                so_often(repeated),
+                suppressed_note(repeated),
             )
         return ExceptionResponse(context.function, decision.code)
 

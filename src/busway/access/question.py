@@ -7,7 +7,7 @@ Knows messages; knows no rule.
 2. A request of unknown effect counts as a write: a function that is not in the table of functions, a user function that
    declares neither what it reads nor that it writes, a truncated sub-function. So do the sub-functions of 08 that
    change communication (01, 03, 04, 0A, 14), by their declarations.
-3. A malformed request touches its whole tables: a gateway forwards it, and its effect on a device is unknown.
+3. A malformed request touches its whole tables: which items it means is not known, nor what a responder does with it.
 """
 
 from collections.abc import Callable
@@ -18,9 +18,10 @@ from ..codes import FunctionCode, Table
 from ..options.networks import host_of_peer
 from ..pdu.file_records import ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
-from ..pdu.general import MalformedRequest, OpaqueRequest
+from ..pdu.malformed_request import MalformedRequest
 from ..pdu.message import Request
 from ..pdu.read_items import unpack_registers
+from ..pdu.unknown_functions import OpaqueRequest
 from ..pdu.write_items import MaskWriteRegister, ReadWriteMultipleRegisters, WriteMultipleRegisters, WriteSingleRegister
 
 FILES: Final = "files"
@@ -202,7 +203,11 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
         for touch, writes in ((kind.writes, True), (kind.reads, False))
         if touch is not None
     ]
-    return tuple(found) or (TouchedRange(None, 0, 1, counts_as_write(kind)),)
+    if kind.writes is None:
+        writes = counts_as_write(kind)
+        if writes or not found:
+            found.append(TouchedRange(None, 0, 1, writes))
+    return tuple(found)
 
 
 def _sub_function(function: int, data: bytes) -> int | None:

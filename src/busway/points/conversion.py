@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from ..errors import InvalidRequest
 from ..values import ValueType
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 _MOST_STEPS_OFF: Final = Fraction(1, 1_000_000)
 """How far a value may always be from a whole number of steps to count as one, in steps."""
