@@ -247,7 +247,8 @@ class AsyncLinkDriver:
             self.sent_bytes += len(adu)
             if self._joins:
                 self._outgoing.append(adu)
-                self._plan_flush()
+                if not self._flush_planned:
+                    self._plan_flush()
             else:
                 self._transport.write(adu)
             if TRACE.level:
@@ -258,10 +259,10 @@ class AsyncLinkDriver:
             if call.caller is None:
                 call.caller = asyncio.current_task()
             self.session.submit(call, now)
-            if self._joins:
-                self._plan_flush()
-            else:
+            if not self._joins:
                 self._pump(now)
+            elif not self._flush_planned:
+                self._plan_flush()
         if self._line is not None:
             self._rearm()
             return
@@ -286,9 +287,8 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _plan_flush(self) -> None:
-        if not self._flush_planned:
-            self._flush_planned = True
-            self._loop.call_soon(self._flush)
+        self._flush_planned = True
+        self._loop.call_soon(self._flush)
 
     async def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`.
