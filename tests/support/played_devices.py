@@ -14,7 +14,7 @@ from busway.testing import known_device
 
 @contextlib.contextmanager
 def played(switchboard: FaultSwitchboard, url: str, **options: Any) -> Iterator[str]:
-    """Units 1 and 2, each a `known_device`, with the faults of a switchboard. Gives the endpoint; options as of `serve`."""
+    """Two units, each a `known_device`, with the faults of a switchboard; yields the endpoint."""
     units = {1: known_device(), 2: known_device()}
     ready = threading.Event()
     loops: list[asyncio.AbstractEventLoop] = []
