@@ -98,6 +98,7 @@ RULE = HEAD + "[[policy.rule]]\n"
         (HEAD + 'allow = "10.0.0.1"', "x.toml:3: policy.allow: must be a list"),
         (HEAD + 'allow = ["10.0.0.1/8"]', "x.toml:3: policy.allow: '10.0.0.1/8' has bits set"),
         (HEAD + 'deny = ["host"]', "x.toml:3: policy.deny: 'host' is no address"),
+        (HEAD + "allow = []", "x.toml:3: policy.allow: is empty: leave it out for all hosts"),
         (RULE + 'peers = ["host"]', "x.toml:4: policy.rule[0].peers: 'host' is no address"),
         (RULE + "rols = []", "x.toml:4: policy.rule[0].rols: unknown key; is it roles?"),
         (RULE + "roles = []", "x.toml:4: policy.rule[0].roles: is empty"),
