@@ -5,8 +5,8 @@ Knows hosts; knows no request. A host is checked before a byte of it is parsed.
 1. The deny list goes before the allow list, however specific their entries are, so that the two lists can be read one
    by one.
 2. In secure mode every host that is not in the allow list is refused. An allow list switches secure mode on, unless
-   ``secure=False`` is given too. An empty allow list is an error, unless ``secure`` is given: it could mean no host, and
-   would permit all.
+   ``secure=False`` is given too. An empty allow list is an error, unless ``secure`` is given: it could mean that no
+   host may connect.
 """
 
 from collections.abc import Callable, Iterable

@@ -102,6 +102,7 @@ RULE = HEAD + "[[policy.rule]]\n"
         (RULE + 'peers = ["host"]', "x.toml:4: policy.rule[0].peers: 'host' is no address"),
         (RULE + "rols = []", "x.toml:4: policy.rule[0].rols: unknown key; is it roles?"),
         (RULE + "roles = []", "x.toml:4: policy.rule[0].roles: is empty"),
+        (RULE + "files = []", "x.toml:4: policy.rule[0].files: is empty"),
         (RULE + 'units = "1-999"', "x.toml:4: policy.rule[0].units: a unit is 0…255, not 999"),
         (RULE + "units = 1.5", "x.toml:4: policy.rule[0].units: must be a number, a text such as '1-5', or a list"),
         (RULE + "functions = [true]", "x.toml:4: policy.rule[0].functions: must be a number"),
