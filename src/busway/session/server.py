@@ -25,7 +25,7 @@ from struct import Struct
 
 from ..codes import ExceptionCode, FunctionCode
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
-from ..pdu.general import ExceptionResponse
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostics import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
