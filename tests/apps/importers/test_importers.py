@@ -299,7 +299,8 @@ def test_home_assistant_s_sensors_and_switches_become_points() -> None:
     assert [str(points[1, name].address) for name in ("Row", "Row_1", "Row_2")] == ["4x31", "4x33", "4x35"]
     assert decode_point(points[1, "Both"], bytes.fromhex("FFFF 0001 FFFFFFFE")).value == (-1, 1, -2)
     assert str(points[1, "Door"].address) == "1x8"
-    assert str(points[1, "Bits_17"].address) == "4x52.1"
+    # Home Assistant reads 18 registers, and takes the lowest bit of each (`result[index] & 1` of its SlaveSensor).
+    assert [str(points[1, name].address) for name in ("Bits", "Bits_1", "Bits_17")] == ["4x51.0", "4x52.0", "4x68.0"]
     fan = points[1, "Fan"]
     assert fan.writing is not None
     assert (str(fan.writing.verify), fan.encode(True), fan.encode(False)) == ("input:14", b"\x00\xff", b"\x00\x00")

@@ -120,14 +120,12 @@ def _sensor(
 def _binary_sensor(
     entity: Mapping[str, Any], keys: dict[str, Any], where: str, found: ImportedDevice
 ) -> Iterator[dict[str, Any]]:
+    """Yield the points of a binary sensor: coils, or the lowest bits of registers that follow each other."""
     table = _TABLES.get(str(entity.get("input_type", "coil")), "")
-    for place in range(_several(entity, MAX_READ_BITS) + 1):
+    is_bit = table in ("holding", "input")
+    for place in range(_several(entity, MAX_READ_REGISTERS if is_bit else MAX_READ_BITS) + 1):
         name = keys["name"] if not place else f"{keys['name']}_{place}"
-        address = f"{table}:{entity['address']}"
-        if table in ("holding", "input"):
-            address = f"{table}:{entity['address'] + place // 16}.{place % 16}"
-        elif place:
-            address = f"{table}:{entity['address'] + place}"
+        address = f"{table}:{entity['address'] + place}{'.0' if is_bit else ''}"
         yield {**keys, "name": name, "address": address, "unit_of_measure": None}
 
 
