@@ -12,10 +12,11 @@ from recording_device import FakeContext
 
 from busway.codes import Table
 from busway.pdu.bits import slice_bits, splice_bits
+from busway.pdu.device_interface import Refusal
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse, MalformedRequest
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (
     MaskWriteRegister,

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from busway.codes import ExceptionCode, Table
 from busway.errors import ConfigError
+from busway.pdu.device_interface import Refusal
 from busway.pdu.diagnostics import ReadExceptionStatus, ReportServerId
 from busway.pdu.encapsulated import CanopenGeneralReference, ReadDeviceIdentification
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message, Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (
     MaskWriteRegister,

@@ -23,9 +23,9 @@ from ..session.responder import Responder
 from .clock import Clock
 from .connections import FaultyTap
 from .fault import EVERYWHERE, AppliedFault, Carrier, Faults, Schedule, Selection
+from .faulty_responder import FaultyResponder
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES
-from .responder import FaultyResponder
 
 
 @dataclass(frozen=True, slots=True)

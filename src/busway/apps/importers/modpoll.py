@@ -17,7 +17,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Final
 
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .imported import ImportedDevice
 
 _TABLES: Final = {

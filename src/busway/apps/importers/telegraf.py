@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from ...config.files.schema import Source, read_source
 from ...values.counts import counted
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .imported import ImportedDevice, others_of, tables_in
 
 _TABLES: Final = {
