@@ -13,6 +13,7 @@
 import asyncio
 import math
 import re
+import sys
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
@@ -165,7 +166,7 @@ def simulate(
     from ..apps.server.service import Service
     from ..server.loops import run
 
-    source = chosen_source(file, device, map_file, unit, listener_changes(priority))
+    source = chosen_source(file, device, map_file, unit, listener_changes(priority), preflight=check)
     simulation = _loaded(source, fault or (), listen or (), keeps_state=not check, **options)
     if check:
         _print_units(simulation)
@@ -280,7 +281,7 @@ def check_file(file: str) -> None:
     from ..apps.simulator.includes import load_declaration
     from ..apps.simulator.simulation import Simulation
 
-    _print_units(Simulation(replace(load_declaration(file), state=None)))
+    _print_units(Simulation(replace(load_declaration(file, preflight=True), state=None)))
 
 
 def _print_units(simulation: "Simulation") -> None:
@@ -294,6 +295,8 @@ def _print_units(simulation: "Simulation") -> None:
         details = fault_details(each)
         with_them = f"; {details}" if details else ""
         print(f"fault {each.name}: {each.fault_profile}, {'on' if each.is_on else 'off'}{with_them}")
+    for warning in simulation.declaration.configuration.warnings:
+        print(warning, file=sys.stderr)
 
 
 def _announce_fault(status: "FaultStatus") -> None:

@@ -24,8 +24,8 @@ from operator import itemgetter
 from typing import Any, Final, NamedTuple, Protocol, TypeAlias
 
 from ...codes import Table
-from ...config.gc_pauses import collecting_paused
 from ...points.point_rules import ItemRange, ReadRules
+from ..server.gc_pauses import collecting_paused
 from .cost import ReadCost
 
 __all__ = [

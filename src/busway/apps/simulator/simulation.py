@@ -547,6 +547,7 @@ class Simulation:
         except InvalidRequest as error:
             self._warn(f"the value that was kept is forgotten: {error}")
             return
+        point.last_writer = kept.writer
         if kept.is_held:
             self._engine.hold(point, self._time)
 
@@ -574,9 +575,9 @@ class Simulation:
         time = self.time
         points = {}
         for key, point in self.points.items():
-            is_free = not self._engine.drives(point)
-            if point.held or (is_free and point.section.is_writable):
-                points[key] = KeptPoint(point.value, point.is_held)
+            was_set = not self._engine.drives(point) and point.last_writer != SIMULATION
+            if point.held or was_set:
+                points[key] = KeptPoint(point.value, point.is_held, writer=point.last_writer)
             elif (state := self._engine.state_of(point, time)) is not None:
                 points[key] = KeptPoint(behaviour=state)
         return KeptState(time, points)
