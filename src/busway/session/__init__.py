@@ -27,8 +27,8 @@ Where it is decided: whether a read or a write is repeated, and when its outcome
 of waiting requests: `queue`. When to reconnect, and the backoff: `reconnect`; what becomes of open requests then:
 `connection_life`. Units that do not answer: `unit_breaker`. Late replies: `serial_late_replies` on serial lines,
 `client` on TCP (by transaction identifier). Gaps, turnaround and drain of a serial line, and whether a frame is the
-awaited reply, a late or an early one: `serial_client`. The server's way of a request, with policy, audit and other observers:
-`pipeline`; its frames: `server` on TCP, `serial_server` on lines. Reads that a gateway forwards in one step:
+awaited reply, a late or an early one: `serial_client`. The server's way of a request, with policy, audit and other
+observers: `pipeline`; its frames: `server` on TCP, `serial_server` on lines. Reads that a gateway forwards in one step:
 `forwarded_reads`. Functions 08, 11 and 12, and when a unit enters and leaves listen-only mode: `diagnostics`; that a
 unit in this mode does not answer: `pipeline` and `serial_server`.
 """
