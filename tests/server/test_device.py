@@ -280,7 +280,7 @@ def test_the_fast_path_answers_as_the_generic_path_does(requests: list[bytes]) -
         answer = answers[pdu[0]]
         assert answer is not None
         # The PDU stands somewhere in a receive buffer.
-        got = answer(bytearray(b"\xaa\xaa" + pdu + b"\xaa"), 2, 2 + len(pdu), ClientIdentity())
+        got = answer(b"\xaa\xaa" + pdu + b"\xaa", 2, 2 + len(pdu), ClientIdentity())
         if got is None:
             # What the fast path leaves is refused, or is a form that only the generic path judges.
             assert generic_path(by_fast_path, pdu) == expected

@@ -247,7 +247,8 @@ class AsyncLinkDriver:
             self.sent_bytes += len(adu)
             if self._joins:
                 self._outgoing.append(adu)
-                self._plan_flush()
+                if not self._flush_planned:
+                    self._plan_flush()
             else:
                 self._transport.write(adu)
             if TRACE.level:
@@ -258,10 +259,10 @@ class AsyncLinkDriver:
             if call.caller is None:
                 call.caller = asyncio.current_task()
             self.session.submit(call, now)
-            if self._joins:
-                self._plan_flush()
-            else:
+            if not self._joins:
                 self._pump(now)
+            elif not self._flush_planned:
+                self._plan_flush()
         if self._line is not None:
             self._rearm()
             return
@@ -286,9 +287,8 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _plan_flush(self) -> None:
-        if not self._flush_planned:
-            self._flush_planned = True
-            self._loop.call_soon(self._flush)
+        self._flush_planned = True
+        self._loop.call_soon(self._flush)
 
     async def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`.
@@ -610,7 +610,7 @@ class AsyncLinkDriver:
         if self.told is not None:
             self.told(event, reason)
         if self.observers is not None:
-            self.observers.tell(self.reconnect.state, reason)
+            self.observers.notify(self.reconnect.state, reason)
 
     def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:
@@ -690,7 +690,7 @@ class AsyncLinkDriver:
 
     def _rearm(self) -> None:
         if self._line is not None and self._line.notes:
-            self._tell_notes(self._line.notes)
+            self._trace_notes(self._line.notes)
         deadline = self.session.deadline()
         if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_calls:
             deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
@@ -701,7 +701,7 @@ class AsyncLinkDriver:
             self._timer.cancel()
             self._timer = None
 
-    def _tell_notes(self, notes: list[str]) -> None:
+    def _trace_notes(self, notes: list[str]) -> None:
         if TRACE.level:
             for note in notes:
                 self._traced().note(note)

@@ -322,7 +322,7 @@ class TcpClientSession:
 
         Otherwise return None: nothing was sent, and the call has to be queued with `submit`.
         """
-        count = len(call.requests)
+        count = call.open
         if (
             self._queue.size
             or len(self._free) < count

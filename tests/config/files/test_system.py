@@ -191,6 +191,23 @@ def test_all_that_components_refuse_is_said_at_once_in_the_order_of_the_lines() 
     assert [sentence.split(": ")[0] for sentence in problems_of(text)] == [f"x.toml:{n}" for n in (1, 3, 6, 8)]
 
 
+def test_each_number_of_a_section_that_is_out_of_range_is_said_beside_its_other_faults() -> None:
+    early = "[server]\nmax_transactions = 17\nkeepalive_idle = 0\n[client]\nretries = 500\nqueue = 0\n"
+    assert [sentence.split(": ")[1] for sentence in problems_of(early + UNIT)] == [
+        "server.max_transactions",
+        "server.keepalive_idle",
+        "client.retries",
+        "client.queue",
+    ]
+    later = "[server]\nbacklog = 0\nidle_timeout = -1\n[[link]]\nname = 'a'\nurl = 'tcp://h'\nqueue = 0\nretries = -1\n"
+    assert [sentence.split(": ")[1] for sentence in problems_of(later + UNIT)] == [
+        "server.backlog",
+        "server.idle_timeout",
+        "link[0].queue",
+        "link[0].retries",
+    ]
+
+
 @pytest.mark.parametrize(
     ("one", "other", "clash"),
     [

@@ -320,10 +320,12 @@ class _Makers:
         known = declared(ListenerParameters)
         general = {key: value for key, value in self._general.items() if key in known}
         chosen = {**general, **own, **self._changes}
-        return self._check_options.make(
-            lambda: build_parameters(ListenerParameters, chosen),
-            lambda key: nearest(key, own, at, general, ("server",)),
-        )
+
+        def place(key: str | None) -> KeyPath:
+            return nearest(key, own, at, general, ("server",))
+
+        self._check_options.check_numbers(known, chosen, place)
+        return self._check_options.make(lambda: build_parameters(ListenerParameters, chosen), place)
 
     def listener(self, place: KeyPath, endpoint: Endpoint) -> Listener:
         """Create a listener of the file. Invalid options are reported; the listener must then not be used.
