@@ -26,13 +26,13 @@ from offline.wire import NUMBERS, Device, MemoryLoop, Wire
 
 import busway
 from busway.options.client import ClientParameters
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
-from busway.session.server import TcpServerSession
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 Step = Callable[[], object]
@@ -91,7 +91,7 @@ def server_steps() -> dict[str, Step]:
     client = ClientIdentity()
     answer = RequestPipeline(DeviceResponder({1: scripts.device()})).fast_path(client).bind(1, 3)
     assert answer is not None
-    whole = b"".join(scripts.UNPLANNED)
+    whole = b"".join(scripts.UNPREPARED)
     places = [(at + 7, at + 12) for at in range(0, len(whole), 12)]
 
     def answers() -> None:
@@ -99,7 +99,7 @@ def server_steps() -> dict[str, Step]:
             answer(whole, start, end, client)
 
     def session(*first: bytes) -> TcpServerSession:
-        # A handler each: its connections share what they remember, and there is no more room once the plans are full.
+        # A handler each: its connections share what they remember, and there is no more room once these are full.
         own = DeviceResponder({1: scripts.device()})
         made = TcpServerSession(
             RequestPipeline(own),
@@ -118,7 +118,7 @@ def server_steps() -> dict[str, Step]:
 
     return {
         "server answer": answers,
-        "server session": partial(received, session(*scripts.ALL_PLANS), scripts.UNPLANNED),
+        "server session": partial(received, session(*scripts.ALL_PREPARED), scripts.UNPREPARED),
         "server planned session": partial(received, session(*scripts.READS), scripts.READS),
     }
 

@@ -1,4 +1,4 @@
-"""A policy around a handler: which path requests take, who shares plans, rates, late outcomes and what the log says."""
+"""A policy around a handler: paths of requests, shared prepared answers, rates, late outcomes, and the log."""
 
 import asyncio
 import json
@@ -12,17 +12,17 @@ from busway.access.audit_log import AuditLog
 from busway.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
 from busway.options.server import UnitPolicy
+from busway.pdu.device_interface import Refusal
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.server.responder_failures import answer_later
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)
@@ -415,7 +415,7 @@ def test_what_is_denied_of_a_unit_is_denied_by_every_name_of_its_device(device, 
         read = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 0, 2)
         write = struct.pack(">HHHBBHH", 1, 0, 6, unit, 6, 0, 99)
         elsewhere = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 8, 1)
-        for adu in (read, read, write):  # the second time a plan would answer
+        for adu in (read, read, write):  # the second time a prepared answer would do
             assert ask(one, adu) == [bytes((adu[7] | 0x80, 1))]
         assert ask(one, elsewhere) == [bytes.fromhex("03 02 0008")]
     assert device.holding_registers[0] == 0

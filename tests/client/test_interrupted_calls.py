@@ -20,8 +20,8 @@ from busway.client.blocking_link import BlockingLinkDriver
 from busway.client.kept_late_replies import KEPT
 from busway.framing.rtu import encode_rtu
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.session.late_replies import Doubts, OwedReply
 from busway.session.serial_client import SerialClientSession
+from busway.session.serial_late_replies import Doubts, OwedReply
 from busway.testing import faulty_server, known_device
 
 READ = ReadHoldingRegisters(1, 1)
@@ -238,7 +238,7 @@ def test_interrupted_read_of_a_silent_peer_keeps_no_slot_of_other_links(monkeypa
         options: Any = {"scope": "client", "shared": False, "timeout": 60.0}
         with busway.connect(silent.endpoint, **options) as dead, busway.connect(alive.endpoint, **options) as link:
             with monkeypatch.context() as patch:
-                patch.setattr("busway.client.blocking_link.Poll.wait", interrupt_wait)
+                patch.setattr("busway.client.blocking_link.SocketReadiness.wait", interrupt_wait)
                 with pytest.raises(Interrupt):
                     dead.unit(1).read_holding_registers(0, count=1)
             assert link.unit(1).read_holding_registers(7, count=1, deadline=AMPLE) == [7]

@@ -1,12 +1,12 @@
 """What a handler learns of a client that goes away before its late reply."""
 
 from busway.codes import FunctionCode
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD, AnyRequest
-from busway.pdu.general import ExceptionResponse
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 

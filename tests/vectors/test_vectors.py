@@ -16,15 +16,15 @@ from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.framing.received import SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.timing import SerialTiming
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import FileData
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.cells import Cells
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))

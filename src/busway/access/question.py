@@ -18,9 +18,10 @@ from ..codes import FunctionCode, Table
 from ..options.networks import host_of_peer
 from ..pdu.file_records import ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
-from ..pdu.general import MalformedRequest, OpaqueRequest
+from ..pdu.malformed_request import MalformedRequest
 from ..pdu.message import Request
 from ..pdu.read_items import unpack_registers
+from ..pdu.unknown_functions import OpaqueRequest
 from ..pdu.write_items import MaskWriteRegister, ReadWriteMultipleRegisters, WriteMultipleRegisters, WriteSingleRegister
 
 FILES: Final = "files"
@@ -202,7 +203,11 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
         for touch, writes in ((kind.writes, True), (kind.reads, False))
         if touch is not None
     ]
-    return tuple(found) or (TouchedRange(None, 0, 1, counts_as_write(kind)),)
+    if kind.writes is None:
+        writes = counts_as_write(kind)
+        if writes or not found:
+            found.append(TouchedRange(None, 0, 1, writes))
+    return tuple(found)
 
 
 def _sub_function(function: int, data: bytes) -> int | None:

@@ -26,7 +26,7 @@ from ..codes import Table
 from ..errors import ConfigError
 from ..pdu.functions import AnyRequest
 from ..pdu.message import Request, Span
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 SILENCE = b""
 """The result of ``Fault.asked`` that suppresses the reply."""

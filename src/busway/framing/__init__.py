@@ -16,7 +16,6 @@
 `rtu_search`       Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line
 `rtu_strict`       Strict RTU receiver: the state diagram of the specification to the letter
 `timing`           Times on a serial line: characters, t1.5, t3.5 and whole frames
-`word`             Base of options whose values are words, such as `even`
 =================  =====================================================================================================
 
 A receiver takes bytes with the time at which they were read, and returns the frames that they complete

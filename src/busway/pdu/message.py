@@ -21,8 +21,8 @@ from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
-    from .fast_answers import DirectModel, FastAnswer, ReadPlan
-    from .model import Context, DataModel
+    from .device_interface import Context, DataModel
+    from .fast_answers import DirectModel, FastAnswer, PreparedAnswer
 
 UNKNOWN_LENGTH = -1
 """Result of the length rules: the content of the message does not tell its length; the frame around it does."""
@@ -270,8 +270,8 @@ class Request(Message):
             """The bytes with which the expected reply PDU must begin; AttributeError before `prepare`."""
 
     @classmethod
-    def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """Return the prepared answer to a read of registers that a client repeats (`busway.pdu.fast_answers.ReadPlan`).
+    def prepared_answer(cls, model: "DirectModel", unit: int, pdu: bytes) -> "PreparedAnswer | None":
+        """Return the prepared answer (`PreparedAnswer`) to a read of registers that a client repeats.
 
         None if the request does not read registers, or must take the generic path.
 

@@ -5,12 +5,13 @@
 `bound_sockets`          The bound sockets of a listener, their URLs, and whether other hosts can reach them
 `cells`                  Checks how a user declared the items of a table or file: addresses, initial values
 `connection`             The asyncio driver of one accepted connection
-`connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
 `connection_limits`      Connection slots in two pools: which new connection gets one, and which is closed for it
+`connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
 `counters`               The counters of a server: connections, requests, refusals and bytes
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
+`device_responder`       The responder of a server with devices in its own process
 `exposure`               Warnings in the log for listeners that other hosts can reach
 `groups`                 Groups of changes that an application makes to a device and that become visible together
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
@@ -20,7 +21,6 @@
 `listener`               A listener as it is declared: an endpoint to listen on, with options that hold for it alone
 `listener_context`       What all connections of a network listener, TCP or UDP, share: access list, sessions
 `listener_settings`      Settings of a listener, read from its URL, whichever scheme it has
-`local`                  The responder of a server with devices in its own process
 `loops`                  Runs the event loops that this library starts itself: uvloop's if it is installed
 `open_files`             The system's limit of open files, which limits connections: each needs one
 `opening`                Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial
@@ -50,6 +50,6 @@ Where it is decided: how many connections there may be, also per host, and which
 `busway.session.transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
 `connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `line`. Late answers
 and failing responders: `responder_failures`. The way of a request, its policy and its audit: `busway.session.pipeline`
-and `busway.access`. Rules of unit identifiers: `local`. Memory of a device: `device`, `stores`, `blocks`; its hooks:
-`hooks`. Counters and status: `counters`, `status`. Open files of the process: `open_files`.
+and `busway.access`. Rules of unit identifiers: `device_responder`. Memory of a device: `device`, `stores`, `blocks`;
+its hooks: `hooks`. Counters and status: `counters`, `status`. Open files of the process: `open_files`.
 """

@@ -19,7 +19,7 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
-from .connection_limits import Pool
+from .connection_limits import SlotPool
 from .connection_management import ConnectionManagement
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
@@ -113,7 +113,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.role: str | None = role
         self.subject: str = subject
         self.is_priority: bool = False
-        self.pool: Pool = Pool.OTHER
+        self.pool: SlotPool = SlotPool.OTHER
         self.is_greedy: bool = False
         self.opened: float = 0.0
         self.last_used: float = 0.0
@@ -423,7 +423,7 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.write(reply)
                 self.sent += len(reply)
         else:
-            data = replies[0] if len(replies) == 1 else b"".join(replies)
+            data = b"".join(replies)  # of one reply it is that object itself
             self._transport.write(data)
             self.sent += len(data)
         if TRACE.level:

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING, Protocol
 
 from ..access.addresses import HostAuthorizer, allow_all
 from ..access.rates import Rates
-from ..access.repeats import Repeats, so_often
+from ..log_limiter import LogLimiter, suppressed_note
 from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostics import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
-from ..session.server import TcpServerSession
+from ..session.tcp_server import TcpServerSession
 from ..session.transaction_slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
-from .connection_limits import Pool
+from .connection_limits import SlotPool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .listener_settings import ListenerSettings
@@ -56,7 +56,7 @@ class ConnectedPeer(Protocol):
     role: str | None
     subject: str
     is_priority: bool
-    pool: Pool
+    pool: SlotPool
     opened: float
     last_used: float
     received: int
@@ -138,7 +138,7 @@ class ListenerContext:
             self._slots = TransactionSlots(session_parameters.max_transactions, of_each_connection=True)
         self._framed_session = None if self.framing == "mbap" else _framed_session()
         self._authorize = authorize
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
         self._tap = tap
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
@@ -266,9 +266,9 @@ class ListenerContext:
             about: what the message is about, such as a host.
             message, arguments: the message with its ``%`` arguments.
         """
-        repeated = self._repeats.again(f"{about} {message}", time.monotonic())
+        repeated = self._log_limiter.admit(f"{about} {message}", time.monotonic())
         if repeated is not None:
-            _log.log(level, f"{message}%s", *arguments, so_often(repeated))
+            _log.log(level, f"{message}%s", *arguments, suppressed_note(repeated))
 
     # What is shown.
 
@@ -290,7 +290,7 @@ class ListenerContext:
             waiting=session.waiting if session else 0,
         )
 
-    def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
+    def status(self, count: Callable[[SlotPool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
         """Return the status of the listener.
 
         Args:
@@ -308,8 +308,8 @@ class ListenerContext:
             listen_only_units=tuple(sorted(diagnostics.listen_only_units)),
             requests=diagnostics.requests,
             damaged=self.damaged,
-            priority_connections=count(Pool.PRIORITY),
-            other_connections=count(Pool.OTHER),
+            priority_connections=count(SlotPool.PRIORITY),
+            other_connections=count(SlotPool.OTHER),
             interfaces=tuple(one for host in self.hosts for one in interfaces_with(host)),
             security=security,
         )

@@ -6,7 +6,7 @@ from enum import Enum
 
 from ..session.diagnostics import Counters
 from ..transport.interfaces import Interface
-from .connection_limits import Pool
+from .connection_limits import SlotPool
 from .counters import ServerCounters
 from .status_indicators import StatusIndicators
 
@@ -49,7 +49,7 @@ class ConnectionStatus:
     peer: str
     listener: str
     state: ServedConnectionState
-    pool: Pool
+    pool: SlotPool
     role: str | None
     subject: str
     age: float

@@ -25,12 +25,12 @@ from ..errors import ConfigError
 from ..faults.clock import Clock, LoopClock
 from ..faults.connections import FaultyTap
 from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
+from ..faults.faulty_responder import FaultyResponder
 from ..faults.profiles import FAULT_PROFILES
-from ..faults.responder import FaultyResponder
 from ..options.server import UnitPolicy
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
-from ..server.local import DeviceResponder
+from ..server.device_responder import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000

@@ -25,7 +25,7 @@
 `device_status`   The status of a polled device: whether it answers, and what its reads have brought
 `learnt_file`     The file beside the store in which a collector keeps what it learns about devices, over restarts
 `sample_readers`  The programs that follow the samples of a running collector
-`running`         Notes that let `busway status` find the running collectors of this user
+`running_notes`   Notes that let `busway status` find the running collectors of this user
 `report_rules`    Which report rule holds for a point, in the store and towards sinks
 `connected_systems`  The other systems that a running collector is connected to: sinks, pages, servers with commands
 `reloading`       Replaces the configuration of a running collector, from its file or from a text that becomes its file

@@ -61,7 +61,7 @@ from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog
-from .plant import (
+from .plant_configuration import (
     costs_by_link,
     link_times,
     links_of_shards,
@@ -218,7 +218,7 @@ class FleetCollector:
             )
             self.collector = await unless_started.enter_async_context(collector)
             self._first_commit = collector.newest_commit
-            self._tell_costs()
+            self._set_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
             self.ownership.set_configuration(self.revision, collector.newest_commit)
@@ -337,7 +337,7 @@ class FleetCollector:
         self._times_of = link_times(configuration)
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
-    def _tell_costs(self) -> None:
+    def _set_costs(self) -> None:
         """Tell `member` which shards (groups of links) the configuration has, and what polling each of them costs."""
         loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
         costs = costs_by_link(self._configuration, loads)
@@ -412,7 +412,7 @@ class FleetCollector:
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
         self._confirm_revision(revision)
-        self._tell_costs()
+        self._set_costs()
         self._driver.wake()
         if self._newer is taken:
             self._newer = None

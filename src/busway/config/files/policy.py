@@ -13,7 +13,7 @@ from ...access.addresses import AddressList
 from ...access.rules import RATES, AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...options.declaration import Name
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .lines import KeyPath
 from .schema import NO_LIST, FileProblems, Section, parse_file
 
@@ -194,7 +194,7 @@ class PolicySection(Section):
 
     def addresses(self) -> AddressList:
         """Return the lists of allowed and refused hosts. Raises `ConfigError` with the ``key`` that is wrong."""
-        return AddressList(self.allow, self.deny, self.secure)
+        return AddressList(self.allow if "allow" in self.model_fields_set else None, self.deny, self.secure)
 
     def access_rules(self) -> AccessRules:
         """Return the policy and the address lists of the section together."""

@@ -26,12 +26,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol
 
-from ....access.repeats import Repeats, so_often
 from ....errors import InvalidRequest, ModbusError, Overloaded
+from ....log_limiter import LogLimiter, suppressed_note
 from ....points.name_patterns import is_meant
 from ....points.point import Point
 from ....points.point_rules import WriteRule
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from .command import CommandResult, CommandState, PointCommand, new_key
 from .other_owners import OtherOwners
 from .rights import WriterRights
@@ -166,14 +166,14 @@ class CommandInput(Protocol):
             True if the server gives each message to one collector only; False if every collector gets it.
         """
 
-    async def run(self, receiver: "CommandReceiver") -> None:
-        """Receive messages, pass each to `CommandReceiver.take` and send the answer, until cancelled.
+    async def run(self, handler: "CommandMessageHandler") -> None:
+        """Receive messages, pass each to `CommandMessageHandler.handle` and send the answer, until cancelled.
 
         A lost connection is opened again after pauses.
         """
 
 
-class CommandReceiver:
+class CommandMessageHandler:
     """Turns the messages from one server into commands, has them executed, and returns the answers.
 
     In a fleet, creating it makes ``made`` join the group of the collectors (`CommandInput.join`).
@@ -210,7 +210,7 @@ class CommandReceiver:
         self._places: tuple[DescribedPlant, dict[str, tuple[str, str] | None]] | None = None
         self._taken = self._refused = 0
         self._error: str | None = "not connected yet"
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     def status(self) -> InputStatus:
         """Return the status of the server that commands come from: its connection, and counts of messages."""
@@ -246,7 +246,7 @@ class CommandReceiver:
         self._taken += 1
         self._refuse(where, "too many messages wait")
 
-    async def take(self, message: InputMessage) -> bytes | None:
+    async def handle(self, message: InputMessage) -> bytes | None:
         """Execute the command in a message, or arm, confirm or pass it on, and return the answer.
 
         Args:
@@ -404,9 +404,11 @@ class CommandReceiver:
 
     def _refuse(self, where: str, reason: str) -> bytes:
         self._refused += 1
-        repeated = self._repeats.again(where[:_LONGEST_NAME], time.monotonic())
+        repeated = self._log_limiter.admit(where[:_LONGEST_NAME], time.monotonic())
         if repeated is not None:
-            _log.warning("commands of %s: %s is refused: %s%s", self._name, shown(where), reason, so_often(repeated))
+            _log.warning(
+                "commands of %s: %s is refused: %s%s", self._name, shown(where), reason, suppressed_note(repeated)
+            )
         return _encoded({"state": CommandState.REFUSED.value, "reason": reason})
 
 
