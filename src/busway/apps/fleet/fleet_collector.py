@@ -72,8 +72,8 @@ from .plant_configuration import (
     restricted,
     with_short_user_timeout,
 )
-from .records import LONGEST_WORD, MaintainedDevice
 from .shards import checked_name
+from .table_records import LONGEST_WORD, MaintainedDevice
 
 LOOK_AGAIN: Final = 1.0
 """Seconds after which a link without a known owner is checked again: the entry of its new owner may not be read yet."""
