@@ -7,9 +7,9 @@ import pytest
 
 from busway.client.serial_connector import SerialChannel, SerialStream
 from busway.errors import BadReply, NoReply
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.call import Call

@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.framing.timing import SerialTiming
+from busway.framing.character_times import SerialTiming
 from busway.session.adaptive_timeout import FACTOR, AdaptiveTimeout, floor_for
 
 

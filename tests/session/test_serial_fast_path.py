@@ -5,9 +5,9 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.pdu.model import Refusal
 from busway.server.device import Device
 from busway.server.hooks import Access

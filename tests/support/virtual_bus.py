@@ -13,9 +13,9 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
-from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.pdu.message import Message, Request

@@ -9,13 +9,13 @@ import pytest
 
 from busway import Device
 from busway.framing.ascii import AsciiReceiver, encode_ascii
+from busway.framing.character_times import SerialTiming
 from busway.framing.crc import crc_bytes
 from busway.framing.frame_direction import LineRole
 from busway.framing.lrc import lrc
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.framing.received import SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.pdu.file_records import FileData
 from busway.pdu.functions import STANDARD
 from busway.pdu.general import ExceptionResponse

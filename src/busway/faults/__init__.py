@@ -3,8 +3,8 @@
 =====================  =================================================================================================
 `clients`              Fault profiles of clients: the bytes that a misbehaving client sends before it falls silent
 `clock`                Clocks that time delayed replies: that of an event loop, and one that a test moves
-`connections`          Carries out faults on a server's connections: sends delayed and changed replies
 `fault`                Faults: what they change in the requests and replies of a connection, when they are active
+`faulty_connections`   Carries out faults on a server's connections: sends delayed and changed replies
 `faulty_conversation`  One connection of a faulty device, without IO: which bytes answer its requests, and when
 `profile`              The class of fault profiles, and the check of their parameters: refuses unknown ones
 `responder`            A responder that wraps another one and applies faults to its replies

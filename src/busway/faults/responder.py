@@ -28,8 +28,8 @@ from ..session.responder import (
     Responder,
     ServedUnit,
 )
-from .connections import FaultyConnection, FaultyTap
 from .fault import Exchange, Faults
+from .faulty_connections import FaultyConnection, FaultyTap
 from .faulty_conversation import Struck
 
 

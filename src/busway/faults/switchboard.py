@@ -21,8 +21,8 @@ from ..codes import Table
 from ..server.server import Server
 from ..session.responder import Responder
 from .clock import Clock
-from .connections import FaultyTap
 from .fault import EVERYWHERE, AppliedFault, Carrier, Faults, Schedule, Selection
+from .faulty_connections import FaultyTap
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES
 from .responder import FaultyResponder

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError, LinkDown
+from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Received
-from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
 from ..options.offer import MONITORS, Offer, canonical

@@ -23,8 +23,8 @@ from typing import Any, Self
 
 from ..errors import ConfigError
 from ..faults.clock import Clock, LoopClock
-from ..faults.connections import FaultyTap
 from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
+from ..faults.faulty_connections import FaultyTap
 from ..faults.profiles import FAULT_PROFILES
 from ..faults.responder import FaultyResponder
 from ..options.server import UnitPolicy

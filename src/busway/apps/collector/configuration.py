@@ -28,7 +28,7 @@ from ...config.profiles.loading import load_profile
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
-from ...framing.timing import Parity, SerialTiming
+from ...framing.character_times import Parity, SerialTiming
 from ...options.declaration import Mark
 from ...options.sinks import DeliveryOptions
 from ...points.name_patterns import is_meant

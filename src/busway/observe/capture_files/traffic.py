@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
+from ...framing.character_times import SerialTiming
 from ...framing.frame_direction import LineRole
 from ...framing.mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH, FrameKind, MbapFrame, MbapReceiver, encode_mbap
 from ...framing.received import Damaged, Direction, Received, SerialFrame, SerialReceiver
-from ...framing.timing import SerialTiming
 from ...pdu.functions import STANDARD
 from ...session.line_framing import line_framing
 from ...values.counts import counted
