@@ -9,8 +9,9 @@ import busway
 from busway.apps.check.check import Items, Target
 from busway.codes import Table
 from busway.errors import LinkDown
+from busway.faults.applied_faults import Faults
 from busway.faults.clock import FakeClock
-from busway.faults.fault import Carrier, Contact, Exchange, Faults
+from busway.faults.fault import Carrier, Contact, Exchange
 from busway.faults.faulty_conversation import FaultyConversation
 from busway.faults.profiles import FAULT_PROFILES
 from busway.framing.ascii import encode_ascii

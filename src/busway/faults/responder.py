@@ -28,7 +28,8 @@ from ..session.responder import (
     Responder,
     ServedUnit,
 )
-from .fault import Exchange, Faults
+from .applied_faults import Faults
+from .fault import Exchange
 from .faulty_connections import FaultyConnection, FaultyTap
 from .faulty_conversation import Struck
 

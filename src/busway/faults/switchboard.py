@@ -20,8 +20,9 @@ from typing import Any
 from ..codes import Table
 from ..server.server import Server
 from ..session.responder import Responder
+from .applied_faults import AppliedFault, Faults, Schedule, Selection
 from .clock import Clock
-from .fault import EVERYWHERE, AppliedFault, Carrier, Faults, Schedule, Selection
+from .fault import EVERYWHERE, Carrier
 from .faulty_connections import FaultyTap
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES
