@@ -19,8 +19,8 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
-from .connection_limits import Pool
 from .connection_management import ConnectionManagement
+from .connection_pools import Pool
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .status import ServedConnectionState

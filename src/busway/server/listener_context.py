@@ -22,7 +22,7 @@ from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
 from ..session.transaction_slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
-from .connection_limits import Pool
+from .connection_pools import Pool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .counters import ServerCounters
 from .listener_settings import ListenerSettings

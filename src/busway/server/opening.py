@@ -19,8 +19,8 @@ from ..session.responder import Responder, SerialUnits
 from ..session.transaction_slots import TransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
-from .connection_limits import PoolLimits, Pools
 from .connection_management import ConnectionManagement, ManagedConnection
+from .connection_pools import PoolLimits, Pools
 from .connection_tap import ConnectionTap
 from .counters import ServerCounters
 from .listener_context import ListenerContext

@@ -6,7 +6,7 @@ from enum import Enum
 
 from ..session.diagnostics import Counters
 from ..transport.interfaces import Interface
-from .connection_limits import Pool
+from .connection_pools import Pool
 from .counters import ServerCounters
 from .status_indicators import StatusIndicators
 

@@ -8,7 +8,7 @@ from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.server.connection_limits import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
+from busway.server.connection_pools import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
 
 
 @dataclass(eq=False)
