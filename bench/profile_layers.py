@@ -29,11 +29,11 @@ from busway.options.client import ClientParameters
 from busway.server.local import DeviceResponder
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
 from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
 
 Step = Callable[[], object]
 
@@ -104,7 +104,7 @@ def server_steps() -> dict[str, Step]:
         made = TcpServerSession(
             RequestPipeline(own),
             diagnostics=LineDiagnostics(),
-            slots=TransactionSlots(16),
+            slots=ServerTransactionSlots(16),
             deliver=_nothing,
             client=ClientIdentity(peer="127.0.0.1:1"),
         )

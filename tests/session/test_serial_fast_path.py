@@ -12,7 +12,7 @@ from busway.pdu.model import Refusal
 from busway.server.device import Device
 from busway.server.hooks import Access
 from busway.server.local import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import line_framing
 from busway.session.pipeline import RequestPipeline
 from busway.session.serial_server import SerialServerSession

@@ -33,7 +33,7 @@ from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
-from busway.session.diagnostics import Counters
+from busway.session.diagnostic_counters import Counters
 from busway.session.responder import LATER, SILENCE, Outcome, Refusal, RequestContext, ServedUnit
 
 CHARACTER = 11 / 9600

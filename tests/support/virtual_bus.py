@@ -22,7 +22,7 @@ from busway.pdu.message import Message, Request
 from busway.server.device import Device
 from busway.server.local import DeviceResponder
 from busway.session.call import Call
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import LineFraming, line_framing
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, Responder, SerialUnits

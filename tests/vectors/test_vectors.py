@@ -22,10 +22,10 @@ from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.cells import Cells
 from busway.server.local import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))
 ASKED = [vector for vector in VECTORS if "expect" in vector and vector.get("map") == "S"]
@@ -188,7 +188,7 @@ class Asked:
         self.session = TcpServerSession(
             RequestPipeline(DeviceResponder({1: example_device()})),
             diagnostics=self.diagnostics,
-            slots=TransactionSlots(1),
+            slots=ServerTransactionSlots(1),
             deliver=self.late.append,
         )
 

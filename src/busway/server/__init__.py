@@ -8,7 +8,6 @@
 `connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
 `connection_pools`       Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
-`counters`               The counters of a server: connections, requests, refusals and bytes
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
 `exposure`               Warnings in the log for listeners that other hosts can reach
@@ -30,6 +29,7 @@
 `responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
 `rtu_over_tcp`           Server sessions for RTU or ASCII frames over TCP or UDP
 `server`                 The server: listeners with one pipeline for requests; start, stop, reset, status
+`server_counters`        The counters of a server: connections, requests, refusals and bytes
 `server_options`         Applies the preset of a server, such as `strict`, to its options and listeners
 `serving`                Functions that run a server: `serve` in a coroutine, `serve_forever` in a blocking program
 `single_block`           A device with one block of memory: bit functions and word functions reach the same registers
@@ -47,9 +47,9 @@
 
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one:
 `connection_pools`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:
-`busway.session.transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
+`busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
 `connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `line`. Late answers
 and failing responders: `responder_failures`. The way of a request, its policy and its audit: `busway.session.pipeline`
 and `busway.access`. Rules of unit identifiers: `local`. Memory of a device: `device`, `stores`, `blocks`; its hooks:
-`hooks`. Counters and status: `counters`, `status`. Open files of the process: `open_files`.
+`hooks`. Counters and status: `server_counters`, `status`. Open files of the process: `open_files`.
 """

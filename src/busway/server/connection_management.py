@@ -22,10 +22,10 @@ from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
 from .connection_pools import PoolMember, Pools
-from .counters import ServerCounters
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .status_indicators import Diagnosis
 from .turns import Turns

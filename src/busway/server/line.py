@@ -20,7 +20,7 @@ from typing import Final
 from ..errors import LinkDown
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
-from ..session.diagnostics import LineDiagnostics
+from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
@@ -30,9 +30,9 @@ from ..transport.serial.opening import Claim, reopen_policy
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.reopen import open_when_there
 from .connection_tap import ConnectionTap, TappedConnection, stay
-from .counters import ServerCounters
 from .listener_settings import ListenerSettings
 from .responder_failures import begin_late_answers, report_failures
+from .server_counters import ServerCounters
 from .status import ListenerStatus
 from .status_indicators import Diagnosis
 

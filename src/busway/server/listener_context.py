@@ -16,18 +16,18 @@ from ..access.addresses import HostAuthorizer, allow_all
 from ..access.rates import Rates
 from ..access.repeats import Repeats, so_often
 from ..options.server import ListenerParameters, Scope, ServerParameters
-from ..session.diagnostics import LineDiagnostics
+from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
-from ..session.transaction_slots import TransactionSlots
+from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.interfaces import interfaces_with
 from .connection_pools import Pool
 from .connection_tap import ConnectionTap, TappedConnection, stay
-from .counters import ServerCounters
 from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .responder_failures import report_failures
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .status_indicators import Diagnosis
 
@@ -109,7 +109,7 @@ class ListenerContext:
         *,
         session_parameters: ServerParameters,
         counters: ServerCounters,
-        slots: TransactionSlots,
+        slots: ServerTransactionSlots,
         units: Container[int] = (),
         authorize: HostAuthorizer = allow_all,
         tap: ConnectionTap | None = None,
@@ -135,7 +135,7 @@ class ListenerContext:
         self._session_parameters = session_parameters
         self._slots = slots
         if session_parameters.scope is Scope.CONNECTION:
-            self._slots = TransactionSlots(session_parameters.max_transactions, of_each_connection=True)
+            self._slots = ServerTransactionSlots(session_parameters.max_transactions, of_each_connection=True)
         self._framed_session = None if self.framing == "mbap" else _framed_session()
         self._authorize = authorize
         self._repeats = Repeats()

@@ -16,15 +16,15 @@ from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
 from ..session.pipeline import RequestPipeline
 from ..session.responder import Responder, SerialUnits
-from ..session.transaction_slots import TransactionSlots
+from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
 from .connection_management import ConnectionManagement, ManagedConnection
 from .connection_pools import PoolLimits, Pools
 from .connection_tap import ConnectionTap
-from .counters import ServerCounters
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
+from .server_counters import ServerCounters
 from .tcp import TcpListener
 from .turns import Turns
 
@@ -62,13 +62,13 @@ class Opening:
     counters: ServerCounters
     authorize: HostAuthorizer
     tap: ConnectionTap | None = None
-    slots: TransactionSlots = field(init=False)
+    slots: ServerTransactionSlots = field(init=False)
     shared_pools: Pools[ManagedConnection] = field(init=False)
     epoll_set: EpollSet | None = field(init=False)
     turns: Turns = field(init=False)
 
     def __post_init__(self) -> None:
-        self.slots = TransactionSlots(self.parameters.max_transactions)
+        self.slots = ServerTransactionSlots(self.parameters.max_transactions)
         self.shared_pools = Pools(PoolLimits.of(self.limits))
         self.epoll_set = epoll_set_for(self.loop)
         self.turns = Turns(self.loop)

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Container, Sequence
 from typing import Final
 
-from ..session.diagnostics import LineDiagnostics
+from ..session.diagnostic_counters import LineDiagnostics
 from ..session.line_framing import LineFraming
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity

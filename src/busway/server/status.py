@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from ..session.diagnostics import Counters
+from ..session.diagnostic_counters import DiagnosticCounters
 from ..transport.interfaces import Interface
 from .connection_pools import Pool
-from .counters import ServerCounters
+from .server_counters import ServerCounters
 from .status_indicators import StatusIndicators
 
 
@@ -114,7 +114,7 @@ class ListenerStatus:
     endpoint: str
     is_open: bool
     indicators: StatusIndicators
-    counters: Counters
+    counters: DiagnosticCounters
     event_count: int
     listen_only: bool
     listen_only_units: tuple[int, ...] = ()

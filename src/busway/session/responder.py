@@ -20,7 +20,7 @@ from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.model import Refusal
-from .diagnostics import CommunicationState
+from .diagnostic_counters import CommunicationState
 
 
 class Deferral(Enum):

@@ -26,12 +26,12 @@ from busway.pdu.message import Touch
 from busway.pdu.read_items import ReadRegisters
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
 
 SIZE = 500
 """Registers of the device; each holds its address."""
@@ -176,7 +176,7 @@ class Client:
     """A client in front, by its conversation."""
 
     def __init__(self, handler: Any, name: str, *, slots: int = 16, is_priority: bool = False) -> None:
-        self.slots = TransactionSlots(slots)
+        self.slots = ServerTransactionSlots(slots)
         self.diagnostics = LineDiagnostics()
         self.writes: list[list[bytes]] = []
         self.session = TcpServerSession(

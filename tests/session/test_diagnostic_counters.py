@@ -7,7 +7,13 @@ import pytest
 
 from busway.codes import DiagnosticCode
 from busway.pdu.model import Refusal
-from busway.session.diagnostics import EVENT_LOG_SIZE, CommunicationState, Counters, HeardCounters, LineDiagnostics
+from busway.session.diagnostic_counters import (
+    EVENT_LOG_SIZE,
+    CommunicationState,
+    Counters,
+    HeardCounters,
+    LineDiagnostics,
+)
 
 COUNTERS = {
     0x0B: "bus_message_count",
