@@ -1,4 +1,4 @@
-"""The words of the glossary hold in the code: one class per public name, and no retired word in a name."""
+"""The words of the glossary hold in the code: one type per public name, and no retired word in a name."""
 
 import ast
 import re
@@ -65,18 +65,62 @@ def names_defined() -> Iterator[tuple[str, str]]:
                 yield node.attr, module
 
 
-def classes_by_name() -> dict[str, list[str]]:
-    """Where the public classes at the top of modules are defined."""
+def is_type(name: str, value: ast.expr | None) -> bool:
+    """Whether an assignment at the top of a module names a type: an alias, a `NewType` or a named tuple."""
+    made = value.func if isinstance(value, ast.Call) else None
+    if isinstance(made, ast.Name | ast.Attribute):
+        kind = made.id if isinstance(made, ast.Name) else made.attr
+        return kind in ("NewType", "NamedTuple", "namedtuple", "TypedDict", "Enum")
+    return value is not None and re.search(r"[a-z]", name) is not None and name[0].isupper()
+
+
+def types_in(module: ast.Module) -> Iterator[str]:
+    """The public classes and aliases at the top of a module; a `TypeVar` stands for other types, and is none."""
+    for node in module.body:
+        if isinstance(node, ast.ClassDef):
+            names = [node.name]
+        elif isinstance(node, ast.Assign):
+            names = [one.id for one in node.targets if isinstance(one, ast.Name) and is_type(one.id, node.value)]
+        elif isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+            names = [node.target.id] if is_type(node.target.id, node.value) else []
+        else:
+            names = []
+        yield from (name for name in names if not name.startswith("_"))
+
+
+def types_by_name() -> dict[str, list[str]]:
+    """Where the public types at the top of modules are defined; `compat` has the names of other libraries."""
     found = defaultdict(list)
     for file in sorted(SOURCES.rglob("*.py")):
-        for node in ast.parse(file.read_text(encoding="utf-8")).body:
-            if isinstance(node, ast.ClassDef) and not node.name.startswith("_"):
-                found[node.name].append(file.relative_to(SOURCES).as_posix())
+        if "compat" not in file.relative_to(SOURCES).parts:
+            for name in types_in(ast.parse(file.read_text(encoding="utf-8"))):
+                found[name].append(file.relative_to(SOURCES).as_posix())
     return found
 
 
-def test_no_public_class_name_is_defined_twice() -> None:
-    assert {name: files for name, files in classes_by_name().items() if len(files) > 1} == {}
+@pytest.mark.parametrize(
+    ("source", "names"),
+    [
+        ("class Place: ...", ["Place"]),
+        ("Place = tuple[int, int]", ["Place"]),
+        ("Place: TypeAlias = tuple[int, int]", ["Place"]),
+        ("Place = str | int", ["Place"]),
+        ('Place = NewType("Place", int)', ["Place"]),
+        ('Place = NamedTuple("Place", [("first", int)])', ["Place"]),
+        ('Place = TypeVar("Place")', []),
+        ("_Place = tuple[int, int]", []),
+        ("PLACES = (1, 2)", []),
+        ("place = tuple[int, int]", []),
+    ],
+)
+def test_types_of_a_module_are_its_classes_and_aliases(source: str, names: list[str]) -> None:
+    assert list(types_in(ast.parse(source))) == names
+
+
+def test_no_public_type_name_is_defined_twice() -> None:
+    found = types_by_name()
+    assert found["NumberRange"] == ["access/notation.py"]
+    assert {name: files for name, files in found.items() if len(files) > 1} == {}
 
 
 def test_no_name_contains_a_retired_word() -> None:

@@ -8,7 +8,7 @@ from busway.codes import PDU_LIMIT, TCP_ADU_LIMIT
 from busway.framing.mbap import FrameKind, MbapFrame, MbapReceiver, encode_mbap
 from busway.pdu.functions import AnyRequest
 from busway.server.single_block import SingleBlock
-from busway.session.responder import Outcome, ServedUnit
+from busway.session.responder import ResponderAnswer, ServedUnit
 
 ANY_PORT = "tcp://127.0.0.1:0"
 
@@ -156,7 +156,7 @@ class OwnHandler:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         assert isinstance(request, busway.Request)
         return request.apply(self.data, context)  # type: ignore[arg-type]
 

@@ -19,7 +19,7 @@ from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.local import DeviceResponder
 from busway.server.server import Server
-from busway.session.responder import LATER, Outcome, RequestContext, ServedUnit
+from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
 from busway.testing import FakeClock, Schedule, known_device
 from busway.testing.certificates import CertificateStore
 
@@ -212,7 +212,7 @@ class Promising:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         reply = self._inner.answer(context, request)
         assert isinstance(reply, Message)
         if context.function == 3:

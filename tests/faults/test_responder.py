@@ -14,7 +14,7 @@ from busway.pdu.message import Message
 from busway.server.local import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.pipeline import RequestPipeline
-from busway.session.responder import ClientIdentity, Outcome, RequestContext, SerialUnits, ServedUnit
+from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, SerialUnits, ServedUnit
 from busway.testing import known_device
 
 READ = bytes.fromhex("03 0005 0002")
@@ -65,7 +65,7 @@ class _Plain:
     def serves(self, unit: int) -> ServedUnit | None:
         return None
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         raise busway.Refusal(4)
 
 

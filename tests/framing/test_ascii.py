@@ -13,7 +13,7 @@ from busway.framing.ascii import CR, AsciiReceiver, AsciiState, encode_ascii
 from busway.framing.character_times import SerialTiming
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
-from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame
+from busway.framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 
 LINE = SerialTiming.of_line(9600, data_bits=7)
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "vectors.json").read_text())
@@ -25,11 +25,11 @@ def receiver(role: LineRole = LineRole.SERVER, **options: object) -> AsciiReceiv
     return AsciiReceiver(role, LINE, **{"units": {0x11}, **options})  # type: ignore[arg-type]
 
 
-def frames(found: list[Received]) -> list[bytes]:
+def frames(found: list[FrameOrDamage]) -> list[bytes]:
     return [one.raw for one in found if isinstance(one, SerialFrame)]
 
 
-def reasons(found: list[Received]) -> list[Damage]:
+def reasons(found: list[FrameOrDamage]) -> list[Damage]:
     return [one.reason for one in found if isinstance(one, Damaged)]
 
 
@@ -66,7 +66,7 @@ def test_a_split_at_any_place_makes_no_difference(cut: int) -> None:
 def test_up_to_the_timeout_may_pass_between_characters_and_no_more() -> None:
     patient = receiver()
     now = 1.0
-    found: list[Received] = []
+    found: list[FrameOrDamage] = []
     for character in READ:
         found += patient.receive(bytes((character,)), now)
         now += 1.0

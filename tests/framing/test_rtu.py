@@ -14,7 +14,7 @@ from busway.framing.character_times import SerialTiming
 from busway.framing.crc import crc16
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
-from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame, SerialReceiver
+from busway.framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame, SerialReceiver
 from busway.framing.rtu import DEFAULT_GAP_LIMIT, RtuReceiver, encode_rtu
 from busway.pdu.fields import rest, u16
 from busway.pdu.functions import STANDARD
@@ -39,25 +39,25 @@ class Line:
     def __init__(self, receiver: SerialReceiver, now: float = 100.0) -> None:
         self.receiver = receiver
         self.now = now
-        self.found: list[Received] = []
+        self.found: list[FrameOrDamage] = []
 
-    def bytes(self, data: bytes) -> list[Received]:
+    def bytes(self, data: bytes) -> list[FrameOrDamage]:
         """The bytes arrive without a gap behind what came before, and are read as soon as they are there."""
         self.now += len(data) * CHARACTER
         return self._kept(self.receiver.receive(data, self.now))
 
-    def silence(self, seconds: float) -> list[Received]:
+    def silence(self, seconds: float) -> list[FrameOrDamage]:
         """Nothing arrives; the receiver is woken at its deadlines, as a driver does it."""
         end = self.now + seconds
-        given: list[Received] = []
+        given: list[FrameOrDamage] = []
         while (due := self.receiver.deadline()) is not None and due <= end:
             given += self.receiver.tick(due)
             assert self.receiver.deadline() != due, "the receiver asks for the same moment again"
         self.now = end
         return self._kept(given)
 
-    def bursts(self, data: bytes, size: int, gap: float) -> list[Received]:
-        given: list[Received] = []
+    def bursts(self, data: bytes, size: int, gap: float) -> list[FrameOrDamage]:
+        given: list[FrameOrDamage] = []
         for start in range(0, len(data), size):
             if start:
                 given += self.silence(gap)
@@ -72,7 +72,7 @@ class Line:
     def damage(self) -> list[Damaged]:
         return [one for one in self.found if isinstance(one, Damaged)]
 
-    def _kept(self, given: list[Received]) -> list[Received]:
+    def _kept(self, given: list[FrameOrDamage]) -> list[FrameOrDamage]:
         self.found += given
         return given
 

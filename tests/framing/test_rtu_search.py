@@ -6,7 +6,7 @@ from busway.framing.crc import running_states
 from busway.framing.frame_direction import Due
 from busway.framing.lengths import lengths_of
 from busway.framing.rtu import encode_rtu
-from busway.framing.rtu_search import DEAD, WAITS, Place, find_any, find_reply
+from busway.framing.rtu_search import DEAD, WAITS, FoundFrame, find_any, find_reply
 from busway.pdu.functions import STANDARD
 
 LENGTHS = lengths_of(STANDARD)
@@ -14,7 +14,7 @@ REPLY = encode_rtu(1, bytes.fromhex("03 02 00 07"))
 JUNK = bytes.fromhex("00 00 FF 00")
 
 
-def looked(data: bytes, due: Due | None = None, *, start: int = 0, at_limit: bool = False) -> Place:
+def looked(data: bytes, due: Due | None = None, *, start: int = 0, at_limit: bool = False) -> FoundFrame:
     """Where a master with a reply due finds it, or an observer a frame."""
     buffer, states = bytearray(data), [0, *running_states(data)]
     if due is None:

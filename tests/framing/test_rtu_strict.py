@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from busway.framing.character_times import SerialTiming
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
-from busway.framing.received import Damage, Damaged, Direction, Received, SerialFrame
+from busway.framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.framing.rtu_strict import LineState, StrictRtuReceiver
 
@@ -21,7 +21,7 @@ class Line:
     def __init__(self, **options: object) -> None:
         self.receiver = StrictRtuReceiver(LineRole.SERVER, LINE, **{"units": {1}, **options})  # type: ignore[arg-type]
         self.now = 10.0
-        self.found: list[Received] = []
+        self.found: list[FrameOrDamage] = []
 
     def bytes(self, data: bytes, gap: float = 0.0) -> None:
         for position, byte in enumerate(data):

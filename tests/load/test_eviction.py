@@ -11,7 +11,7 @@ from waiting import until
 
 import busway
 from busway.pdu.functions import AnyRequest
-from busway.session.responder import Outcome
+from busway.session.responder import ResponderAnswer
 from busway.testing import golden_adu
 
 MARKED, MARKED_HOST = 8, "127.0.0.2"
@@ -26,7 +26,7 @@ REPLY = struct.Struct(">HHHBBBHH")
 def _who_asks_what(chance: random.Random) -> ScriptedHandler:
     """Answers with the port of the client and the address it asked for, some time later, in no order."""
 
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         reply = registers(int(context.peer.rpartition(":")[2]), address_of(request))
         if chance.random() < 0.2:
             return reply

@@ -9,7 +9,7 @@ from capture_file import blocks
 from waiting import until
 
 from busway.framing.ascii import encode_ascii
-from busway.framing.received import Damaged, Direction, Received, SerialFrame
+from busway.framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
 from busway.observe.line_trace import LineTrace, trace_for
@@ -66,12 +66,12 @@ class Recorded:
     """Keeps what is heard on a line."""
 
     def __init__(self) -> None:
-        self.heard_frames: list[tuple[bool, Received]] = []
+        self.heard_frames: list[tuple[bool, FrameOrDamage]] = []
 
     def line(self, name: str, *, is_server: bool = True) -> "Recorded":
         return self
 
-    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+    def heard(self, found: FrameOrDamage, *, at: float | None = None, is_outgoing: bool = False) -> None:
         self.heard_frames.append((is_outgoing, found))
 
     @property

@@ -13,12 +13,12 @@ from waiting import set_forward, until
 
 import busway
 from busway.framing.ascii import encode_ascii
-from busway.framing.received import Received
+from busway.framing.received import FrameOrDamage
 from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import AnyRequest
 from busway.server.connection import ServerConnection
 from busway.server.turns import Turns
-from busway.session.responder import Outcome
+from busway.session.responder import ResponderAnswer
 from busway.session.serial_server import SerialServerSession
 from busway.testing import SLOW_LORIS, golden_adu, misbehaving_client
 
@@ -66,7 +66,7 @@ async def test_reply_carries_unit_and_transaction_of_its_request_whichever_way_i
     async def answer(address: int) -> busway.Message:
         return registers(address)
 
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         address = address_of(request)
         if way == "at once":
             return registers(address)
@@ -119,7 +119,7 @@ async def test_handler_that_raises_is_answered_with_its_code_or_04(
     async def fail() -> busway.Message:
         raise failure
 
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         if awaited:
             return fail()
         raise failure
@@ -133,7 +133,7 @@ async def test_handler_that_raises_is_answered_with_its_code_or_04(
 
 
 async def test_failures_of_handlers_are_counted() -> None:
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         raise ZeroDivisionError
 
     async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide)) as server:
@@ -144,7 +144,7 @@ async def test_failures_of_handlers_are_counted() -> None:
 
 
 async def test_silence_of_a_handler_sends_nothing_and_holds_no_slot() -> None:
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         return busway.SILENCE if address_of(request) else registers(0)
 
     async with busway.serve(ANY_PORT, responder=ScriptedHandler(decide), max_transactions=1) as server:
@@ -365,7 +365,7 @@ async def test_known_reads_in_rtu_that_wait_for_their_turn_are_answered_without_
     searched: list[int] = []
     find = SerialServerSession.find
 
-    def count(session: SerialServerSession, data: bytes, now: float) -> list[Received]:
+    def count(session: SerialServerSession, data: bytes, now: float) -> list[FrameOrDamage]:
         searched.append(len(data))
         return find(session, data, now)
 
@@ -406,7 +406,7 @@ async def test_sixteen_requests_at_once_are_answered_with_one_write_and_no_turn_
 async def test_who_asks_once_is_answered_before_what_another_has_asked_without_end() -> None:
     served: list[int] = []
 
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         served.append(address_of(request))
         return registers(0)
 
@@ -439,7 +439,7 @@ async def test_client_that_closes_its_half_is_closed_when_the_last_reply_turns_o
 
 @pytest.mark.clause("T29")
 async def test_reply_given_before_the_handler_returns_goes_out_before_what_breaks_the_stream_closes_it() -> None:
-    def decide(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         context.reply(registers(address_of(request)))
         return busway.LATER
 

@@ -15,7 +15,7 @@ from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.status_indicators import StatusIndicator
 from busway.server.tcp import settle
-from busway.session.responder import Outcome, RequestContext, ServedUnit
+from busway.session.responder import RequestContext, ResponderAnswer, ServedUnit
 from busway.testing.line import PacedLine
 from busway.transport.serial.blocking import BlockingSerialPort
 
@@ -175,7 +175,7 @@ class Slow:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit) if unit == 5 else None
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         return self._answer(request)
 
     async def _answer(self, request: AnyRequest) -> Message:
@@ -278,7 +278,7 @@ async def test_slow_handler_answers_late_and_not_when_somebody_has_spoken(line: 
 @pytest.mark.real_time
 async def test_handler_that_fails_shows_as_a_steady_error(line: PacedLine) -> None:
     class Broken(Slow):
-        def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
             raise RuntimeError("broken")
 
     async with busway.serve(url(line), responder=Broken()) as server:  # type: ignore[arg-type]

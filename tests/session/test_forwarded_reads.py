@@ -19,7 +19,7 @@ from busway.server.local import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
 from busway.session.pipeline import RequestPipeline
-from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
+from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
 
@@ -76,7 +76,7 @@ class LongRoad:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         self.handled.append(context.function)
         if isinstance(request, ReadHoldingRegisters):
             return request.Reply(data_of(context.unit, request.address, request.count))

@@ -5,7 +5,7 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.general import ExceptionResponse
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.responder import LATER, Outcome, RequestContext, ServedUnit
+from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
 
@@ -23,7 +23,7 @@ class _Promises:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         self.contexts.append(context)
         context.gone = lambda: self.gone.append(context.transaction)
         return LATER
@@ -64,7 +64,7 @@ def test_who_watches_a_reply_learns_of_it_or_that_the_client_has_gone():
     seen: list[object] = []
 
     class Watched(_Promises):
-        def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
             context.watch(seen.append)
             return super().answer(context, request)
 

@@ -34,7 +34,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.session.diagnostic_counters import Counters
-from busway.session.responder import LATER, SILENCE, Outcome, Refusal, RequestContext, ServedUnit
+from busway.session.responder import LATER, SILENCE, Refusal, RequestContext, ResponderAnswer, ServedUnit
 
 CHARACTER = 11 / 9600
 T3_5 = 3.5 * CHARACTER
@@ -65,21 +65,21 @@ class Handling:
     functions = STANDARD
     generation = 0
 
-    def __init__(self, outcome: Outcome | Exception) -> None:
+    def __init__(self, outcome: ResponderAnswer | Exception) -> None:
         self.outcome = outcome
         self.contexts: list[RequestContext] = []
 
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit) if unit in (5, 6) else None
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         self.contexts.append(context)
         if isinstance(self.outcome, Exception):
             raise self.outcome
         return self.outcome
 
 
-def handled(outcome: Outcome | Exception) -> tuple[Bus, MasterEnd, ServerEnd, Handling]:
+def handled(outcome: ResponderAnswer | Exception) -> tuple[Bus, MasterEnd, ServerEnd, Handling]:
     bus = Bus(3)
     master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
     handler = Handling(outcome)
@@ -521,7 +521,7 @@ def test_answer_that_the_port_does_not_take_is_a_write_timeout_and_none_that_was
 
 def test_answer_given_before_the_handler_returns_is_sent_once() -> None:
     class AtOnce(Handling):
-        def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+        def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
             context.reply(ReadHoldingRegisters.Reply(bytes(4)))
             return LATER
 

@@ -28,9 +28,9 @@ from busway.session.responder import (
     SILENCE,
     ClientIdentity,
     Deferral,
-    Outcome,
     Refusal,
     RequestContext,
+    ResponderAnswer,
     ServedUnit,
 )
 from busway.session.server import TcpServerSession
@@ -45,7 +45,9 @@ class Scripted:
 
     functions = STANDARD
 
-    def __init__(self, act: Callable[[RequestContext, AnyRequest], Outcome] = lambda context, request: ANSWER) -> None:
+    def __init__(
+        self, act: Callable[[RequestContext, AnyRequest], ResponderAnswer] = lambda context, request: ANSWER
+    ) -> None:
         self.act = act
         self.generation = 0
         self.asked: list[tuple[RequestContext, AnyRequest]] = []
@@ -56,7 +58,7 @@ class Scripted:
         self.looked_up.append(unit)
         return ServedUnit(unit, self.device)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         self.asked.append((context, request))
         return self.act(context, request)
 
@@ -97,7 +99,7 @@ class Peer:
         return frames
 
 
-def later(context: RequestContext, request: AnyRequest) -> Outcome:
+def later(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
     return LATER
 
 
@@ -195,7 +197,7 @@ def test_the_longest_pdu_is_taken_and_a_byte_more_is_a_broken_stream() -> None:
 @pytest.mark.clause("T31")
 @pytest.mark.parametrize("code", [*ExceptionCode, 0x55])
 def test_a_refusal_is_answered_with_its_code(code: int) -> None:
-    def refuse(context: RequestContext, request: AnyRequest) -> Outcome:
+    def refuse(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         raise Refusal(code)
 
     peer = Peer(Scripted(refuse))
@@ -205,7 +207,7 @@ def test_a_refusal_is_answered_with_its_code(code: int) -> None:
 
 @pytest.mark.clause("A20")
 def test_a_handler_that_fails_is_answered_04_and_the_failure_is_kept_for_the_log() -> None:
-    def fail(context: RequestContext, request: AnyRequest) -> Outcome:
+    def fail(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         raise ZeroDivisionError("a bug")
 
     peer = Peer(Scripted(fail))
@@ -311,16 +313,16 @@ def test_late_replies_leave_in_any_order_each_as_it_was_asked() -> None:
 
 @pytest.mark.clause("T29")
 def test_a_request_has_one_answer_however_often_its_handler_gives_it() -> None:
-    def eager(context: RequestContext, request: AnyRequest) -> Outcome:
+    def eager(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         context.reply(ANSWER)
         context.refuse(4)
         return LATER
 
-    def confused(context: RequestContext, request: AnyRequest) -> Outcome:
+    def confused(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         context.reply(ANSWER)
         return ExceptionResponse(3, 4)
 
-    def failing(context: RequestContext, request: AnyRequest) -> Outcome:
+    def failing(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         context.reply(ANSWER)
         raise ValueError("too late")
 

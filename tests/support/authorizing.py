@@ -9,7 +9,7 @@ from busway.access.rates import Rates
 from busway.access.rules import Policy
 from busway.pdu.functions import AnyRequest
 from busway.session.pipeline import RequestObserver, RequestPipeline, ResponderFailure
-from busway.session.responder import Outcome, RequestContext, Responder
+from busway.session.responder import RequestContext, Responder, ResponderAnswer
 
 
 class AuthorizedPipeline(RequestPipeline):
@@ -45,11 +45,11 @@ class AuthorizedPipeline(RequestPipeline):
         """Refused requests by rule."""
         return dict(self.authorizer.refusals)
 
-    def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> Outcome:
+    def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> ResponderAnswer:
         """As the pipeline, counted."""
         self.handled += 1
         return super().answer(context, pdu, failures)
 
-    def handle(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def handle(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """The outcome of a request on the generic path."""
         return self.answer(context, request.encode(), [])

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from busway.apps.collector.samples import NANOSECONDS, PointGroup, SampleBatch, Value
+from busway.apps.collector.samples import NANOSECONDS, PointGroup, SampleBatch, SampleValue
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 NOON = 1_800_000_000 * NANOSECONDS
@@ -18,7 +18,9 @@ def at(seconds: float) -> int:
     return NOON + round(seconds * SECOND)
 
 
-def read_of(group: PointGroup, seconds: float, *values: Value | None, reasons: Iterable[int] | int = 0) -> SampleBatch:
+def read_of(
+    group: PointGroup, seconds: float, *values: SampleValue | None, reasons: Iterable[int] | int = 0
+) -> SampleBatch:
     """The samples of a read so many seconds after `NOON`, which took 10 ms."""
     return SampleBatch(group, at(seconds), 5_000_000, values, reasons if isinstance(reasons, int) else tuple(reasons))
 

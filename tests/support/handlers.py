@@ -6,9 +6,9 @@ from dataclasses import dataclass, field
 
 import busway
 from busway.pdu.functions import AnyRequest
-from busway.session.responder import Outcome, ServedUnit
+from busway.session.responder import ResponderAnswer, ServedUnit
 
-Decide = Callable[[busway.RequestContext, AnyRequest], Outcome]
+Decide = Callable[[busway.RequestContext, AnyRequest], ResponderAnswer]
 
 
 def registers(*values: int) -> busway.Message:
@@ -32,7 +32,7 @@ class ScriptedHandler:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         """As scripted."""
         self.contexts.append(context)
         return self.decide(context, request)
@@ -44,7 +44,7 @@ def address_of(request: AnyRequest) -> int:
     return request.address
 
 
-def later(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+def later(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
     """A handler that promises a reply and leaves it to the test to give it."""
     return busway.LATER
 
@@ -58,7 +58,7 @@ class HeldReplies:
 
     opened: asyncio.Event = field(default_factory=asyncio.Event)
 
-    def decide(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def decide(self, context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Whether to wait."""
         address = address_of(request)
         return self._wait(address) if address >= 1000 else registers(address)

@@ -5,7 +5,7 @@ Written from the standard and from `docs/how-to/send-samples-on.md`, not from th
 
 from dataclasses import dataclass, field
 
-from busway.apps.collector.samples import Value
+from busway.apps.collector.samples import SampleValue
 from busway.apps.collector.sinks.sparkplug_payload import DataType, _messages
 
 WORDS = {DataType.INT64: "long_value", DataType.UINT64: "long_value", DataType.DOUBLE: "double_value"}
@@ -19,7 +19,7 @@ class Told:
     name: str
     kind: int
     time: int
-    value: Value | None
+    value: SampleValue | None
     quality: int
     reason: str
     unit: str
@@ -125,7 +125,7 @@ def _told(metric: object) -> Told:
     which = said.WhichOneof("value")  # type: ignore[attr-defined]
     kind = DataType(said.datatype)  # type: ignore[attr-defined]
     assert (which is None) is said.is_null  # type: ignore[attr-defined]
-    value: Value | None = None
+    value: SampleValue | None = None
     if which is not None:
         assert which == WORDS[kind]
         value = getattr(said, which)

@@ -4,7 +4,7 @@ import pytest
 
 from busway.errors import ConfigError
 from busway.testing.virtual_line import NOISE, VirtualLine
-from busway.transport.serial.marks import Received
+from busway.transport.serial.marks import UnmarkedBytes
 
 REQUEST = bytes.fromhex("01 03 00 00 00 0A C5 CD")  # read 10 holding registers of unit 1
 
@@ -22,8 +22,8 @@ def test_a_character_is_heard_when_its_last_bit_has_passed() -> None:
     assert [byte.time for byte in passed] == pytest.approx([10.0 + n * line.character_time for n in (1, 2, 3)])
     line.advance(end)
     assert line.deadline() is None
-    assert line.ports[1].read() == line.ports[2].read() == Received(REQUEST, 0)
-    assert line.ports[0].read() == Received(b"", 0)  # no echo
+    assert line.ports[1].read() == line.ports[2].read() == UnmarkedBytes(REQUEST, 0)
+    assert line.ports[0].read() == UnmarkedBytes(b"", 0)  # no echo
 
 
 @pytest.mark.parametrize(("parity", "data_bits", "stop_bits", "bits"), [("none", 8, None, 11), ("even", 7, None, 10)])
@@ -78,7 +78,7 @@ def test_one_who_begins_when_the_other_has_ended_does_not_collide() -> None:
 
 
 def test_noise_damages_as_many_as_it_says_and_the_same_ones_for_the_same_seed() -> None:
-    def heard(seed: int) -> Received:
+    def heard(seed: int) -> UnmarkedBytes:
         line = VirtualLine(2, noise=0.1, seed=seed)
         line.ports[0].write(bytes(1000), now=0.0)
         line.advance(10.0)
@@ -125,7 +125,7 @@ def test_those_behind_a_cut_collide_with_nobody() -> None:
     line.ports[1].write(b"good", now=0.0)
     line.advance(1.0)
     assert line.collisions == 0
-    assert line.ports[2].read() == Received(b"good", 0)
+    assert line.ports[2].read() == UnmarkedBytes(b"good", 0)
 
 
 def test_characters_out_of_nowhere_are_heard_by_all_and_collide() -> None:

@@ -22,7 +22,7 @@ from busway.codes import Table
 from busway.errors import InvalidRequest
 from busway.server.hooks import Moment, When
 from busway.values import ORDERS, TYPE_NAMES, value_type
-from busway.values.names import FloatName, IntegerName, Level, Order, TableName, WritableTableName
+from busway.values.names import FloatName, IdentificationLevel, IntegerName, Order, TableName, WritableTableName
 from busway.values.network import NETWORK_TYPES
 
 ROOT = Path(__file__).parents[2]
@@ -81,7 +81,7 @@ def test_the_names_of_orders_and_levels_are_those_that_exist() -> None:
         assert value_type(name, word).registers == int(name[-2:]) // 16
     with pytest.raises(InvalidRequest, match="words big, little, word-swapped, byte-swapped"):
         value_type("uint64", "middle")
-    assert get_args(Level) == (*LEVELS,)
+    assert get_args(IdentificationLevel) == (*LEVELS,)
 
 
 def test_the_names_of_tables_and_moments_are_those_that_exist() -> None:

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
 from ..options.networks import host_of_peer
-from ..pdu.fast_answers import Answer
+from ..pdu.fast_answers import FastAnswer
 from ..pdu.functions import AnyRequest
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Request
@@ -62,7 +62,7 @@ class PolicyRights:
         self.rights: Rights = rights
         self._audit = audit
 
-    def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
+    def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> FastAnswer | None:
         """Return the function of the fast path that answers permitted requests of the class ``kind`` from their bytes.
 
         None if all requests of that class must take the generic path: the policy decides about each, or the device

@@ -21,12 +21,12 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Final, cast
 
 from ..codes import Table
-from ..pdu.fast_answers import Answer, Block, DirectModel, ExchangingBlock, Requester
+from ..pdu.fast_answers import Block, DirectModel, ExchangingBlock, FastAnswer, Requester
 from ..pdu.fields import FixedField
 from ..pdu.message import Request, Touch
 from ..session.responder import ServedUnit
 from .audit_line import DONE, done_line, who_text
-from .notation import Range
+from .notation import NumberRange
 from .question import counts_as_write
 from .rule_evaluation import Rights, UnitAccess, Zone, ranges_of
 from .rules import EVERYWHERE
@@ -40,7 +40,7 @@ _unpack_two = struct.Struct(">HH").unpack_from
 
 def bind(
     rights: Rights, unit: int, served: ServedUnit, kind: type[Request], audit: "AuditLog | None" = None
-) -> Answer | None:
+) -> FastAnswer | None:
     """Return a function that answers requests with one function code from their bytes, if the clients' rights permit.
 
     It returns the reply; None for a request that must take the generic path.
@@ -76,8 +76,8 @@ def bind(
 
 
 def _within(
-    kind: type[Request], answer: Answer, rights: Rights, access: Callable[[Table | None, bool], UnitAccess]
-) -> Answer | None:
+    kind: type[Request], answer: FastAnswer, rights: Rights, access: Callable[[Table | None, bool], UnitAccess]
+) -> FastAnswer | None:
     """Return a function that checks whether the touched items are permitted, and then calls ``answer``.
 
     Returns ``answer`` itself if all addresses are permitted without value limits, and None if the bytes of a request
@@ -121,7 +121,7 @@ def _is_plain(kind: type[Request], touch: Touch) -> bool:
     )
 
 
-def _within_range(answer: Answer, permitted: Range) -> Answer:
+def _within_range(answer: FastAnswer, permitted: NumberRange) -> FastAnswer:
     first, last = permitted
 
     def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -134,7 +134,7 @@ def _within_range(answer: Answer, permitted: Range) -> Answer:
     return within
 
 
-def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
+def _within_ranges(answer: FastAnswer, permitted: Sequence[NumberRange]) -> FastAnswer:
     firsts, ends = zip(*permitted, strict=True)
 
     def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
@@ -148,7 +148,7 @@ def _within_ranges(answer: Answer, permitted: Sequence[Range]) -> Answer:
     return within
 
 
-def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
+def _within_single(answer: FastAnswer, permitted: Sequence[NumberRange]) -> FastAnswer:
     """Return a function that calls ``answer`` if the address of a request for one item is permitted, else returns None.
 
     ``permitted`` has the permitted address ranges, ascending; at least one.
@@ -166,7 +166,7 @@ def _within_single(answer: Answer, permitted: Sequence[Range]) -> Answer:
     return within
 
 
-Put = Callable[[int, int, bytes], bool | None]
+CheckedPut = Callable[[int, int, bytes], bool | None]
 
 
 class _CheckedDevice:
@@ -179,7 +179,7 @@ class _CheckedDevice:
 
     __slots__ = ("_checked", "_device")
 
-    def __init__(self, device: DirectModel, checked: Callable[[Block], Put | None]) -> None:
+    def __init__(self, device: DirectModel, checked: Callable[[Block], CheckedPut | None]) -> None:
         self._device = device
         self._checked = checked
 
@@ -198,7 +198,7 @@ class _CheckedBlock:
 
     __slots__ = ("_block", "count", "first", "put")
 
-    def __init__(self, block: Block, put: Put) -> None:
+    def __init__(self, block: Block, put: CheckedPut) -> None:
         self._block = block
         self.first = block.first
         self.count = block.count
@@ -234,7 +234,7 @@ def _zone_finder(first: int, zones: Sequence[Zone]) -> Callable[[int, int, bytes
     return zone_of
 
 
-def _limited(block: Block, zones: Sequence[Zone]) -> Put:
+def _limited(block: Block, zones: Sequence[Zone]) -> CheckedPut:
     """Return a ``put`` for a memory block that refuses writes outside the permitted addresses and value limits.
 
     For a refused write, ``put`` changes nothing and returns True: the request then takes the generic path.
@@ -254,7 +254,7 @@ _NOTHING_DONE: Final[_Done] = (0, 0, 0, b"", b"")
 
 def _audited(
     kind: type[Request], device: DirectModel, zones: Sequence[Zone], unit: int, audit: "AuditLog"
-) -> Answer | None:
+) -> FastAnswer | None:
     """Return a function of the fast path that checks addresses and values, writes, and appends an audit line.
 
     That function returns None for a write that is not permitted, or that the audit log does not take now: nothing is
@@ -263,7 +263,7 @@ def _audited(
     """
     done = _NOTHING_DONE
 
-    def recorded(block: Block) -> Put | None:
+    def recorded(block: Block) -> CheckedPut | None:
         if not hasattr(block, "exchange"):  # not by isinstance, which would look at the items too
             return None
         exchange, begin = cast(ExchangingBlock, block).exchange, block.first

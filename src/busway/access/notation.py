@@ -23,7 +23,7 @@ from ..errors import ConfigError, InvalidRequest
 from ..values import Address, parse_address
 from ..values.refusal import shown
 
-Range = tuple[int, int]
+NumberRange = tuple[int, int]
 """A range of numbers: the first number, and the number after the last."""
 Function = tuple[int, int | None]
 """A function code, and a sub-function or None for all of them."""
@@ -62,7 +62,7 @@ def parse_units(value: str | int | Iterable[str | int]) -> frozenset[int]:
     return frozenset(unit for first, end in _ranges(value, 255, "unit") for unit in range(first, end))
 
 
-def parse_files(value: str | int | Iterable[str | int]) -> tuple[Range, ...]:
+def parse_files(value: str | int | Iterable[str | int]) -> tuple[NumberRange, ...]:
     """Parse file numbers such as ``1-4`` into ascending ranges, joined where they touch: ``((1, 5),)``.
 
     Raises:
@@ -121,7 +121,7 @@ def parse_table(value: str | Table) -> Table:
     return found
 
 
-def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> dict[Table, tuple[Range, ...]]:
+def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> dict[Table, tuple[NumberRange, ...]]:
     """Parse item ranges such as ``holding:100-199`` into ascending ranges by table, joined where they touch.
 
     Args:
@@ -132,7 +132,7 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
     Raises:
         ConfigError: a range is invalid, names no table or another than ``table``, or is for a bit of a register.
     """
-    found: dict[Table, list[Range]] = {}
+    found: dict[Table, list[NumberRange]] = {}
     for each in [value] if isinstance(value, str | int) else value:
         for part in each.split(",") if isinstance(each, str) else [each]:
             where, items = _item_range(part, table)
@@ -140,9 +140,9 @@ def parse_items(value: str | int | Iterable[str | int], table: Table | None) -> 
     return {where: merged(ranges) for where, ranges in found.items()}
 
 
-def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
+def merged(ranges: Iterable[NumberRange]) -> tuple[NumberRange, ...]:
     """Return ranges in ascending order, with those that overlap or touch joined to one."""
-    found: list[Range] = []
+    found: list[NumberRange] = []
     for first, end in sorted(ranges):
         if found and first <= found[-1][1]:
             found[-1] = (found[-1][0], max(found[-1][1], end))
@@ -151,7 +151,7 @@ def merged(ranges: Iterable[Range]) -> tuple[Range, ...]:
     return tuple(found)
 
 
-def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[Range]:
+def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> list[NumberRange]:
     """Parse numbers and ranges such as ``1-10, 17`` into ranges, in the order in which they are written.
 
     Args:
@@ -171,7 +171,7 @@ def _ranges(value: str | int | Iterable[str | int], highest: int, what: str) -> 
             raise ConfigError(f"a {what} is 0…{highest}, not {found}")
         return found
 
-    found: list[Range] = []
+    found: list[NumberRange] = []
     for each in [value] if isinstance(value, str | int) else value:
         if isinstance(each, bool) or not isinstance(each, str | int):
             raise ConfigError(f"{shown(each)} is no {what}, nor a range such as '1-5'")
@@ -186,7 +186,7 @@ def _number(text: str) -> int:
     return int(text, 16 if text[:2] in ("0x", "0X") else 10)
 
 
-def _ends(part: str, number: Callable[[str], int]) -> Range:
+def _ends(part: str, number: Callable[[str], int]) -> NumberRange:
     texts = _RANGE_SIGN.split(_with_single_blanks(part))
     if len(texts) > 2:
         raise ConfigError(f"{shown(part)} is no range such as 1-5")
@@ -231,7 +231,7 @@ def _functions(text: str | int) -> set[Function]:
     return {(code, sub_code)}
 
 
-def _item_range(part: str | int, table: Table | None) -> tuple[Table, Range]:
+def _item_range(part: str | int, table: Table | None) -> tuple[Table, NumberRange]:
     """Parse one item or item range such as ``holding:100-199`` into its table and its range of offsets.
 
     Args:

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from typing import Final, NamedTuple
 
 from ..codes import ExceptionCode, Table
-from .notation import Range, merged
+from .notation import NumberRange, merged
 from .question import END, Question, Space, TouchedRange
 from .rules import DEFAULT_RULE, Action, Limits, Policy, Rule
 
@@ -240,7 +240,7 @@ def decision_of(policy: Policy, question: Question) -> Decision:
     return Rights(policy.rules_for(question.asker), policy.default).decide(question)
 
 
-def ranges_of(zones: tuple[Zone, ...]) -> tuple[Range, ...]:
+def ranges_of(zones: tuple[Zone, ...]) -> tuple[NumberRange, ...]:
     """Return the address ranges of zones without their rules, adjacent ones joined."""
     return merged([(zone.first, zone.end) for zone in zones])
 

@@ -26,17 +26,17 @@ from ..options.endpoints import SCHEMES, parse_endpoint
 from ..options.networks import NetworkIndex, Networks
 from ..values.refusal import shown
 from .addresses import AddressList
-from .notation import Function, Range, parse_files, parse_functions, parse_items, parse_table, parse_units
+from .notation import Function, NumberRange, parse_files, parse_functions, parse_items, parse_table, parse_units
 from .question import END, FILES, Asker, Space
 
-EVERYWHERE: Final[tuple[Range, ...]] = ((0, END),)
+EVERYWHERE: Final[tuple[NumberRange, ...]] = ((0, END),)
 RATES: Final = declaration.Range(0.001, 1_000_000)
 """Valid rates of a rule: requests per second and host."""
 DEFAULT_RULE: Final = "default"
 """What logs name as the rule if no rule applied and the policy's default decided; no rule may have this name."""
-_NOWHERE: Final[tuple[Range, ...]] = ()
+_NOWHERE: Final[tuple[NumberRange, ...]] = ()
 _EMPTY: Final = "is empty, so the rule would never fit; leave it out"
-Chosen = TypeVar("Chosen", bound=Enum)
+EnumValue = TypeVar("EnumValue", bound=Enum)
 
 
 class Action(Enum):
@@ -150,8 +150,8 @@ class Rule:
     listeners: tuple[str, ...] = ()
     units: frozenset[int] | None = None
     functions: frozenset[Function] | None = None
-    items: Mapping[Table, tuple[Range, ...]] = field(default_factory=dict, hash=False)
-    files: tuple[Range, ...] = ()
+    items: Mapping[Table, tuple[NumberRange, ...]] = field(default_factory=dict, hash=False)
+    files: tuple[NumberRange, ...] = ()
     access: AccessKind = AccessKind.ANY
     limits: Limits | None = None
     rate: float | None = None
@@ -268,7 +268,7 @@ class Rule:
             sub_function is not None and (function, sub_function) in self.functions
         )
 
-    def ranges(self, space: Space) -> tuple[Range, ...]:
+    def ranges(self, space: Space) -> tuple[NumberRange, ...]:
         """Return the items of a table, or the file numbers, that the rule applies to, as ascending ranges.
 
         One range with all addresses if the rule names neither items nor files; empty if it names only items or files
@@ -373,7 +373,7 @@ class AccessRules:
 
 def _items(
     table: str | Table | Iterable[str | Table] | None, addresses: str | int | Iterable[str | int] | None
-) -> dict[Table, tuple[Range, ...]]:
+) -> dict[Table, tuple[NumberRange, ...]]:
     tables: list[Table] = []
     if table is not None:
         with _about("table"):
@@ -429,7 +429,7 @@ def _about(key: str) -> Iterator[None]:
         raise ConfigError(error.message, key=key) from error
 
 
-def _one_of(kind: type[Chosen], value: "str | Chosen", key: str) -> Chosen:
+def _one_of(kind: type[EnumValue], value: "str | EnumValue", key: str) -> EnumValue:
     try:
         return kind(value)
     except ValueError:

@@ -25,7 +25,7 @@ from .files import cannot_be_written, capturing
 from .output import say
 
 if TYPE_CHECKING:
-    from ..apps.check.check import Items, Level, Result, Target, TlsChange
+    from ..apps.check.check import CheckResult, Items, Level, Target, TlsChange
     from ..apps.check.summary import Summary
     from ..apps.check.tls_wire import ClientCertificate
 
@@ -268,7 +268,7 @@ def _baseline(path: str) -> Mapping[str, str]:
 # What is printed.
 
 
-def _show(result: "Result") -> None:
+def _show(result: "CheckResult") -> None:
     from ..apps.check.reports import line_of
 
     check = result.check

@@ -25,7 +25,7 @@ Examples:
   busway identify tcp://10.0.0.5 --unit 3 --json
 """
 
-Fact = tuple[str, str, bytes]
+IdentityFact = tuple[str, str, bytes]
 """One value that identifies a device: function (``43/14`` or ``17``), name of the object, and its bytes."""
 
 LEVELS: Final = ("extended", "regular", "basic")
@@ -44,9 +44,9 @@ def identify(
     """Ask a device what it is (functions 43/14 and 17)."""
     if as_json and as_csv:
         raise ConfigError("does not go with --json", key="--csv")
-    facts: list[Fact] = []
+    facts: list[IdentityFact] = []
     failures: dict[str, ModbusError] = {}
-    questions: tuple[tuple[str, Callable[[BlockingUnit], list[Fact]]], ...] = (
+    questions: tuple[tuple[str, Callable[[BlockingUnit], list[IdentityFact]]], ...] = (
         ("device identification (43/14)", _identification),
         ("server id (17)", _server_id),
     )
@@ -72,7 +72,7 @@ def identify(
     return ExitCode.DONE
 
 
-def _identification(unit: "BlockingUnit") -> list[Fact]:
+def _identification(unit: "BlockingUnit") -> list[IdentityFact]:
     from ..pdu.encapsulated import OBJECT_NAMES
 
     for level in LEVELS:
@@ -89,11 +89,11 @@ def _identification(unit: "BlockingUnit") -> list[Fact]:
     ]
 
 
-def _server_id(unit: "BlockingUnit") -> list[Fact]:
+def _server_id(unit: "BlockingUnit") -> list[IdentityFact]:
     return [("17", "ServerId", unit.report_server_id())]
 
 
-def _show(facts: list[Fact], *, as_json: bool, as_csv: bool) -> None:
+def _show(facts: list[IdentityFact], *, as_json: bool, as_csv: bool) -> None:
     if as_json:
         for function, name, value in facts:
             print_json({"function": function, "name": name, "value": _text(value), "raw": value.hex()})

@@ -58,7 +58,7 @@ holding:0 and holding:0x10 count from 0.
 
 
 @dataclass(frozen=True, slots=True)
-class Wanted:
+class WantedValues:
     """What one argument of ``busway read`` asks for: address, value type, byte order, and number of values."""
 
     place: Address
@@ -134,7 +134,7 @@ def _read_points(
         return read_points(reader, unit=number, as_json=as_json, as_csv=as_csv, period=period)
 
 
-def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> Wanted:
+def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool) -> WantedValues:
     """Return what one argument of ``busway read`` asks for.
 
     Args:
@@ -168,10 +168,10 @@ def _wanted(text: str, kind: str | None, order: str, count: int, *, split: bool)
             f"{place}: {count} values are {items} {place.table.label}s, and one request reads at most {limit};"
             f" --count {limit // (form.registers if form else 1)} at most, or --split"
         )
-    return Wanted(place, form, order, count)
+    return WantedValues(place, form, order, count)
 
 
-def _read_once(unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, *, split: bool) -> int:
+def _read_once(unit: "BlockingUnit", wanted: Sequence[WantedValues], writer: Writer, *, split: bool) -> int:
     rows: list[TableRow] = []
     code: int = ExitCode.DONE
     for number, each in enumerate(wanted):
@@ -190,7 +190,7 @@ def _read_once(unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, *
     return code
 
 
-def _failed(wanted: Wanted, error: ModbusError) -> list[TableRow]:
+def _failed(wanted: WantedValues, error: ModbusError) -> list[TableRow]:
     """Return the rows to print for values that could not be read because of ``error``."""
     from ..points.quality import reason_text
     from .read_points import reason_of
@@ -199,7 +199,7 @@ def _failed(wanted: Wanted, error: ModbusError) -> list[TableRow]:
 
 
 def _read_again_and_again(
-    unit: "BlockingUnit", wanted: Sequence[Wanted], writer: Writer, period: float, *, split: bool
+    unit: "BlockingUnit", wanted: Sequence[WantedValues], writer: Writer, period: float, *, split: bool
 ) -> None:
     due = time.monotonic()
     while True:
@@ -218,7 +218,7 @@ def _read_again_and_again(
         time.sleep(due - time.monotonic() if due > time.monotonic() else 0)
 
 
-def _rows(unit: "BlockingUnit", wanted: Wanted, *, split: bool) -> list[TableRow]:
+def _rows(unit: "BlockingUnit", wanted: WantedValues, *, split: bool) -> list[TableRow]:
     """Read the values that one argument asks for, and return them as rows to print, with their bytes."""
     from ..client.operations import read_values
 

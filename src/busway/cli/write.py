@@ -39,7 +39,7 @@ from .output import TableRow, choose_writer, print_csv, print_json, shown_value,
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
-    from ..client.operations import WriteFunction
+    from ..client.operations import WriteFunctionChoice
 
 EXAMPLES = """\b
 Examples:
@@ -58,7 +58,7 @@ A text value that begins with a minus sign is written behind --.
 SETTINGS = {"ignore_unknown_options": True}
 
 _Found = TypeVar("_Found")
-_FUNCTIONS: tuple["WriteFunction", ...] = ("auto", "single", "multiple")
+_FUNCTIONS: tuple["WriteFunctionChoice", ...] = ("auto", "single", "multiple")
 
 
 def write(

@@ -36,7 +36,7 @@ from ..session.call import CallOptions, call_for
 from ..session.reconnect import ConnectionState
 from ..session.retries import ClientCounters
 from ..values import Address, ValueType
-from ..values.names import FloatName, IntegerName, Level, Order
+from ..values.names import FloatName, IdentificationLevel, IntegerName, Order
 from .blocking import BlockingLink, BlockingUnit
 from .checks import (
     SHOWN_STATE,
@@ -51,7 +51,7 @@ from .checks import (
 from .link import AsyncLinkDriver
 from .operations import (
     Operation,
-    WriteFunction,
+    WriteFunctionChoice,
     diagnostic_data,
     diagnostic_request,
     read_identification,
@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from .option_types import LinkOptions
-    from .read_many import Wanted
+    from .read_many import NamedRead
 
 Reply = TypeVar("Reply", bound=Message)
 Value = TypeVar("Value")
@@ -280,7 +280,7 @@ class AsyncUnit:
 
     @documented_by(BlockingUnit.read_many)
     async def read_many(
-        self, wanted: "Mapping[str, Wanted]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
+        self, wanted: "Mapping[str, NamedRead]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
     ) -> dict[str, Any]:
         from .read_many import read_together
 
@@ -295,7 +295,7 @@ class AsyncUnit:
         type: IntegerName | None = None,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -307,7 +307,7 @@ class AsyncUnit:
         type: FloatName,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -319,7 +319,7 @@ class AsyncUnit:
         type: ValueType[Value],
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -331,7 +331,7 @@ class AsyncUnit:
         type: str,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -343,14 +343,14 @@ class AsyncUnit:
         type: str | ValueType[Any] | None = None,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None:
         await self._perform(write_values(address, value, type, order, function), call_options)
 
     @documented_by(BlockingUnit.read_device_identification)
     async def read_device_identification(
-        self, level: Level = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
+        self, level: IdentificationLevel = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
     ) -> dict[int, bytes]:
         found: dict[int, bytes] = await self._perform(read_identification(level, object_id), call_options)
         return found

@@ -36,7 +36,7 @@ from ..session.call import CallOptions, call_for
 from ..session.reconnect import ConnectionState
 from ..session.retries import ClientCounters
 from ..values import Address, ValueType
-from ..values.names import FloatName, IntegerName, Level, Order
+from ..values.names import FloatName, IdentificationLevel, IntegerName, Order
 from .blocking_link import BlockingLinkDriver
 from .blocking_pool import BLOCKING_POOL
 from .checks import (
@@ -51,7 +51,7 @@ from .checks import (
 )
 from .operations import (
     Operation,
-    WriteFunction,
+    WriteFunctionChoice,
     diagnostic_data,
     diagnostic_request,
     read_identification,
@@ -66,7 +66,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from .option_types import LinkOptions
-    from .read_many import Wanted
+    from .read_many import NamedRead
 
 Reply = TypeVar("Reply", bound=Message)
 Value = TypeVar("Value")
@@ -288,7 +288,7 @@ class BlockingUnit:
         return self._perform(read_values(address, type, order, count, split, self._width), call_options)
 
     def read_many(
-        self, wanted: "Mapping[str, Wanted]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
+        self, wanted: "Mapping[str, NamedRead]", *, order: Order = "ABCD", **call_options: Unpack[CallOptions]
     ) -> dict[str, Any]:
         """Read values from several addresses, by name, with as few requests as their addresses allow.
 
@@ -317,7 +317,7 @@ class BlockingUnit:
         type: IntegerName | None = None,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -329,7 +329,7 @@ class BlockingUnit:
         type: FloatName,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -341,7 +341,7 @@ class BlockingUnit:
         type: ValueType[Value],
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -353,7 +353,7 @@ class BlockingUnit:
         type: str,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None: ...
 
@@ -364,7 +364,7 @@ class BlockingUnit:
         type: str | ValueType[Any] | None = None,
         *,
         order: Order = "ABCD",
-        function: WriteFunction = "auto",
+        function: WriteFunctionChoice = "auto",
         **call_options: Unpack[CallOptions],
     ) -> None:
         """Write one value, or several, to an address in any notation, with one request.
@@ -388,7 +388,7 @@ class BlockingUnit:
         self._perform(write_values(address, value, type, order, function), call_options)
 
     def read_device_identification(
-        self, level: Level = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
+        self, level: IdentificationLevel = "basic", *, object_id: int | None = None, **call_options: Unpack[CallOptions]
     ) -> dict[int, bytes]:
         """Read identification objects as a dict of bytes by object number, function 43/14 (§6.21).
 

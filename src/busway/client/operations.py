@@ -37,7 +37,7 @@ from ..pdu.write_items import (
 from ..values import Address, ValueType, parse_address, value_type
 
 Operation = Generator[Sequence[Request], Sequence[Message], Any]
-WriteFunction = Literal["auto", "single", "multiple"]
+WriteFunctionChoice = Literal["auto", "single", "multiple"]
 
 LEVELS = {"basic": 1, "regular": 2, "extended": EXTENDED}
 
@@ -101,7 +101,11 @@ def read_values(
 
 
 def write_values(
-    address: int | str | Address, values: Any, kind: str | ValueType[Any] | None, order: str, function: WriteFunction
+    address: int | str | Address,
+    values: Any,
+    kind: str | ValueType[Any] | None,
+    order: str,
+    function: WriteFunctionChoice,
 ) -> Operation:
     """Write one value or several to an address with one request, as a generator of requests. Its result is None.
 
@@ -238,7 +242,7 @@ def _pieces(place: Address, items: int, limit: int, split: bool, width: int = NA
     return [kind(place.offset + done, min(limit, items - done)) for done in range(0, items, limit)]
 
 
-def _check_single(place: Address, items: int, limit: int, function: WriteFunction) -> None:
+def _check_single(place: Address, items: int, limit: int, function: WriteFunctionChoice) -> None:
     if function == "single" and items > 1:
         raise InvalidRequest(f"{place}: {items} items cannot be written with a function for one")
     if items > limit:

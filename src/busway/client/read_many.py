@@ -21,7 +21,7 @@ from ..pdu.wide_registers import NARROW
 from ..values import Address, ValueType, value_type
 from .operations import READ, Operation, place_of
 
-Wanted: TypeAlias = (
+NamedRead: TypeAlias = (
     str
     | Address
     | tuple[str | Address]
@@ -72,7 +72,7 @@ class _Range:
         return READ[self.table](self.offset, self.end - self.offset)
 
 
-def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW) -> Operation:
+def read_together(wanted: Mapping[str, NamedRead], order: str, width: int = NARROW) -> Operation:
     """Read all named values, as a generator of requests. Its result is a dict of values by name, in the given order.
 
     Args:
@@ -97,7 +97,7 @@ def read_together(wanted: Mapping[str, Wanted], order: str, width: int = NARROW)
     return found
 
 
-def _plan_of(wanted: Mapping[str, Wanted], order: str) -> "_Plan":
+def _plan_of(wanted: Mapping[str, NamedRead], order: str) -> "_Plan":
     key = (order, *wanted)
     known = _plans.get(key)
     if known is not None and known.wanted == wanted:
@@ -111,7 +111,7 @@ def _plan_of(wanted: Mapping[str, Wanted], order: str) -> "_Plan":
     return plan
 
 
-def _item(name: str, wanted: Wanted, order: str) -> _Item:
+def _item(name: str, wanted: NamedRead, order: str) -> _Item:
     address, kind, count = (*wanted, None, None)[:3] if isinstance(wanted, tuple) else (wanted, None, None)
     if isinstance(wanted, tuple) and not 1 <= len(wanted) <= 3:
         raise InvalidRequest(f"{name}: an address, a type and a count are wanted, not {wanted!r}")
@@ -238,7 +238,7 @@ class _Plan:
         ranges: for each request, the decoder of its reply.
     """
 
-    wanted: dict[str, Wanted]
+    wanted: dict[str, NamedRead]
     names: tuple[str, ...]
     requests: Sequence[Request]
     ranges: Sequence[_Decoder]

@@ -16,7 +16,7 @@ from ..client.settings import LinkSettings, link_settings, options_of
 from ..options.endpoints import parse_endpoint
 from ..options.offer import options_for
 from ..options.tls import TlsParameters
-from .files.lines import Path
+from .files.lines import KeyPath
 from .files.system import LinkSection, SystemFile
 from .report import ConfigurationReport, nearest
 
@@ -70,7 +70,7 @@ def _named_link(
     general: Mapping[str, Any],
     security: Mapping[str, Any],
     root: Callable[[Mapping[str, Any]], dict[str, Any]],
-    at: Path,
+    at: KeyPath,
     report: ConfigurationReport,
 ) -> NamedLink | None:
     """Return the link that a section declares; None if it is invalid, with a problem added to the report.
@@ -93,7 +93,7 @@ def _named_link(
     }
     options = root(behind | own)
 
-    def place(key: str | None) -> Path:
+    def place(key: str | None) -> KeyPath:
         if key in endpoint.options and key not in own:
             return (*at, "url")
         if key in security and key not in general and key not in own:

@@ -18,7 +18,7 @@ from ..errors import ConfigError
 from ..points.expression import WHOLE_BITS, parse_expression
 from ..values.refusal import shown
 from .files.file_error import FileError
-from .files.lines import Path
+from .files.lines import KeyPath
 from .files.schema import Source
 from .files.simulation import Parameter
 
@@ -30,7 +30,7 @@ LONGEST_TEXT: Final = 10_000
 
 
 def declared_parameters(
-    source: Source, given: Mapping[str, Parameter], asked: tuple[Source, Path] | None
+    source: Source, given: Mapping[str, Parameter], asked: tuple[Source, KeyPath] | None
 ) -> dict[str, Parameter]:
     """Return the parameters of a file with their values, by name: its defaults, overridden by the given values.
 
@@ -99,7 +99,7 @@ class FilledSource:
         """Return a new object for the same file with further parameters; its ``used`` is empty."""
         return FilledSource(self.source, {**self._parameters, **more})
 
-    def filled(self, node: Any, path: Path) -> Any:  # what TOML has
+    def filled(self, node: Any, path: KeyPath) -> Any:  # what TOML has
         """Return a copy of a part of the file's data, with parameters in its texts replaced by their values.
 
         Args:
@@ -117,7 +117,7 @@ class FilledSource:
             return {key: self.filled(each, (*path, key)) for key, each in node.items()}
         return node
 
-    def _text(self, text: str, path: Path) -> Parameter:
+    def _text(self, text: str, path: KeyPath) -> Parameter:
         if "${" not in text:
             return text
         whole = _INSERT.fullmatch(text)
@@ -142,7 +142,7 @@ class FilledSource:
 
         return "${".join(_INSERT.sub(written, part) for part in parts)
 
-    def _value(self, text: str, path: Path) -> Parameter:
+    def _value(self, text: str, path: KeyPath) -> Parameter:
         name = text.strip()
         try:
             if name not in self._parameters and name.isidentifier():

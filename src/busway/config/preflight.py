@@ -13,7 +13,7 @@ from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.tls import TlsParameters
 from ..server.listener import Listener
 from .certificates import try_certificates
-from .files.lines import Path as Place
+from .files.lines import KeyPath
 from .files.system import SystemFile
 from .paths import TLS_FILES, within
 from .report import ConfigurationReport, nearest
@@ -111,17 +111,17 @@ class _Keys:
         place: path of the listener's URL in the file.
     """
 
-    def __init__(self, file: SystemFile, place: Place) -> None:
+    def __init__(self, file: SystemFile, place: KeyPath) -> None:
         self._own = file.listener[int(place[1])].options_of(TlsParameters) if place[0] == "listener" else {}
         self._general = file.security.options()
         self._at = place[:2]
 
-    def __call__(self, key: str | None) -> Place:
+    def __call__(self, key: str | None) -> KeyPath:
         return nearest(key, self._own, self._at, self._general, ("security",))
 
 
-def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
-    sections: list[tuple[Place, object]] = [(("security",), file.security), (("client",), file.client)]
+def _named_files(file: SystemFile) -> Iterator[tuple[KeyPath, str]]:
+    sections: list[tuple[KeyPath, object]] = [(("security",), file.security), (("client",), file.client)]
     sections += [(("listener", index), each) for index, each in enumerate(file.listener)]
     sections += [(("link", index), each) for index, each in enumerate(file.link)]
     for place, section in sections:
@@ -131,7 +131,7 @@ def _named_files(file: SystemFile) -> Iterator[tuple[Place, str]]:
                 yield (*place, key), path
 
 
-def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
+def _readable(place: KeyPath, path: str, report: ConfigurationReport) -> None:
     """Add a problem to the report if a file cannot be read; a folder of authorities is accepted."""
     if Path(path).is_dir() and place[-1] == "authority":
         return
@@ -143,7 +143,7 @@ def _readable(place: Place, path: str, report: ConfigurationReport) -> None:
         report.refuse(place, f"{path} cannot be read: {reason[:1].lower()}{reason[1:]}")
 
 
-def _usable(listener: Listener, place: Callable[[str | None], Place], report: ConfigurationReport) -> None:
+def _usable(listener: Listener, place: Callable[[str | None], KeyPath], report: ConfigurationReport) -> None:
     """Add a problem to the report if the certificate and key of a listener do not fit together or cannot be loaded."""
     try:
         try_certificates(listener)

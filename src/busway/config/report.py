@@ -8,7 +8,7 @@ from typing import TypeVar
 
 from ..errors import ConfigError
 from .files.file_error import FileError
-from .files.lines import Path
+from .files.lines import KeyPath
 from .files.schema import Source, in_order
 
 Made = TypeVar("Made")
@@ -30,7 +30,7 @@ class ConfigurationReport:
         self.problems: list[ConfigError] = []
         self.warnings: list[ConfigError] = []
 
-    def make(self, make: Callable[[], Made], place: Callable[[str | None], Path]) -> Made | None:
+    def make(self, make: Callable[[], Made], place: Callable[[str | None], KeyPath]) -> Made | None:
         """Return the result of ``make``; None if it raises `ConfigError`, whose problems are added to the report.
 
         Args:
@@ -46,11 +46,11 @@ class ConfigurationReport:
             self.problems.append(self._source.problem(place(error.key), error.message))
         return None
 
-    def refuse(self, path: Path, sentence: str) -> None:
+    def refuse(self, path: KeyPath, sentence: str) -> None:
         """Add a problem to the report: what ``sentence`` says is wrong at ``path`` in the configuration file."""
         self.problems.append(self._source.problem(path, sentence))
 
-    def warn(self, path: Path, sentence: str) -> None:
+    def warn(self, path: KeyPath, sentence: str) -> None:
         """Add a warning to the report, at a path of the configuration file; its message is ``warning: `` + sentence."""
         self.warnings.append(self._source.problem(path, f"warning: {sentence}"))
 
@@ -61,7 +61,7 @@ class ConfigurationReport:
         return tuple(in_order(self.warnings))
 
 
-def nearest(key: str | None, own: Iterable[str], at: Path, general: Iterable[str], elsewhere: Path) -> Path:
+def nearest(key: str | None, own: Iterable[str], at: KeyPath, general: Iterable[str], elsewhere: KeyPath) -> KeyPath:
     """Return the path in a file at which an error about a key is reported: the section that sets the key.
 
     A listener, for example, has a section of its own, and ``[security]`` is the common section of all listeners. The

@@ -128,8 +128,8 @@ class Emission:
 
 
 Admits = Callable[[Contact], bool]
-Asked = Callable[[Exchange], bytes | None]
-Answered = Callable[[Exchange, list[Emission]], list[Emission]]
+ReplaceAnswer = Callable[[Exchange], bytes | None]
+ChangeReply = Callable[[Exchange, list[Emission]], list[Emission]]
 ClosesAt = Callable[[Contact], float | None]
 
 
@@ -151,8 +151,8 @@ class Fault:
 
     name: str = ""
     admits: Admits | None = None
-    asked: Asked | None = None
-    answered: Answered | None = None
+    asked: ReplaceAnswer | None = None
+    answered: ChangeReply | None = None
     closes_at: ClosesAt | None = None
     carriers: frozenset[Carrier] = EVERYWHERE
     options: Mapping[str, Any] = field(default_factory=dict)  # Any: of the types that the fault profile declares

@@ -22,10 +22,10 @@ from ..session.responder import (
     SILENCE,
     Deferral,
     Forwarding,
-    Outcome,
     Refusal,
     RequestContext,
     Responder,
+    ResponderAnswer,
     ServedUnit,
 )
 from .applied_faults import Faults
@@ -79,7 +79,7 @@ class FaultyResponder:
         served = self.inner.serves(unit)
         return served if served is None or self._is_aside else replace(served, is_direct=False)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Answer a request, with the faults that apply to it.
 
         Returns the wrapped responder's outcome, or raises its `Refusal`, if no fault applies to the request and no
@@ -125,7 +125,7 @@ class _Turn:
         context.end(outcome if is_sent and outcome is not None else SILENCE)
         faulty.pump_soon()
 
-    def take(self, context: RequestContext, perform: Callable[[RequestContext], Outcome]) -> Outcome:
+    def take(self, context: RequestContext, perform: Callable[[RequestContext], ResponderAnswer]) -> ResponderAnswer:
         """Let the wrapped responder answer a request, now or later, and send its reply through the faulty connection.
 
         ``perform`` calls the wrapped responder with the context that it is given. The result is the outcome for the

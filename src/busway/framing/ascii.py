@@ -23,7 +23,7 @@ from .echo import Echo, EchoFilter
 from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import AROUND_PDU, lengths_of
 from .lrc import lrc
-from .received import Damage, Damaged, Direction, Received, SerialFrame
+from .received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 
 COLON: Final = 0x3A
 CR: Final = 0x0D
@@ -143,7 +143,7 @@ class AsciiReceiver:
 
     # What the driver calls.
 
-    def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
+    def receive(self, data: bytes | bytearray, now: float) -> list[FrameOrDamage]:
         """Return the frames and damaged bytes that ``data``, read at ``now`` (seconds), completes, in order."""
         if not data:
             return []
@@ -153,14 +153,14 @@ class AsciiReceiver:
         self._last = now
         return found
 
-    def tick(self, now: float) -> list[Received]:
+    def tick(self, now: float) -> list[FrameOrDamage]:
         """Return the frames and damaged bytes that the silence until ``now`` (seconds) completes, in order.
 
         An unfinished frame is returned as damaged if more than ``character_timeout`` has passed since its last
         character. Bytes that were held back as a possible echo are taken as received if the rest of the echo did not
         come in time; they can complete frames, which are returned too.
         """
-        found: list[Received] = []
+        found: list[FrameOrDamage] = []
         released = self.echo.tick(now)
         if released:
             self._accept(released, self._last, found)
@@ -199,7 +199,7 @@ class AsciiReceiver:
         self._sent_until = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
-    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+    def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Discard the unfinished frame, because the port reports a parity or framing error or lost characters.
 
         Returns what `tick` returns for ``now``, then one `Damaged`: the discarded frame, or no bytes if no frame was
@@ -214,12 +214,12 @@ class AsciiReceiver:
         self._last = max(self._last, now)
         return found
 
-    def flush(self, now: float) -> list[Received]:
+    def flush(self, now: float) -> list[FrameOrDamage]:
         """Return the unfinished frame as damaged, without waiting for its rest: at a response timeout, or when closing.
 
         Frames in bytes that were held back as a possible echo are returned before it.
         """
-        found: list[Received] = []
+        found: list[FrameOrDamage] = []
         released = self.echo.release()
         if released:
             self._accept(released, self._last, found)
@@ -236,7 +236,7 @@ class AsciiReceiver:
 
     # From characters to frames.
 
-    def _accept(self, data: bytes, began: float, found: list[Received]) -> None:
+    def _accept(self, data: bytes, began: float, found: list[FrameOrDamage]) -> None:
         if self._strip_parity:
             data = data.translate(_SEVEN_BITS)
         at, character = 0, self.timing.character
@@ -247,7 +247,7 @@ class AsciiReceiver:
                 self._content(part, began + at * character, found)
             at += len(part) + 1
 
-    def _colon(self, time: float, found: list[Received]) -> None:
+    def _colon(self, time: float, found: list[FrameOrDamage]) -> None:
         """Begin a frame at a colon received at ``time`` (seconds); an unfinished frame before it is reported later.
 
         If the delimiter is a colon and is expected now, the colon ends the current frame instead.
@@ -266,7 +266,7 @@ class AsciiReceiver:
         self.state = AsciiState.RECEIVING
         self._began = time
 
-    def _content(self, part: bytes, began: float, found: list[Received]) -> None:
+    def _content(self, part: bytes, began: float, found: list[FrameOrDamage]) -> None:
         """Process characters of a frame, none of which is a colon; the first of them began at ``began`` (seconds)."""
         if self.state is AsciiState.RECEIVING:
             end = part.find(CR)
@@ -285,7 +285,7 @@ class AsciiReceiver:
         else:
             self._discard(Damage.NO_DELIMITER, began, found)
 
-    def _complete(self, ended: float, found: list[Received]) -> None:
+    def _complete(self, ended: float, found: list[FrameOrDamage]) -> None:
         text = bytes(self._text)
         if text.translate(None, self._allowed):
             self._discard(Damage.NOT_HEXADECIMAL, ended, found)
@@ -319,7 +319,7 @@ class AsciiReceiver:
                 return direction
         return self.conversation.guess(content[0], content[1], now)
 
-    def _discard(self, reason: Damage, ended: float, found: list[Received], *, overrun: bool = False) -> None:
+    def _discard(self, reason: Damage, ended: float, found: list[FrameOrDamage], *, overrun: bool = False) -> None:
         """Add the unfinished frame to ``found`` as damaged, with those before it that colons cut off.
 
         Characters are skipped then until the next colon.
@@ -335,7 +335,7 @@ class AsciiReceiver:
         self.state = AsciiState.IDLE
         self._text.clear()
 
-    def _report_interrupted(self, ended: float, found: list[Received]) -> None:
+    def _report_interrupted(self, ended: float, found: list[FrameOrDamage]) -> None:
         """Add the unfinished frames that colons cut off to ``found``, as one `Damaged`; no effect if there are none.
 
         Called before the next frame is added. ``ended`` is the time at which that frame began.

@@ -82,7 +82,7 @@ class Damaged:
     overrun: bool = False
 
 
-Received = SerialFrame | Damaged
+FrameOrDamage = SerialFrame | Damaged
 
 Found = TypeVar("Found")
 
@@ -106,7 +106,7 @@ class Receiver(Protocol[Found]):
         """Return the time, in seconds, at which to call `tick`; None if only further bytes can complete a frame."""
 
 
-class SerialReceiver(Receiver[Received], Protocol):
+class SerialReceiver(Receiver[FrameOrDamage], Protocol):
     """Interface of the receivers of serial lines: RTU, strict RTU and ASCII."""
 
     def expect(self, unit: int, function: int, size: int) -> None:
@@ -124,7 +124,7 @@ class SerialReceiver(Receiver[Received], Protocol):
     def sent(self, raw: bytes, ends: float) -> None:
         """Tell the receiver that this station sends the bytes ``raw`` until ``ends`` (seconds); an echo is removed."""
 
-    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+    def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Tell the receiver that the port reported an error after the bytes received so far.
 
         Returns the frames and damaged bytes that are complete now. The bytes of the disturbance are returned as
@@ -135,7 +135,7 @@ class SerialReceiver(Receiver[Received], Protocol):
             overrun: True for lost characters, False for a parity or framing error.
         """
 
-    def flush(self, now: float) -> list[Received]:
+    def flush(self, now: float) -> list[FrameOrDamage]:
         """Decide about all unfinished bytes without waiting, and return the frames and damaged bytes among them.
 
         Called at a response timeout, or when closing.

@@ -37,7 +37,7 @@ from .echo import Echo, EchoFilter
 from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import AROUND_PDU, SHORTEST, lengths_of
 from .lost import LostBytes
-from .received import Damage, Direction, Received, SerialFrame
+from .received import Damage, Direction, FrameOrDamage, SerialFrame
 from .rtu_search import DEAD, WAITS, find_any, find_reply
 
 DEFAULT_GAP_LIMIT: Final = 0.050
@@ -148,9 +148,9 @@ class RtuReceiver:
 
     # What the driver calls.
 
-    def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
+    def receive(self, data: bytes | bytearray, now: float) -> list[FrameOrDamage]:
         """Return the frames and damaged bytes that ``data``, read at ``now`` (seconds), completes, in order."""
-        found: list[Received] = []
+        found: list[FrameOrDamage] = []
         if not data:
             return found
         began = max(self._last, now - len(data) * self.timing.character)
@@ -160,9 +160,9 @@ class RtuReceiver:
         self._accept(data, began, now, found)
         return found
 
-    def tick(self, now: float) -> list[Received]:
+    def tick(self, now: float) -> list[FrameOrDamage]:
         """Return the frames and damaged bytes that the silence until ``now`` (seconds) completes, in order."""
-        found: list[Received] = []
+        found: list[FrameOrDamage] = []
         released = self.echo.tick(now)
         if released:
             self._accept(released, self._last, self._last, found)
@@ -209,7 +209,7 @@ class RtuReceiver:
         may_be_reply = self.conversation.role is LineRole.MASTER and self._answers_itself(code)
         self.echo.sent(raw, ends, may_be_reply=may_be_reply)
 
-    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+    def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Tell the receiver that the port reported an error or lost characters after the bytes received so far.
 
         The frame in progress is discarded; it is reported with the rest of the disturbance. Returns the frames that the
@@ -219,7 +219,7 @@ class RtuReceiver:
             now: time of the report, in seconds.
             overrun: True for lost characters, False for a parity or framing error.
         """
-        found: list[Received] = []
+        found: list[FrameOrDamage] = []
         self._pass_time(now, found)
         self._lose(len(self._buffer))
         self._lost.mark(Damage.OVERRUN if overrun else Damage.CHARACTER, now)
@@ -228,12 +228,12 @@ class RtuReceiver:
         self._quiet = False
         return found
 
-    def flush(self, now: float) -> list[Received]:
+    def flush(self, now: float) -> list[FrameOrDamage]:
         """Return the frames and damaged bytes among all unfinished bytes, as if ``gap_limit`` had passed.
 
         Called at a response timeout, or when closing.
         """
-        found: list[Received] = []
+        found: list[FrameOrDamage] = []
         released = self.echo.release()
         if released:
             self._accept(released, self._last, self._last, found)
@@ -267,7 +267,7 @@ class RtuReceiver:
     def _undecided(self) -> bool:
         return self._at < len(self._buffer) or self._skipping or self._lost.size > 0 or self._lost.is_marked
 
-    def _pass_time(self, until: float, found: list[Received]) -> None:
+    def _pass_time(self, until: float, found: list[FrameOrDamage]) -> None:
         """Add to ``found`` the frames and damaged bytes that are complete because of silences up to ``until``."""
         if self._undecided:
             if not self._quiet and until >= self._last + self.timing.t3_5:
@@ -295,7 +295,7 @@ class RtuReceiver:
         length = self._length(Direction.REPLY, at, size)
         return length == NEED_MORE or (at + length > size and (code >= 0x80 or length == due.size + AROUND_PDU))
 
-    def _accept(self, data: bytes | bytearray, began: float, now: float, found: list[Received]) -> None:
+    def _accept(self, data: bytes | bytearray, began: float, now: float, found: list[FrameOrDamage]) -> None:
         if data and self._at < len(self._buffer) and self._quiet:
             self._silences = [*self._silences[1 - _SILENCES_KEPT :], len(self._buffer)]
         each = (now - began) / len(data) if data else 0.0
@@ -323,7 +323,7 @@ class RtuReceiver:
 
     # Decisions that need no silence (rule 1).
 
-    def _follow(self, found: list[Received]) -> None:
+    def _follow(self, found: list[FrameOrDamage]) -> None:
         """Add each frame that is complete by length and CRC to ``found``.
 
         Of more undecided bytes than a frame has, the first are moved to the lost bytes: no frame begins there.
@@ -377,7 +377,7 @@ class RtuReceiver:
     def _fits(self, at: int, end: int) -> bool:
         return span_check(end - at).fits(self._states[at], self._states[end])
 
-    def _give_up_beginning(self, found: list[Received]) -> None:
+    def _give_up_beginning(self, found: list[FrameOrDamage]) -> None:
         """Move the first undecided bytes to the lost bytes: they begin no frame, as there are more than it can have.
 
         The bytes from the next possible begin of a frame on remain: for a server after a silence, for others where
@@ -397,7 +397,7 @@ class RtuReceiver:
 
     # Decisions at a silence (rules 2, 4 and 5).
 
-    def _after_silence(self, found: list[Received]) -> None:
+    def _after_silence(self, found: list[FrameOrDamage]) -> None:
         """Add the frames among the undecided bytes to ``found``, after a silence of t3.5 (rules 2, 4, 5 of this file).
 
         If bytes remain that can still become a frame, they stay undecided; otherwise the damaged bytes are added too.
@@ -411,7 +411,7 @@ class RtuReceiver:
                 return
         self._report_lost(found)
 
-    def _after_limit(self, found: list[Received]) -> None:
+    def _after_limit(self, found: list[FrameOrDamage]) -> None:
         """Report all undecided bytes after a silence of ``gap_limit``: the frames among them, the rest as damaged."""
         while self._at < len(self._buffer):
             self._follow(found)
@@ -421,7 +421,7 @@ class RtuReceiver:
                 self._in_step = False
         self._report_lost(found)
 
-    def _take_divided(self, at: int, found: list[Received]) -> bool:
+    def _take_divided(self, at: int, found: list[FrameOrDamage]) -> bool:
         """Add the frames to ``found`` if all bytes from ``at`` on are whole frames, one or several; return whether so.
 
         Bytes before ``at`` are then reported as damaged.
@@ -488,7 +488,7 @@ class RtuReceiver:
                 return direction
         return self.conversation.guess(unit, code, self._bursts.latest)
 
-    def _take_inner(self, found: list[Received], *, at_limit: bool) -> bool:
+    def _take_inner(self, found: list[FrameOrDamage], *, at_limit: bool) -> bool:
         """Add a frame that begins inside the undecided bytes, after the first, to ``found``; return whether one does.
 
         The bytes before it are reported as damaged. For a server a frame begins only after a silence; for a master or
@@ -534,7 +534,7 @@ class RtuReceiver:
 
     # Giving and losing.
 
-    def _give(self, end: int, direction: Direction, found: list[Received], *, recovered: bool) -> None:
+    def _give(self, end: int, direction: Direction, found: list[FrameOrDamage], *, recovered: bool) -> None:
         """Add the lost bytes, then the frame from the first undecided byte to ``end``, to ``found``.
 
         The undecided bytes begin after the frame then.
@@ -564,7 +564,7 @@ class RtuReceiver:
         self._in_step = False
         self._skipping = self.conversation.role is LineRole.SERVER
 
-    def _report_lost(self, found: list[Received]) -> None:
+    def _report_lost(self, found: list[FrameOrDamage]) -> None:
         if self._lost.size or self._lost.is_marked:
             found.append(self._lost.report())
             self._lost = LostBytes()

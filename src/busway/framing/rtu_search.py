@@ -22,7 +22,7 @@ WAITS: Final = -1
 _IMPOSSIBLE: Final = RTU_ADU_LIMIT + 1
 """A length that no frame has."""
 
-Place = tuple[int, int]
+FoundFrame = tuple[int, int]
 """Result of a search: the position where a frame begins, and the position after its end.
 
 The second number is `WAITS` if a frame may begin there and is unfinished, and `DEAD` if no frame is found; then the
@@ -32,7 +32,7 @@ first is the end of the bytes.
 
 def find_reply(
     buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, due: Due | None, *, at_limit: bool
-) -> Place:
+) -> FoundFrame:
     """Find the first position from ``start`` where the expected reply, or its exception reply, begins or can begin.
 
     Returns the position and the end of the frame there. Instead of the end, it returns `WAITS` if the frame is
@@ -79,7 +79,9 @@ def find_reply(
     return _to_end(start, size, at_limit=at_limit)
 
 
-def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool) -> Place:
+def find_any(
+    buffer: bytearray, states: Sequence[int], start: int, lengths: FrameLengths, *, at_limit: bool
+) -> FoundFrame:
     """Find the first position from ``start`` where a request or reply of any unit begins or can begin.
 
     Only functions whose length is fixed or told by a byte count are looked for. Returns the position and the end of the
@@ -113,7 +115,7 @@ def find_any(buffer: bytearray, states: Sequence[int], start: int, lengths: Fram
     return _to_end(start, size, at_limit=at_limit)
 
 
-def _to_end(start: int, size: int, *, at_limit: bool) -> Place:
+def _to_end(start: int, size: int, *, at_limit: bool) -> FoundFrame:
     """Return the result of a search that has found no frame in the bytes from ``start`` to ``size``.
 
     In the last three bytes, too few for a frame, one can still begin: the result is `WAITS` there. With ``at_limit`` it

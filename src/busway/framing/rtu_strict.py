@@ -23,7 +23,7 @@ from .echo import Echo, EchoFilter
 from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import SHORTEST, lengths_of
 from .lost import LostBytes
-from .received import Damage, Direction, Received, SerialFrame
+from .received import Damage, Direction, FrameOrDamage, SerialFrame
 
 
 class LineState(Enum):
@@ -105,7 +105,7 @@ class StrictRtuReceiver:
         self._lost = LostBytes()
         self._began = self._last = float("-inf") if started is None else started
 
-    def receive(self, data: bytes | bytearray, now: float) -> list[Received]:
+    def receive(self, data: bytes | bytearray, now: float) -> list[FrameOrDamage]:
         """Take bytes read at ``now`` (seconds); return the frame, or damaged bytes, that the silence before them ends.
 
         The result is empty if no t3.5 has passed before ``data``. The bytes count as characters without gaps; their own
@@ -122,7 +122,7 @@ class StrictRtuReceiver:
         self._last = now
         return found
 
-    def tick(self, now: float) -> list[Received]:
+    def tick(self, now: float) -> list[FrameOrDamage]:
         """Return the frame, or damaged bytes, completed by the silence until ``now`` (seconds); empty before t3.5."""
         released = self.echo.tick(now)
         if released:
@@ -178,7 +178,7 @@ class StrictRtuReceiver:
         self._last = ends
         self.echo.sent(raw, ends, may_be_reply=self.conversation.role is LineRole.MASTER)
 
-    def damaged(self, now: float, *, overrun: bool = False) -> list[Received]:
+    def damaged(self, now: float, *, overrun: bool = False) -> list[FrameOrDamage]:
         """Mark the frame in progress as damaged, because the port reported an error or lost characters.
 
         Returns the frame that the silence before the error completes. The marked frame is returned after t3.5 of
@@ -195,7 +195,7 @@ class StrictRtuReceiver:
         self._last = max(self._last, now)
         return found
 
-    def flush(self, now: float) -> list[Received]:
+    def flush(self, now: float) -> list[FrameOrDamage]:
         """Return the unfinished frame, or damaged bytes, as if t3.5 of silence had passed; empty if there are none."""
         released = self.echo.release()
         if released:
@@ -224,7 +224,7 @@ class StrictRtuReceiver:
                 self._lost.mark(Damage.TOO_LONG, ended)
                 self._frame.clear()
 
-    def _processed_or_deleted(self) -> list[Received]:
+    def _processed_or_deleted(self) -> list[FrameOrDamage]:
         raw, lost = bytes(self._frame), self._lost
         self._frame.clear()
         self._lost = LostBytes()

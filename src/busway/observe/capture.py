@@ -26,7 +26,7 @@ from ipaddress import IPv4Address
 from typing import BinaryIO, Final
 
 from ..codes import BROADCAST_UNIT
-from ..framing.received import Damaged, Direction, Received
+from ..framing.received import Damaged, Direction, FrameOrDamage
 from ..framing.rtu import encode_rtu
 from .capture_headers import Node, line_pdu, tcp_packet, udp_packet
 from .pcapng import SECTION_HEADER, Flow, LinkType, PcapngWriter
@@ -258,7 +258,7 @@ class LineCapture:
 
     def heard(
         self,
-        found: Received,
+        found: FrameOrDamage,
         *,
         at: float | None = None,
         direction: Direction | None = None,

@@ -18,7 +18,7 @@ from typing import Final, Protocol
 
 from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
-from ..framing.received import Damaged, Direction, Received, SerialFrame
+from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
 from .trace import TRACE, StreamTrace, TraceLevel
@@ -181,7 +181,7 @@ class LineTrace:
             self._timer = self._make_timer(max(due - now, _SOONEST), self.tick)
             self._timer.start()
 
-    def _take(self, arrow: str, all_found: list[Received], now: float) -> None:
+    def _take(self, arrow: str, all_found: list[FrameOrDamage], now: float) -> None:
         for found in all_found:
             if arrow == ">" and isinstance(found, SerialFrame):
                 found = replace(found, direction=self._sends)
@@ -190,7 +190,7 @@ class LineTrace:
             if TRACE.level >= TraceLevel.MESSAGE:
                 self._show(arrow, found)
 
-    def _show(self, arrow: str, found: Received) -> None:
+    def _show(self, arrow: str, found: FrameOrDamage) -> None:
         if isinstance(found, Damaged):
             _log.debug("%s %s damaged: %s: %s", self._name, arrow, found.reason.value, found.raw.hex(" "))
             return

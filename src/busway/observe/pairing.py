@@ -18,7 +18,7 @@ from typing import Final
 
 from ..codes import BROADCAST_UNIT
 from ..framing.frame_direction import REPLY_WINDOW
-from ..framing.received import Damage, Damaged, Direction, Received, SerialFrame
+from ..framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
 
@@ -180,7 +180,7 @@ class Pairing:
         self._last_end: float | None = None
         self._sure = ResponseTimes()
 
-    def heard(self, found: Received) -> list[Heard]:
+    def heard(self, found: FrameOrDamage) -> list[Heard]:
         """Process a frame or damaged bytes. Returns the resulting events in order.
 
         The event of a missing reply comes first, if the frame shows that the request before it got none.

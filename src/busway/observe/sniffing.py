@@ -18,7 +18,7 @@ from typing import Final, Protocol, Self
 from ..errors import ConfigError, LinkDown
 from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
-from ..framing.received import Damaged, Received
+from ..framing.received import Damaged, FrameOrDamage
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
 from ..options.offer import MONITORS, Offer, canonical
@@ -373,7 +373,7 @@ class Listening:
         return [event for each in found for event in self.pairing.heard(each)]
 
     def _understand(self, data: bytes, damaged: int, now: float) -> list[Heard]:
-        found: list[Received]
+        found: list[FrameOrDamage]
         if damaged:
             found = [each for each in self._receiver.receive(data, now) if isinstance(each, Damaged)]
             found += self._receiver.damaged(now)

@@ -18,7 +18,7 @@ from ..pdu.malformed import MalformedPdu
 from .socket_addresses import SocketAddresses, socket_addresses_of
 
 if TYPE_CHECKING:
-    from ..framing.received import Received
+    from ..framing.received import FrameOrDamage
 
 _log = logging.getLogger("busway.trace")
 
@@ -50,7 +50,7 @@ class ConnectionRecorder(Protocol):
 class LineRecorder(Protocol):
     """Interface of an object that records the frames of one serial line, or of a connection with serial framing."""
 
-    def heard(self, found: "Received", *, at: float | None = None, is_outgoing: bool = False) -> None:
+    def heard(self, found: "FrameOrDamage", *, at: float | None = None, is_outgoing: bool = False) -> None:
         """Record a frame, or damaged bytes, that began at ``at`` (seconds since 1970; None for now).
 
         ``is_outgoing``: whether this program sent them.

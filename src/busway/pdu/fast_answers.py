@@ -2,9 +2,9 @@
 
 Knows the wire form of the table functions and the blocks they act on; knows no session and no hooks.
 
-1. A function of the fast path (`Answer`) gets the buffer, the start and end of the PDU, and the client; it returns the
-   reply PDU, or None if the request has to take the generic path. It returns None for every request that is not plainly
-   valid, so all refusals are decided in one place.
+1. A function of the fast path (`FastAnswer`) gets the buffer, the start and end of the PDU, and the client; it returns
+   the reply PDU, or None if the request has to take the generic path. It returns None for every request that is not
+   plainly valid, so all refusals are decided in one place.
 2. Its reply must equal that of the generic path for every request; a property test checks that.
 3. Each function is written out, also where two are alike: this saves one more call for each request.
 
@@ -36,7 +36,7 @@ class Requester(Protocol):
     audit_text: str
 
 
-Answer = Callable[[bytes | bytearray, int, int, Requester], bytes | None]
+FastAnswer = Callable[[bytes | bytearray, int, int, Requester], bytes | None]
 """Function that answers a request from its bytes.
 
 It gets a buffer, the start and the end of the request PDU in it, and the client. It returns the reply PDU, or None if
@@ -166,7 +166,7 @@ _unpack_two = struct.Struct(">HH").unpack_from
 _number = int.from_bytes
 
 
-def read_registers(code: int, limit: int, block: Block) -> Answer:
+def read_registers(code: int, limit: int, block: Block) -> FastAnswer:
     """Return a function that answers requests to read registers (03 or 04) from a block of memory.
 
     Args:
@@ -190,7 +190,7 @@ def read_registers(code: int, limit: int, block: Block) -> Answer:
     return answer
 
 
-def read_bits(code: int, limit: int, block: Block) -> Answer:
+def read_bits(code: int, limit: int, block: Block) -> FastAnswer:
     """Return a function that answers requests to read bits (01 or 02) from a block of memory.
 
     Args:
@@ -216,7 +216,7 @@ def read_bits(code: int, limit: int, block: Block) -> Answer:
     return answer
 
 
-def write_register(code: int, block: Block) -> Answer:
+def write_register(code: int, block: Block) -> FastAnswer:
     """Return a function that executes and answers requests 06 (write single register) on a block of memory.
 
     Args:
@@ -237,7 +237,7 @@ def write_register(code: int, block: Block) -> Answer:
     return answer
 
 
-def write_registers(code: int, limit: int, block: Block) -> Answer:
+def write_registers(code: int, limit: int, block: Block) -> FastAnswer:
     """Return a function that executes and answers requests 16 (write multiple registers) on a block of memory.
 
     Args:
@@ -268,7 +268,7 @@ def write_registers(code: int, limit: int, block: Block) -> Answer:
 _COIL_VALUES: Final = {b"\xff\x00": b"\x01", b"\x00\x00": b"\x00"}
 
 
-def write_coil(code: int, block: Block) -> Answer:
+def write_coil(code: int, block: Block) -> FastAnswer:
     """Return a function that executes and answers requests 05 (write single coil) on a block of memory.
 
     Args:
@@ -290,7 +290,7 @@ def write_coil(code: int, block: Block) -> Answer:
     return answer
 
 
-def write_coils(code: int, limit: int, block: Block) -> Answer:
+def write_coils(code: int, limit: int, block: Block) -> FastAnswer:
     """Return a function that executes and answers requests 15 (write multiple coils) on a block of memory.
 
     Args:
@@ -323,7 +323,7 @@ _unpack_mask = struct.Struct(">HHH").unpack_from
 _unpack_four = struct.Struct(">HHHHB").unpack_from
 
 
-def mask_write_register(code: int, block: RegisterBlock) -> Answer:
+def mask_write_register(code: int, block: RegisterBlock) -> FastAnswer:
     """Return a function that executes and answers requests 22 (mask write register) on a block of memory.
 
     Args:
@@ -345,7 +345,7 @@ def mask_write_register(code: int, block: RegisterBlock) -> Answer:
     return answer
 
 
-def read_write_registers(code: int, most_read: int, most_written: int, block: RegisterBlock) -> Answer:
+def read_write_registers(code: int, most_read: int, most_written: int, block: RegisterBlock) -> FastAnswer:
     """Return a function that executes and answers requests 23 (write, then read registers) on a block of memory.
 
     Args:

@@ -21,7 +21,7 @@ from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
-    from .fast_answers import Answer, DirectModel, ReadPlan
+    from .fast_answers import DirectModel, FastAnswer, ReadPlan
     from .model import Context, DataModel
 
 UNKNOWN_LENGTH = -1
@@ -240,7 +240,7 @@ class Request(Message):
     broadcast: ClassVar[bool] = False
 
     @classmethod
-    def direct(cls, model: "DirectModel") -> "Answer | None":
+    def direct(cls, model: "DirectModel") -> "FastAnswer | None":
         """Return a function of the server's fast path that answers requests of this class from the memory of a device.
 
         None if requests of this class must take the generic path (`busway.pdu.fast_answers`): always, unless a subclass

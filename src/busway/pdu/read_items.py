@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
 from .bits import unpack_bits
-from .fast_answers import Answer, DirectModel, ReadPlan, plan_read, read_bits, read_registers
+from .fast_answers import DirectModel, FastAnswer, ReadPlan, plan_read, read_bits, read_registers
 from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel, Refusal
@@ -47,7 +47,7 @@ class ReadBits(Request):
         return self.Reply(_read(model, _table(type(self)), self.address, self.count, context))
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = model.plain_block(_table(cls), writes=False)
         return None if block is None else read_bits(cls.code, MAX_READ_BITS, block)
 
@@ -99,7 +99,7 @@ class ReadRegisters(Request):
         return self.Reply(_read(model, _table(type(self)), self.address, self.count, context))
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = model.plain_block(_table(cls), writes=False)
         return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
 

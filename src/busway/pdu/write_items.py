@@ -19,8 +19,8 @@ from ..values.counts import counted
 from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
 from .fast_answers import (
-    Answer,
     DirectModel,
+    FastAnswer,
     RegisterBlock,
     mask_write_register,
     read_write_registers,
@@ -75,7 +75,7 @@ class WriteSingleCoil(Request):
         return self
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = model.plain_block(Table.COILS, writes=True)
         return None if block is None else write_coil(cls.code, block)
 
@@ -104,7 +104,7 @@ class WriteSingleRegister(Request):
         return self
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
         return None if block is None else write_register(cls.code, block)
 
@@ -161,7 +161,7 @@ class WriteMultipleCoils(Request):
         return self.Reply(self.address, self.count)
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = model.plain_block(Table.COILS, writes=True)
         return None if block is None else write_coils(cls.code, MAX_WRITE_BITS, block)
 
@@ -218,7 +218,7 @@ class WriteMultipleRegisters(Request):
         return self.Reply(self.address, self.count)
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = model.plain_block(Table.HOLDING_REGISTERS, writes=True)
         return None if block is None else write_registers(cls.code, MAX_WRITE_REGISTERS, block)
 
@@ -261,7 +261,7 @@ class MaskWriteRegister(Request):
         return self
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = _read_and_written(model)
         return None if block is None else mask_write_register(cls.code, block)
 
@@ -328,7 +328,7 @@ class ReadWriteMultipleRegisters(Request):
         return self.Reply(model.read(Table.HOLDING_REGISTERS, self.read_address, self.read_count, context))
 
     @classmethod
-    def direct(cls, model: DirectModel) -> Answer | None:
+    def direct(cls, model: DirectModel) -> FastAnswer | None:
         block = _read_and_written(model)
         if block is None:
             return None

@@ -22,7 +22,7 @@ from typing import Any, Final
 from ..codes import Table
 from ..errors import BadReply, InvalidRequest
 from ..values.counts import counted
-from ..values.orders import Wire, byte_order
+from ..values.orders import BytesLike, byte_order
 from .conversion import LARGEST_EXPONENT, pattern
 from .point import Point
 from .quality import Reading, Reason
@@ -87,7 +87,7 @@ class ReadDecoder:
         decode = _bits_decoder if table.holds_bits else _registers_decoder
         self._decode = decode(self.points, start, count)
 
-    def decode(self, data: Wire, known: MutableMapping[str, int] | None = None) -> DecodedRead:
+    def decode(self, data: BytesLike, known: MutableMapping[str, int] | None = None) -> DecodedRead:
         """Return the values of all points in a reply to the read.
 
         Args:
@@ -113,7 +113,7 @@ def _alone(point: Point) -> ReadDecoder:
     return ReadDecoder([point], point.table, point.start, point.width)
 
 
-def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = None) -> Reading:
+def decode_point(point: Point, data: BytesLike, known: Mapping[str, int] | None = None) -> Reading:
     """Return the value and quality of one point from its own registers or bit.
 
     Args:
@@ -128,7 +128,7 @@ def decode_point(point: Point, data: Wire, known: Mapping[str, int] | None = Non
     return Reading(found.values[0], found.flaws.get(0, Reason.NONE))
 
 
-_Decode = Callable[[Wire, MutableMapping[str, int]], tuple[list[Any], dict[int, int] | None]]
+_Decode = Callable[[BytesLike, MutableMapping[str, int]], tuple[list[Any], dict[int, int] | None]]
 
 
 def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
@@ -140,7 +140,7 @@ def _bits_decoder(points: Sequence[Point], start: int, count: int) -> _Decode:
         return lambda data, known: ([_BITS[data[first + only // 8]][only & 7]], None)
     take = operator.itemgetter(*places) if places else lambda bits: ()
 
-    def decode(data: Wire, known: MutableMapping[str, int]) -> tuple[list[Any], None]:
+    def decode(data: BytesLike, known: MutableMapping[str, int]) -> tuple[list[Any], None]:
         bits: list[bool] = []
         for byte in data[first : last + 1]:
             bits += _BITS[byte]
@@ -360,7 +360,7 @@ def _padded(numbers: Sequence[_Number], count: int) -> str:
     return text + (f"{2 * (count - at)}x" if count > at else "")
 
 
-def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) -> "Callable[[Wire], array[int]]":
+def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) -> "Callable[[BytesLike], array[int]]":
     """Return a function that copies the registers of a reply into the order in which ``struct`` unpacks them.
 
     Args:
@@ -370,7 +370,7 @@ def _gatherer(pick: Callable[[Any], Iterable[int]], count: int, *, swaps: bool) 
     """
     rest = array("H", [0] if swaps else [0] * (count + 1))
 
-    def gather(data: Wire) -> "array[int]":
+    def gather(data: BytesLike) -> "array[int]":
         registers = array("H")
         registers.frombytes(data)
         if swaps:
@@ -406,7 +406,7 @@ def _invalid_of(point: Point) -> list[float]:
     return [pattern(each, bits=bits, signed=signed) for each in point.conversion.invalid]
 
 
-def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
+def _reader(point: Point) -> Callable[[BytesLike], tuple[Any, int]]:
     """Return a function that decodes one point by its value type; a number is not converted yet.
 
     The function takes the bytes of the point, and returns its value and 0, or None and the reason for no value.
@@ -415,7 +415,7 @@ def _reader(point: Point) -> Callable[[Wire], tuple[Any, int]]:
     assert form is not None
     invalid = frozenset(point.conversion.invalid)
 
-    def read(data: Wire) -> tuple[Any, int]:
+    def read(data: BytesLike) -> tuple[Any, int]:
         try:
             raw = form.decode(data)[0]
         except BadReply:

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterable, Mapping
 from typing import Any
 
-from .expression import Bound, Expression, parse_expression
+from .expression import BoundExpression, Expression, parse_expression
 from .point import Point
 from .quality import Quality, Reading, Reason
 
@@ -131,7 +131,7 @@ class Derivation:
         return found
 
     def _result(
-        self, point: Point, expression: Expression, compute: Bound, known: Mapping[str, Reading], time: float
+        self, point: Point, expression: Expression, compute: BoundExpression, known: Mapping[str, Reading], time: float
     ) -> Reading:
         inputs = [known.get(name) for name in expression.names]
         reason = 0

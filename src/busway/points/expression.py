@@ -26,7 +26,7 @@ from ..values.refusal import shown
 
 Number = float | int | bool
 Compute = Callable[[float], Any]  # of the time; a number, of whatever type Python makes it
-Bound = Callable[[float], float]
+BoundExpression = Callable[[float], float]
 
 _LONGEST: Final = 1000
 _DEEPEST: Final = 40
@@ -105,7 +105,7 @@ class Expression:
             each.id for each in ast.walk(self._tree) if isinstance(each, ast.Name) and each.id in (TIME, *_CONSTANTS)
         )
 
-    def bind(self, source: Callable[[str], Callable[[], Number]]) -> Bound:
+    def bind(self, source: Callable[[str], Callable[[], Number]]) -> BoundExpression:
         """Return a function that evaluates the formula at a time in seconds; it returns NaN where there is no value.
 
         Args:

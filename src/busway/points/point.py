@@ -11,7 +11,7 @@ from typing import Any, Final
 from ..codes import Table
 from ..errors import InvalidRequest
 from ..values import Address, ValueType
-from ..values.orders import Wire
+from ..values.orders import BytesLike
 from ..values.refusal import shown
 from .conversion import Conversion, value_of
 from .point_rules import AlarmRule, ReportRule, WriteRule
@@ -109,7 +109,7 @@ class Point:
         """Whether values are numbers: a computed point, or an integer, float, BCD or bit field as value type."""
         return bool(self.formula) or self.is_whole or (self.form is not None and self.form.name.startswith("float"))
 
-    def encode(self, value: Any, held: Wire = b"", exponent: int = 0) -> bytes:
+    def encode(self, value: Any, held: BytesLike = b"", exponent: int = 0) -> bytes:
         """Return the registers or bits that hold a value of the point, for a write.
 
         Args:

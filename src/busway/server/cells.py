@@ -15,7 +15,7 @@ from ..codes import TABLE_SIZE
 from ..errors import ConfigError
 from ..values.refusal import shown
 
-Values = Sequence[int] | Mapping[int, int | Sequence[int]]
+CellValues = Sequence[int] | Mapping[int, int | Sequence[int]]
 Ranges = Iterable[tuple[int, int]]
 
 
@@ -34,11 +34,11 @@ class Cells:
 
     first: int = 0
     count: int | None = None
-    values: Values | None = None
+    values: CellValues | None = None
     read_only: Ranges = ()
 
 
-TableLike = int | Values | Cells | None
+TableLike = int | CellValues | Cells | None
 """What declares a table: a number of items from address 0 on, a list or mapping of their values, or `Cells`. None and 0
 declare a table without items.
 """

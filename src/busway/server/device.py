@@ -29,7 +29,7 @@ from ..values.refusal import shown
 from .blocks import BitRun, RegisterRun, Run
 from .cells import TableLike, lay_out
 from .groups import Groups
-from .hooks import Access, Change, Hook, Hooks, Moment, ReadFunction, When, WriteFunction, call, function_of, role_of
+from .hooks import Access, Change, Hook, Hooks, Moment, ReadHook, When, WriteHook, call, function_of, role_of
 from .identity import DEFAULT_SERVER_ID, ExceptionStatus, identification_objects, server_id_data, status_source
 from .items import unpacked
 from .records import RecordFile, RegisterQueue, build_files, build_queues
@@ -38,8 +38,8 @@ from .stores import ItemStore, bit_store, register_store
 from .typed import TypedAccess
 from .views import TableView
 
-AnyReadFunction = TypeVar("AnyReadFunction", bound=ReadFunction)
-AnyWriteFunction = TypeVar("AnyWriteFunction", bound=WriteFunction)
+AnyReadFunction = TypeVar("AnyReadFunction", bound=ReadHook)
+AnyWriteFunction = TypeVar("AnyWriteFunction", bound=WriteHook)
 
 _HIGHEST_FUNCTION: Final = 127
 

@@ -79,8 +79,8 @@ class Change:
     role: str | None = None
 
 
-ReadFunction = Callable[[Access], object]
-WriteFunction = Callable[[Change], object]
+ReadHook = Callable[[Access], object]
+WriteHook = Callable[[Change], object]
 
 
 @dataclass(frozen=True, slots=True)

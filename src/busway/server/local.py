@@ -21,7 +21,7 @@ from ..pdu.file_records import WriteFileRecord
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
 from ..pdu.message import Request
-from ..session.responder import SILENCE, Outcome, Replaced, RequestContext, ServedUnit
+from ..session.responder import SILENCE, Replaced, RequestContext, ResponderAnswer, ServedUnit
 from .device import Device
 
 
@@ -97,7 +97,7 @@ class DeviceResponder:
         """Return the device that answers for ``unit``; None if there is none."""
         return self._devices.get(unit)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Execute a request on the device of its unit, and return the reply.
 
         Exception replies: 0B for a unit that does not exist, 01 for a function that the device does not offer, and the

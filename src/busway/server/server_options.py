@@ -12,10 +12,12 @@ from ..options.offer import SERVERS, ChosenOptions, Offer
 from ..options.presets import OPTION, Preset, preset_of
 from .listener import Listener
 
-Place = str | Endpoint | Listener
+ListenerLike = str | Endpoint | Listener
 
 
-def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -> tuple[list[Place], ChosenOptions]:
+def with_server_preset(
+    places: Sequence[ListenerLike], options: Mapping[str, object]
+) -> tuple[list[ListenerLike], ChosenOptions]:
     """Return listeners and options with the preset applied that ``options`` names, if any.
 
     Args:
@@ -31,7 +33,7 @@ def with_server_preset(places: Sequence[Place], options: Mapping[str, object]) -
     return list(places), chosen
 
 
-def _strict(place: Place) -> Place:
+def _strict(place: ListenerLike) -> ListenerLike:
     """Return one listener with the preset ``strict`` applied.
 
     The preset is added to its URL for TLS, RTU and ASCII, unless the URL names a preset; the limits of a `Listener`, if

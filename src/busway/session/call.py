@@ -26,7 +26,7 @@ from ..errors import InvalidRequest, ModbusError
 from ..options.client import ClientParameters
 from ..pdu.message import Message, Request
 
-Outcome = Message | ModbusError
+RequestOutcome = Message | ModbusError
 
 _NO_ATTEMPTS: Mapping[int, int] = MappingProxyType({})
 _IS_WRITE = attrgetter("is_write")
@@ -115,7 +115,7 @@ class Call:
         self.retries = retries
         self.is_write = is_write
         self.open: int = len(requests)
-        self.outcomes: list[Outcome | None] = [None] * self.open
+        self.outcomes: list[RequestOutcome | None] = [None] * self.open
         if idempotent:
             self.idempotent = True
         if caller is not None:

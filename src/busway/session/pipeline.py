@@ -18,7 +18,7 @@ from functools import partial
 from typing import Final, Protocol
 
 from ..codes import ExceptionCode, FunctionCode
-from ..pdu.fast_answers import Answer, ReadPlan
+from ..pdu.fast_answers import FastAnswer, ReadPlan
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
@@ -29,10 +29,10 @@ from .responder import (
     ClientIdentity,
     Deferral,
     Forwarding,
-    Outcome,
     Refusal,
     RequestContext,
     Responder,
+    ResponderAnswer,
     ServedUnit,
 )
 
@@ -58,7 +58,7 @@ class ClientRights(Protocol):
     The objects of clients with the same rights are equal.
     """
 
-    def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> Answer | None:
+    def bind(self, unit: int, served: ServedUnit, kind: type[Request]) -> FastAnswer | None:
         """Return a function that answers all requests of the class ``kind`` to a unit from their bytes.
 
         None if the policy must decide about each request, or the device has no such function; then all of them take the
@@ -173,7 +173,7 @@ class RequestPipeline:
             found = self._fast[rights] = FastPath(self.responder, rights)
         return found
 
-    def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> Outcome:
+    def answer(self, context: RequestContext, pdu: bytes, failures: list[ResponderFailure]) -> ResponderAnswer:
         """Decode a request that the fast path did not answer, authorize it, and return the outcome of the responder.
 
         It is an exception reply if the request is not permitted or the responder raises `Refusal`; 01 for function 0.
@@ -188,7 +188,7 @@ class RequestPipeline:
             request = self._decode(pdu)
             if self.observers:
                 context.watch(partial(self._ended, context, request, self.clock()))
-            outcome: Outcome | None = None
+            outcome: ResponderAnswer | None = None
             if was_listen_only and function != _DIAGNOSTICS:
                 outcome = SILENCE
             elif self.authorizer is not None:
@@ -254,10 +254,10 @@ class FastPath:
         self._rights = rights
         self.reads: dict[bytes, ReadPlan] = {}
         self.frames: dict[bytes, ReadPlan] = {}
-        self.functions: dict[bytes, Answer | None] = {}
+        self.functions: dict[bytes, FastAnswer | None] = {}
         self.forwards: ForwardPlans = ForwardPlans()
 
-    def bind(self, unit: int, function: int) -> Answer | None:
+    def bind(self, unit: int, function: int) -> FastAnswer | None:
         """Find the function that answers one function code of a unit from bytes; store and return it.
 
         None, which is stored too, if such requests must take the generic path. If 4096 are stored already, they are
@@ -269,7 +269,7 @@ class FastPath:
         self.functions[bytes((unit, function))] = answer
         return answer
 
-    def _bound(self, unit: int, function: int) -> Answer | None:
+    def _bound(self, unit: int, function: int) -> FastAnswer | None:
         served, kind = self._direct(unit, function)
         if served is None or served.device is None or kind is None or kind.sub_code is not None:
             return None
@@ -344,7 +344,7 @@ class _NoUnits:
         """Return None: there are no units."""
         return None
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Return `SILENCE`: the request gets no reply."""
         return SILENCE
 

@@ -341,7 +341,7 @@ class Forwarding:
 
 ALONE: Final = (None,)
 """The argument ``tags`` of `ForwardingTarget.ask` for a single request."""
-Outcome = Message | Awaitable[Message] | Deferral | Forwarding
+ResponderAnswer = Message | Awaitable[Message] | Deferral | Forwarding
 
 
 class DirectDevice(DirectModel, Protocol):
@@ -390,7 +390,7 @@ class Responder(Protocol):
     def serves(self, unit: int) -> ServedUnit | None:
         """Return the unit that answers requests to ``unit``, 0…255; None if there is none."""
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Return the reply to a request, or an object that stands for a later reply or for none.
 
         An awaitable of the reply: it is awaited. `LATER`: the responder calls `RequestContext.reply` once, later.
@@ -435,11 +435,11 @@ __all__ = [
     "Forwarding",
     "ForwardingTarget",
     "Judged",
-    "Outcome",
     "Refusal",
     "Replaced",
     "RequestContext",
     "Responder",
+    "ResponderAnswer",
     "SerialUnits",
     "ServedUnit",
 ]

@@ -35,7 +35,7 @@ from ..errors import (
     NoReply,
     UnitSuspended,
 )
-from ..framing.received import Damaged, Direction, Received, SerialFrame
+from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..options.client import ClientParameters
 from ..options.lines import BreakerParameters, SerialClientParameters
 from ..pdu.diagnostics import RestartCommunications
@@ -562,7 +562,7 @@ class SerialClientSession:
         for found in (*marked, *self._receiver.damaged(now, overrun=overrun)):
             self._found(found, now)
 
-    def _found(self, found: Received, now: float) -> None:
+    def _found(self, found: FrameOrDamage, now: float) -> None:
         awaited = self._awaited
         if isinstance(found, Damaged):
             self.counters.damaged_frames += 1

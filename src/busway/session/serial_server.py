@@ -26,14 +26,14 @@ from dataclasses import dataclass
 from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode, FunctionCode
 from ..framing.crc import crc_bytes
 from ..framing.mbap import HEAD
-from ..framing.received import Damaged, Direction, Received, SerialFrame
+from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
 from .pipeline import NO_FAST_PATH, PLANNED, FastPath, RequestPipeline, ResponderFailure
-from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, Outcome, RequestContext
+from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
 from .server import Deferred
 
 _NO_TRANSACTION = bytes(2)
@@ -205,12 +205,12 @@ class SerialServerSession:
         bodies = [reply[_UNIT:] for reply in replies]
         return [body + crc_bytes(body) for body in bodies]
 
-    def find(self, data: bytes, now: float) -> list[Received]:
+    def find(self, data: bytes, now: float) -> list[FrameOrDamage]:
         """Return the complete frames, and the damaged bytes, in bytes read at ``now``, in order, for `process`."""
         self._last_byte = max(self._last_byte, now)
         return self._receiver.receive(data, now)
 
-    def process(self, frame: Received) -> FrameToSend | None:
+    def process(self, frame: FrameOrDamage) -> FrameToSend | None:
         """Process a received frame, or damaged bytes. Returns the reply; None if there is none, or not yet.
 
         A reply that is ready later is passed to ``deliver``. A request that is still being processed, or whose reply
@@ -370,7 +370,7 @@ class SerialServerSession:
                 diagnostics.failed(ExceptionCode.ILLEGAL_FUNCTION)
             diagnostics.kept_silent(executed=done)
 
-    def _is_executed(self, context: RequestContext, outcome: Outcome) -> bool:
+    def _is_executed(self, context: RequestContext, outcome: ResponderAnswer) -> bool:
         """Whether a unit has executed a broadcast, judged by what `RequestPipeline.answer` returned for it.
 
         An exception is counted. False also if the request was forwarded, or if the responder has not finished yet; an

@@ -16,7 +16,7 @@ from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from ..options.ports import Parity, SerialSettings
-from ..transport.serial.marks import Received
+from ..transport.serial.marks import UnmarkedBytes
 
 NOISE = -1
 """Port number of recorded characters that no port has sent: `VirtualLine.inject` has put them on the line."""
@@ -268,12 +268,12 @@ class VirtualPort:
             self.talking = True
         return self.free_at
 
-    def read(self) -> Received:
+    def read(self) -> UnmarkedBytes:
         """Return the bytes received by this port since the last call, and how many of them are damaged.
 
         Without a parity bit no byte counts as damaged, as on a real port; damaged bytes are returned nevertheless.
         """
-        received = Received(bytes(self._data), self._errors)
+        received = UnmarkedBytes(bytes(self._data), self._errors)
         self._data.clear()
         self._errors = 0
         return received

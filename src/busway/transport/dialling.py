@@ -18,7 +18,9 @@ from weakref import WeakValueDictionary
 from .epoll.stream import EpollStream
 from .epoll.watcher import EpollSet, can_watch
 
-Found = Sequence[tuple[Any, ...]]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
+ResolvedAddresses = Sequence[
+    tuple[Any, ...]
+]  # what getaddrinfo gives: family, kind, protocol, name, address of whatever family
 
 _epoll_sets: Final["WeakValueDictionary[asyncio.AbstractEventLoop, EpollSet]"] = WeakValueDictionary()
 """The epoll set of each event loop, for outgoing connections. It exists only as long as one of these connections, so it
@@ -87,7 +89,7 @@ async def _connected(host: str, port: int, local_address: str | None, interface:
     """
     loop = asyncio.get_running_loop()
     try:
-        found: Found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
+        found: ResolvedAddresses = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM, flags=socket.AI_NUMERICHOST)
     except socket.gaierror:
         found = await loop.getaddrinfo(host, port, type=socket.SOCK_STREAM)
     attempts = _Attempts(interface, local_address)
@@ -143,7 +145,7 @@ class _Attempts:
         self._local_address = local_address
         self.problem = OSError("the host has no address")
 
-    def towards(self, found: Found) -> Iterator[tuple[socket.socket, Any]]:
+    def towards(self, found: ResolvedAddresses) -> Iterator[tuple[socket.socket, Any]]:
         """Yield, for each usable address of the peer, a socket that is not connected yet, and the address.
 
         Interface and local address of the socket are set. Addresses for which that fails are left out. ``found`` are

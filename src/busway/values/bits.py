@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from ..errors import InvalidRequest
 from .numbers import whole_number
-from .orders import ByteOrder, Wire, swapped
+from .orders import ByteOrder, BytesLike, swapped
 from .refusal import shown, unfit
 
 _STATES: Final = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
@@ -37,7 +37,7 @@ class BitsCodec:
         self._swaps = order.swaps
         self.expects = "sixteen of True and False, the least significant bit first"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return each register as a tuple of sixteen ``bool``, least significant bit first."""
         whole = swapped(data, self._swaps)
         return [_BITS[low] + _BITS[high] for high, low in zip(whole[::2], whole[1::2], strict=True)]
@@ -87,7 +87,7 @@ class BitCodec:
         is_low = self._bit < 8
         return int(is_low is not bool(self._swaps)), 1 << (self._bit & 7)
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the state of the codec's bit in each register as ``bool``."""
         whole = swapped(data, self._swaps)
         column = whole[1::2] if self._bit < 8 else whole[::2]
@@ -117,7 +117,7 @@ class BitCodec:
             raise ValueError(text)
         return _STATES[text.lower()]
 
-    def merge(self, value: object, held: Wire) -> bytes:
+    def merge(self, value: object, held: BytesLike) -> bytes:
         """Return the register, in wire order, with the codec's bit set or cleared, and its other bits unchanged.
 
         Args:
@@ -154,7 +154,7 @@ class FieldCodec:
         self._maximum = self._mask - self._sign
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the number that the codec's bits hold in each register; with a sign if the codec is signed."""
         whole = swapped(data, self._swaps)
         low, mask, sign = self._low, self._mask, self._sign
@@ -170,7 +170,7 @@ class FieldCodec:
         """
         raise InvalidRequest(f"{self._name} cannot be written alone: the register's other bits would be overwritten")
 
-    def merge(self, value: object, held: Wire) -> bytes:
+    def merge(self, value: object, held: BytesLike) -> bytes:
         """Return the register, in wire order, with a number in the codec's bits, and its other bits unchanged.
 
         Args:

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from ..errors import InvalidRequest
 from .numbers import real_number, whole_number
-from .orders import ByteOrder, Wire, swapped
+from .orders import ByteOrder, BytesLike, swapped
 from .refusal import shown, unfit
 
 _FORMAT: Final = re.compile(r"([<>])((?:[0-9]{0,3}[bBhHiIlLqQefdx?])+)")
@@ -57,7 +57,7 @@ class CustomCodec:
         hint = ", True or False for each ?" if any(self._states) else ""
         self.expects: str = f"{len(self._states)} numbers that fit {layout.format}{hint}"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the tuples that registers in wire order hold.
 
         Each tuple has all numbers of the format, with a ``bool`` for ``?`` and nothing for ``x``.

@@ -23,7 +23,7 @@ Order: TypeAlias = Literal[
 ]  # fmt: skip
 """Names of the orders of bytes and registers (`busway.values.orders`)."""
 
-Level: TypeAlias = Literal["basic", "regular", "extended"]
+IdentificationLevel: TypeAlias = Literal["basic", "regular", "extended"]
 """Names of the levels of device identification, which say how many objects are read (function 43/14)."""
 
 TableName: TypeAlias = Literal["coils", "discrete_inputs", "input_registers", "holding_registers"]

@@ -7,7 +7,7 @@ import ipaddress
 import re
 from typing import Any, Final
 
-from .orders import ByteOrder, Wire, swapped
+from .orders import ByteOrder, BytesLike, swapped
 from .refusal import unfit
 
 _SIZES: Final = {"ipv4": 4, "ipv6": 16, "eui48": 6, "eui64": 8}
@@ -40,7 +40,7 @@ class NetworkCodec:
         self._swaps = order.swaps
         self.expects: str = _EXPECTS[name]
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the network addresses that registers in wire order hold, as texts such as ``00:1B:44:11:3A:B7``."""
         whole = swapped(data, self._swaps)
         return [self._written(whole[at : at + self._size]) for at in range(0, len(whole), self._size)]

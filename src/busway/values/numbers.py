@@ -21,7 +21,7 @@ import struct
 from typing import Any, Final, SupportsFloat, SupportsIndex
 
 from ..errors import BadReply
-from .orders import ByteOrder, Wire, swapped
+from .orders import ByteOrder, BytesLike, swapped
 from .refusal import unfit
 
 _WHOLE: Final = re.compile(r"([+-]?)(0[xX][0-9a-fA-F]{1,16}|0[bB][01]{1,64}|[0-9]{1,40})", re.ASCII)
@@ -83,7 +83,7 @@ class _StructLayout:
         self.prefix = "<" if order.is_reversed else ">"
         self.swaps = order.swaps[1:] if order.is_reversed else order.swaps
 
-    def unpack(self, data: Wire) -> list[Any]:  # ints or floats, as the letter says
+    def unpack(self, data: BytesLike) -> list[Any]:  # ints or floats, as the letter says
         """Return the numbers that registers in wire order hold."""
         count = len(data) // self.size
         if self.swaps:
@@ -110,7 +110,7 @@ class IntegerCodec:
         self._layout = _StructLayout(letter, order)
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the integers that registers in wire order hold."""
         return self._layout.unpack(data)
 
@@ -161,7 +161,7 @@ class FloatCodec:
         self._layout = _StructLayout(letter, order)
         self.expects: str = f"a number -{largest}…{largest}, inf or nan"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the floats that registers in wire order hold."""
         return self._layout.unpack(data)
 
@@ -216,7 +216,7 @@ class ThreeRegisterCodec:
         self._swaps = order.swaps
         self.expects: str = f"a whole number {self._minimum}…{self._maximum}"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the integers that registers in wire order hold."""
         whole = swapped(data, self._swaps)
         return [int.from_bytes(whole[at : at + 6], "big", signed=self._signed) for at in range(0, len(whole), 6)]
@@ -253,7 +253,7 @@ class BcdCodec:
         self._swaps = order.swaps
         self.expects: str = f"a whole number 0…{self._maximum}, in decimal"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the numbers that registers of binary-coded decimals in wire order hold.
 
         Raises:

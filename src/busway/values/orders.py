@@ -28,7 +28,7 @@ from typing import Final, TypeAlias
 
 from ..errors import InvalidRequest
 
-Wire: TypeAlias = bytes | bytearray | memoryview
+BytesLike: TypeAlias = bytes | bytearray | memoryview
 """Bytes in wire order: ``bytes``, ``bytearray`` or ``memoryview``."""
 
 _LETTERS: Final = "ABCDEFGH"
@@ -180,7 +180,7 @@ def _between_three_and_others(text: str, size: int, given_size: int, mask: int) 
     return (mask & 3) if size == 6 or not mask & 2 else (mask & 1 | _REGISTERS_REVERSED) & (size - 1)
 
 
-def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
+def swapped(data: BytesLike, swaps: tuple[str, ...]) -> bytes:
     """Return a copy of ``data`` with the swaps of a `ByteOrder` applied to all its values; a second call undoes them.
 
     Args:
@@ -198,7 +198,7 @@ def swapped(data: Wire, swaps: tuple[str, ...]) -> bytes:
     return bytes(data)
 
 
-def _exchanged(data: Wire, first: int, other: int) -> bytes:
+def _exchanged(data: BytesLike, first: int, other: int) -> bytes:
     """Return values of three registers each, with the registers at positions ``first`` and ``other`` exchanged."""
     items = array("H")
     items.frombytes(data)

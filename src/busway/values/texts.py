@@ -14,7 +14,7 @@ Rules:
 from typing import Any
 
 from ..errors import BadReply, InvalidRequest
-from .orders import ByteOrder, Wire, swapped
+from .orders import ByteOrder, BytesLike, swapped
 from .refusal import shown, unfit
 
 
@@ -55,7 +55,7 @@ class StringCodec:
         self._swaps = order.swaps
         self.expects: str = f"text of at most {length} {'byte' if length == 1 else 'bytes'} in {encoding}"
 
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the texts that registers in wire order hold. A text ends at the first NUL; padding is removed.
 
         Raises:
@@ -83,7 +83,7 @@ class StringCodec:
         self.encode([text])
         return text
 
-    def _text(self, field: bytes, block: Wire) -> str:
+    def _text(self, field: bytes, block: BytesLike) -> str:
         content = field.partition(b"\0")[0]
         if self._fill == b" ":
             content = content.rstrip(b" ")

@@ -48,7 +48,7 @@ from .custom import CustomCodec, custom_layout
 from .names import FloatName, IntegerName, Order
 from .network import NETWORK_TYPES, NetworkCodec, network_size
 from .numbers import BcdCodec, FloatCodec, IntegerCodec, ThreeRegisterCodec
-from .orders import ByteOrder, Wire, byte_order
+from .orders import ByteOrder, BytesLike, byte_order
 from .refusal import shown
 from .texts import StringCodec
 
@@ -69,7 +69,7 @@ class Codec(Protocol):
     expects: str
 
     # Any: which Python type comes follows from a name at run time, and a union would make every caller cast.
-    def decode(self, data: Wire) -> list[Any]:
+    def decode(self, data: BytesLike) -> list[Any]:
         """Return the values that registers in wire order hold. Raises `BadReply` if the bytes are no such value."""
 
     def encode(self, values: list[object]) -> bytes:
@@ -118,7 +118,7 @@ class ValueType(Generic[Value]):
             raise InvalidRequest(f"count is {shown(count)}, but it is a number of {self.name} values, 1 or more")
         return count * self.registers
 
-    def decode(self, data: Wire) -> list[Value]:
+    def decode(self, data: BytesLike) -> list[Value]:
         """Convert registers into values of this type.
 
         Args:
@@ -172,7 +172,7 @@ class ValueType(Generic[Value]):
         """
         return self._codec.place if isinstance(self._codec, BitCodec) else None
 
-    def merge(self, value: object, held: Wire) -> bytes:
+    def merge(self, value: object, held: BytesLike) -> bytes:
         """Return the registers of one value, in wire order; bits that do not belong to the value stay as in ``held``.
 
         Args:
@@ -241,7 +241,7 @@ def value_type(name: str | ValueType[Any], order: str = "ABCD") -> ValueType[Any
     return _compiled(name, order)
 
 
-def decode(data: Wire, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
+def decode(data: BytesLike, type: str | ValueType[Any], order: str = "ABCD", count: int | None = None) -> list[Any]:
     """Convert registers into a list of values of a type, like `ValueType.decode`.
 
     Args:

@@ -10,7 +10,7 @@ import pytest
 from checked_device import UNIT, VirtualDialer, target_of
 
 from busway.apps.check.catalogue import checks_for
-from busway.apps.check.check import Level, Outcome, Result
+from busway.apps.check.check import CheckResult, Level, Outcome
 from busway.apps.check.run import CheckRun, Pace
 from busway.faults.applied_faults import Selection
 from busway.faults.profiles import FAULT_PROFILES
@@ -67,7 +67,7 @@ UNSEEN = {
 """What no check can be about, because the documents allow it."""
 
 
-def checked(framing: str, name: str = "", **parameters: Any) -> list[Result]:
+def checked(framing: str, name: str = "", **parameters: Any) -> list[CheckResult]:
     """All results for a device with a fault."""
     dialer = VirtualDialer(framing)
     if name:
@@ -81,7 +81,7 @@ def checked(framing: str, name: str = "", **parameters: Any) -> list[Result]:
     return results
 
 
-def failed(results: list[Result]) -> set[str]:
+def failed(results: list[CheckResult]) -> set[str]:
     """The checks that a device failed, or was warned of."""
     assert not any(one.outcome is Outcome.ABORTED for one in results)
     return {one.check.id for one in results if one.outcome in (Outcome.FAILED, Outcome.WARNED)}

@@ -15,7 +15,7 @@ import busway
 from busway.access.rules import Policy, Rule
 from busway.apps.check.catalogue import checks_for
 from busway.apps.check.catalogue.handshakes import handshake_checks
-from busway.apps.check.check import Level, Outcome, Result, TlsChange
+from busway.apps.check.check import CheckResult, Level, Outcome, TlsChange
 from busway.apps.check.run import CheckRun, Pace, probe_of
 from busway.apps.check.tls_wire import CERTIFICATES, ClientCertificate
 from busway.apps.check.wire import dialer_for
@@ -57,7 +57,9 @@ OF_USERS = {"tls-expired", "tls-revoked", "tls-role-denied", "tls-no-role"}
 """Checks that need a certificate of the user's."""
 
 
-def run(port: int, store: CertificateStore, given: Mapping[str, CertificateFiles] | None = None) -> dict[str, Result]:
+def run(
+    port: int, store: CertificateStore, given: Mapping[str, CertificateFiles] | None = None
+) -> dict[str, CheckResult]:
     """All results of the checks of TLS, by name; without certificates, those that need none."""
     url = f"tls://127.0.0.1:{port}?{store.client().query()}"
     target = replace(target_of("mbap", 1), is_secure=True)

@@ -7,23 +7,23 @@ import pytest
 from checked_device import VirtualDialer, target_of
 
 from busway.apps.check.catalogue import checks_for
-from busway.apps.check.check import Check, Evidence, Level, Outcome, Result, Strength
+from busway.apps.check.check import Check, CheckResult, Evidence, Level, Outcome, Strength
 from busway.apps.check.reports import REPORT_BEGINNINGS, REPORTS, hex_of
 from busway.apps.check.run import CheckRun, Pace
 from busway.apps.check.summary import Summary, baseline_of
 from busway.errors import ConfigError
 
 
-def result(name: str, outcome: Outcome, word: Strength = Strength.MUST) -> Result:
+def result(name: str, outcome: Outcome, word: Strength = Strength.MUST) -> CheckResult:
     check = Check(name, "A10", "does what <it> & nobody else does", word, Level.READ, ())
     evidence = (Evidence(True, b"\x01\x03", "a request"), Evidence(False, b"", "the device closed the connection"))
-    return Result(check, outcome, f"because of <{name}>", evidence)
+    return CheckResult(check, outcome, f"because of <{name}>", evidence)
 
 
 MANY = tuple(result(one.value, one) for one in Outcome)
 
 
-def summary(results: tuple[Result, ...] = MANY, **baseline: str) -> Summary:
+def summary(results: tuple[CheckResult, ...] = MANY, **baseline: str) -> Summary:
     return Summary("tcp://10.0.0.5", 1, "read", results, baseline)
 
 

@@ -7,12 +7,12 @@ from checked_device import SIZE, VirtualDialer, VirtualWire, target_of
 
 import busway
 from busway.apps.check.catalogue import checks_for
-from busway.apps.check.check import Level, Outcome, Result
+from busway.apps.check.check import CheckResult, Level, Outcome
 from busway.apps.check.run import CheckRun, Pace
 from busway.errors import LinkDown
 
 
-def run(dialer: VirtualDialer, level: Level = Level.DISRUPTIVE, only: Any = ()) -> dict[str, Result]:
+def run(dialer: VirtualDialer, level: Level = Level.DISRUPTIVE, only: Any = ()) -> dict[str, CheckResult]:
     """All results by the names of checks."""
     target = target_of(dialer.framing)
     return {one.check.id: one for one in CheckRun(dialer, target, Pace()).results(checks_for(target, level, only))}

@@ -17,7 +17,7 @@ from typing import TypeVar
 
 import pytest
 
-from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch, StateInterval, Value
+from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleBatch, SampleValue, StateInterval
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.store import committed_samples
 from busway.apps.collector.store.committed_samples import CommitReader, CommittedSample
@@ -44,7 +44,21 @@ UNITS = {
     ("V", "V"): "V", ("V", "W"): "", ("V", "on"): "V", ("W", "V"): "W", ("W", "W"): "V",
     ("hall", "V"): "", ("hall", "on"): "on", ("1", "V"): "1", ("1", "1"): "1",
 }  # fmt: skip
-NUMBERS: list[Value] = [1, 1.0, "1", 0, 0.0, -0.0, "", "True", 2**53, float(2**53), 2**63, 2**64 - 1, float(2**63)]
+NUMBERS: list[SampleValue] = [
+    1,
+    1.0,
+    "1",
+    0,
+    0.0,
+    -0.0,
+    "",
+    "True",
+    2**53,
+    float(2**53),
+    2**63,
+    2**64 - 1,
+    float(2**63),
+]
 VALUES = [*NUMBERS, "V", "hall", str(2**64 - 1), -1, -1.0, "a\u20ac" * 20, float("inf"), -(2**63)]
 TOO_LONG = "x" * 3000
 
@@ -127,7 +141,7 @@ class Stored:
         self.second += 1
         return NOW + self.second * 10**9
 
-    def commit(self, reads: Sequence[tuple[str, dict[str, Value], int]]) -> None:
+    def commit(self, reads: Sequence[tuple[str, dict[str, SampleValue], int]]) -> None:
         """Commit reads: device, values by first name of the point, and time."""
         batches = [
             SampleBatch(
@@ -424,7 +438,7 @@ class World:
         return [each for key, each in self.stored.rows.items() if key not in self.stored.aside]
 
 
-def values_for(chance: Random, device: str) -> dict[str, Value]:
+def values_for(chance: Random, device: str) -> dict[str, SampleValue]:
     points = [point for owner, point in UNITS if owner == device]
     chosen = chance.sample(points, chance.randrange(1, len(points) + 1))
     return {each: chance.choice((True, False)) if each == "on" else chance.choice(VALUES) for each in chosen}

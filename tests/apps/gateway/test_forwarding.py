@@ -29,7 +29,7 @@ from busway.session.client import TcpClientSession
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
-from busway.session.responder import ClientIdentity, Outcome, RequestContext, ServedUnit
+from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
 from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
 
@@ -168,7 +168,7 @@ class LongRoad:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         return self.inner.answer(context, request)
 
 

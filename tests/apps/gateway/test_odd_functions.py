@@ -17,7 +17,7 @@ from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable
 from busway.pdu.general import ExceptionResponse, OpaqueRequest
 from busway.pdu.message import ReplyMessage, Request
 from busway.server.listener import Listener
-from busway.session.responder import Outcome, Responder, ServedUnit
+from busway.session.responder import Responder, ResponderAnswer, ServedUnit
 
 BAUD = 115_200
 SIZES = (0, 1, 2, 3, 7, 61, 252)
@@ -101,7 +101,7 @@ async def test_unknown_functions_of_any_length_go_through_unread(listener: str, 
 async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(listener: str, line: str) -> None:
     asked: list[bytes] = []
 
-    def silent(context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def silent(context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         asked.append(request.encode())
         return busway.SILENCE
 

@@ -5,7 +5,7 @@ from typing import Any
 
 import pytest
 
-from busway.config.files.lines import Path, key_lines, line_of
+from busway.config.files.lines import KeyPath, key_lines, line_of
 
 TEXT = '''\
 # a comment with = and [brackets]
@@ -71,11 +71,11 @@ when = 1979-05-27T07:32:00Z
         (("unit", 1, "point", 0, "quoted key"), 34),
     ],
 )
-def test_a_key_has_its_line(path: Path, line: int) -> None:
+def test_a_key_has_its_line(path: KeyPath, line: int) -> None:
     assert key_lines(TEXT)[path] == line
 
 
-def paths_of(value: Any, path: Path = ()) -> list[Path]:
+def paths_of(value: Any, path: KeyPath = ()) -> list[KeyPath]:
     """Every path in what ``tomllib`` read."""
     inner = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
     return [path, *(found for key, each in inner for found in paths_of(each, (*path, key)))]

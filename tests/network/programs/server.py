@@ -14,7 +14,7 @@ from typing import Any
 
 import busway
 from busway.pdu.functions import AnyRequest
-from busway.session.responder import Outcome, ServedUnit
+from busway.session.responder import ResponderAnswer, ServedUnit
 
 SLOW = 1000
 
@@ -31,7 +31,7 @@ class HeldReplies:
     def serves(self, unit: int) -> ServedUnit | None:
         return ServedUnit(unit)
 
-    def answer(self, context: busway.RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: busway.RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Answer with addresses, or with what was written."""
         if isinstance(request, busway.WriteSingleRegister):
             return busway.WriteSingleRegister.Reply(request.address, request.value)

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.transport.serial.marks import MarkDecoder, Received, switch_marks_on
+from busway.transport.serial.marks import MarkDecoder, UnmarkedBytes, switch_marks_on
 
 
 @pytest.mark.parametrize(
@@ -25,14 +25,14 @@ from busway.transport.serial.marks import MarkDecoder, Received, switch_marks_on
     ],
 )
 def test_marks_are_taken_out_and_damaged_characters_stay(stream: str, data: str, errors: int) -> None:
-    assert MarkDecoder().feed(bytes.fromhex(stream)) == Received(bytes.fromhex(data), errors)
+    assert MarkDecoder().feed(bytes.fromhex(stream)) == UnmarkedBytes(bytes.fromhex(data), errors)
 
 
 def test_a_mark_that_has_only_begun_gives_nothing_yet() -> None:
     decoder = MarkDecoder()
-    assert decoder.feed(b"\xff") == Received(b"", 0)
-    assert decoder.feed(b"\x00") == Received(b"", 0)
-    assert decoder.feed(b"A") == Received(b"A", 1)
+    assert decoder.feed(b"\xff") == UnmarkedBytes(b"", 0)
+    assert decoder.feed(b"\x00") == UnmarkedBytes(b"", 0)
+    assert decoder.feed(b"A") == UnmarkedBytes(b"A", 1)
 
 
 @given(

@@ -239,7 +239,7 @@ class CutOff:
     size: int
 
 
-Step = Ask | Together | Idle | Reopen | BesideIt | CutOff
+CheckStep = Ask | Together | Idle | Reopen | BesideIt | CutOff
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,7 +264,7 @@ class Check:
     says: str
     word: Strength
     level: Level
-    steps: tuple[Step, ...]
+    steps: tuple[CheckStep, ...]
     facet: Facet | None = None
     function: int | None = None
     opens: bool = False
@@ -335,7 +335,7 @@ class Evidence:
 
 
 @dataclass(frozen=True, slots=True)
-class Result:
+class CheckResult:
     """The result of one check.
 
     Attributes:

@@ -9,7 +9,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 from xml.sax.saxutils import escape, quoteattr
 
-from .check import Evidence, Outcome, Result
+from .check import CheckResult, Evidence, Outcome
 from .clauses import CLAUSES
 from .summary import SCHEMA, Summary, by_clause
 
@@ -85,7 +85,7 @@ def as_json(summary: Summary) -> str:
     return json.dumps(report, indent=1, ensure_ascii=False) + "\n"
 
 
-def _json_of(result: Result) -> dict[str, object]:
+def _json_of(result: CheckResult) -> dict[str, object]:
     check = result.check
     return {
         "id": check.id,
@@ -120,7 +120,7 @@ def junit(summary: Summary) -> str:
     return "\n".join(line for line in [*lines, "</testsuite>"] if line) + "\n"
 
 
-def _junit_outcome(result: Result) -> str:
+def _junit_outcome(result: CheckResult) -> str:
     text = escape("\n".join([result.check.says, *(line_of(one) for one in result.evidence)]))
     message = quoteattr(result.reason or result.outcome.value)
     if result.outcome is Outcome.FAILED:
@@ -158,7 +158,7 @@ def as_html(summary: Summary) -> str:
     return "\n".join([*parts, "</body></html>"]) + "\n"
 
 
-def _html_row(result: Result) -> str:
+def _html_row(result: CheckResult) -> str:
     check = result.check
     told = ""
     if result.reason:

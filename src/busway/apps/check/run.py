@@ -29,6 +29,8 @@ from .check import (
     Ask,
     BesideIt,
     Check,
+    CheckResult,
+    CheckStep,
     CutOff,
     Evidence,
     Facet,
@@ -38,8 +40,6 @@ from .check import (
     Level,
     Outcome,
     Reopen,
-    Result,
-    Step,
     Strength,
     Target,
     TlsChange,
@@ -386,7 +386,7 @@ class CheckRun:
         self._closed_functions: dict[int, tuple[Outcome, str]] = {}
         self.is_dead: bool = False
 
-    def results(self, checks: Sequence[Check]) -> Iterator[Result]:
+    def results(self, checks: Sequence[Check]) -> Iterator[CheckResult]:
         """Run the checks in their order, and yield the result of each as soon as it is known.
 
         If one of the checks writes, the scratch items are restored at the end, and one more result (`RESTORED`) tells
@@ -406,9 +406,9 @@ class CheckRun:
             fault = scratch.restore()
             self._talk.close()
         if not scratch.is_saved and any(check.writes for check in checks):
-            yield Result(RESTORED, Outcome.UNDECIDED, "nothing was written", self._talk.take_evidence())
+            yield CheckResult(RESTORED, Outcome.UNDECIDED, "nothing was written", self._talk.take_evidence())
         elif scratch.is_saved:
-            yield Result(
+            yield CheckResult(
                 RESTORED,
                 Outcome.FAILED if fault else Outcome.PASSED,
                 fault,
@@ -417,22 +417,22 @@ class CheckRun:
 
     # One check.
 
-    def _result(self, check: Check, scratch: "_Scratch") -> Result:
+    def _result(self, check: Check, scratch: "_Scratch") -> CheckResult:
         if self.is_dead:
-            return Result(check, Outcome.ABORTED, "the device had died before")
+            return CheckResult(check, Outcome.ABORTED, "the device had died before")
         if self._hidden_by:
-            return Result(check, Outcome.UNDECIDED, f"nothing can be said after {self._hidden_by} failed")
+            return CheckResult(check, Outcome.UNDECIDED, f"nothing can be said after {self._hidden_by} failed")
         if check.function is not None and check.function in self._closed_functions:
             outcome, reason = self._closed_functions[check.function]
-            return Result(check, outcome, reason)
+            return CheckResult(check, outcome, reason)
         missing = [pdu[0] for pdu in check.requests if pdu[0] in self._closed_functions]
         if missing:
-            return Result(check, Outcome.UNDECIDED, f"it needs function {missing[0]}, which cannot be relied on")
+            return CheckResult(check, Outcome.UNDECIDED, f"it needs function {missing[0]}, which cannot be relied on")
         evidence: tuple[Evidence, ...] = ()
         try:
             if check.writes and not scratch.save():
                 reason = "the scratch items cannot be read, so nothing is written to them"
-                return Result(check, Outcome.UNDECIDED, reason, self._talk.take_evidence())
+                return CheckResult(check, Outcome.UNDECIDED, reason, self._talk.take_evidence())
             try:
                 outcome, reason = self._judged(check)
             except (CannotOffer, ConfigError) as error:
@@ -445,19 +445,19 @@ class CheckRun:
                 outcome, reason = alive
         except LinkDown as error:
             self.is_dead = True
-            return Result(
+            return CheckResult(
                 check, Outcome.ABORTED, f"no connection any more: {error}", (*evidence, *self._talk.take_evidence())
             )
         except _DiedError:
             self.is_dead = True
-            return Result(
+            return CheckResult(
                 check,
                 Outcome.ABORTED,
                 "the device died: it no longer answers",
                 (*evidence, *self._talk.take_evidence()),
             )
         self._learn(check, outcome)
-        return Result(check, outcome, reason, evidence)
+        return CheckResult(check, outcome, reason, evidence)
 
     def _learn(self, check: Check, outcome: Outcome) -> None:
         """Store what a check's outcome means for later checks: which facets are wrong, which functions are missing."""
@@ -509,7 +509,7 @@ class CheckRun:
                 return failure, fault.words
         return None
 
-    def _taken(self, step: Step) -> Iterator[CheckedExchange]:
+    def _taken(self, step: CheckStep) -> Iterator[CheckedExchange]:
         """Execute one step of a check, and yield its exchanges to be judged: none, one, or for `Together` several."""
         talk = self._talk
         match step:

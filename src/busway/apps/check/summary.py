@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from ...errors import ConfigError
-from .check import Outcome, Result
+from .check import CheckResult, Outcome
 
 SCHEMA: Final = 1
 
@@ -30,7 +30,7 @@ class Summary:
     endpoint: str
     unit: int
     level: str
-    results: tuple[Result, ...]
+    results: tuple[CheckResult, ...]
     baseline: Mapping[str, str]
 
     @property
@@ -40,7 +40,7 @@ class Summary:
         return {outcome: counted[outcome] for outcome in Outcome}
 
     @property
-    def failures(self) -> tuple[Result, ...]:
+    def failures(self) -> tuple[CheckResult, ...]:
         """The results that make the run a failure: checks that failed now and had not failed in the earlier run."""
         return tuple(
             one
@@ -88,9 +88,9 @@ def baseline_of(report: Any, name: str) -> dict[str, str]:
     return found
 
 
-def by_clause(results: Sequence[Result]) -> dict[str, list[Result]]:
+def by_clause(results: Sequence[CheckResult]) -> dict[str, list[CheckResult]]:
     """Return results grouped by clause, the groups in the order of their first result."""
-    groups: dict[str, list[Result]] = {}
+    groups: dict[str, list[CheckResult]] = {}
     for one in results:
         groups.setdefault(one.check.clause, []).append(one)
     return groups

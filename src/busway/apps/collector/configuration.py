@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from pathlib import Path as FilePath
+from pathlib import Path
 from typing import Any, Final
 
 from ...client.checks import default_unit
@@ -18,7 +18,7 @@ from ...codes import Table
 from ...config.files.collector import CollectedDeviceSection, CollectorFile
 from ...config.files.device import UnitSection
 from ...config.files.file_error import FileError
-from ...config.files.lines import Path
+from ...config.files.lines import KeyPath
 from ...config.files.schema import Source, keys_of, parse_with_source
 from ...config.files.sinks import PrometheusSinkSection, SentSection, SinkSection
 from ...config.links import NamedLink
@@ -175,9 +175,9 @@ class CollectorConfiguration:
         return {each.name: each.gateway_wait for each in self.file.link if each.gateway_wait}
 
     @property
-    def learnt_path(self) -> FilePath:
+    def learnt_path(self) -> Path:
         """Path of the file in which the collector keeps what it learns about devices."""
-        return FilePath(self.store) / LEARNT_FILE
+        return Path(self.store) / LEARNT_FILE
 
     def devices_of(self, link: str) -> list[CollectedDevice]:
         """Return the devices that are polled over the link of this name; empty if there are none."""
@@ -266,7 +266,7 @@ def _sinks(
     sinks: dict[str, tuple[Sink, DeliveryOptions]] = {}
     pages: dict[str, PrometheusSinkSection] = {}
     inputs: dict[str, CommandInput] = {}
-    folder = FilePath(within(name, file.collector.store))
+    folder = Path(within(name, file.collector.store))
     for index, written in enumerate(file.sink):
         section = _rooted(written, name)
         place = partial(_key_at, ("sink", index))
@@ -321,7 +321,7 @@ def _rooted(section: SinkSection, name: str) -> SinkSection:
     return section.model_copy(update=paths)
 
 
-def _key_at(at: Path, key: str | None) -> Path:
+def _key_at(at: KeyPath, key: str | None) -> KeyPath:
     return at if key is None else (*at, key)
 
 
@@ -344,7 +344,7 @@ class _Profiles:
         self._read: dict[tuple[str, tuple[tuple[str, Any], ...], int | None], _Profile] = {}
         self._by_unit: dict[str, bool] = {}
 
-    def of(self, section: CollectedDeviceSection, asked: tuple[Source, Path]) -> _Profile:
+    def of(self, section: CollectedDeviceSection, asked: tuple[Source, KeyPath]) -> _Profile:
         """Return the points and reading rules of a device's profile; read at the first use.
 
         Args:
@@ -389,7 +389,7 @@ class _Profiles:
 _UNIT: Final = re.compile(r"\$\{[^}]*\b(unit|index)\b")
 
 
-def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: Path) -> ConfigError:
+def _placed(error: ConfigError, section: CollectedDeviceSection, source: Source, at: KeyPath) -> ConfigError:
     """Return an error of a profile as an error of the collector file, placed at the device that names the profile."""
     if error.key in section.with_:
         return source.problem((*at, "with", str(error.key)), f"{section.profile}: {error.message}")
@@ -415,7 +415,7 @@ def _rules_of(unit: UnitSection) -> ReadRules:
 def _device(
     file: CollectorFile,
     section: CollectedDeviceSection,
-    at: Path,
+    at: KeyPath,
     links: Mapping[str, NamedLink],
     profiles: _Profiles,
     source: Source,
@@ -461,7 +461,11 @@ def _is_float32(point: Point) -> bool:
 
 
 def _by_class(
-    file: CollectorFile, section: CollectedDeviceSection, points: Sequence[Point], at: Path, report: ConfigurationReport
+    file: CollectorFile,
+    section: CollectedDeviceSection,
+    points: Sequence[Point],
+    at: KeyPath,
+    report: ConfigurationReport,
 ) -> dict[str, list[Point]] | None:
     """Return the points to be read, by poll class.
 

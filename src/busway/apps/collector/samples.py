@@ -31,8 +31,8 @@ __all__ = [
     "Reason",
     "Sample",
     "SampleBatch",
+    "SampleValue",
     "StateInterval",
-    "Value",
     "exception_code_of",
     "exception_reason",
     "failed_batch",
@@ -42,7 +42,7 @@ __all__ = [
     "reason_text",
 ]
 
-Value = bool | int | float | str
+SampleValue = bool | int | float | str
 """The value of a point: a state, a number or a text. The store cannot keep integers below -2**63 or above 2**64 - 1."""
 
 
@@ -66,7 +66,7 @@ class Sample:
     point: str
     time: int
     half_width: int
-    value: Value | None
+    value: SampleValue | None
     reason: int = Reason.NONE
 
     def __post_init__(self) -> None:
@@ -138,7 +138,7 @@ class SampleBatch:
     group: PointGroup
     time: int
     half_width: int
-    values: Sequence[Value | None]
+    values: Sequence[SampleValue | None]
     reasons: Sequence[int] | int = 0
     counters: Sequence[CounterState] = ()
 

@@ -74,7 +74,7 @@ class Reloadable(Protocol):
         """
 
 
-Reload = Callable[[], Any]
+ReloadCallback = Callable[[], Any]
 """A function or coroutine function that reads the files again; the client gets its result as JSON.
 
 It is called without arguments in the subject's event loop.
@@ -113,7 +113,7 @@ class Control:
         *,
         name: str = "server",
         directory: Path | None = None,
-        reload: Reload | None = None,
+        reload: ReloadCallback | None = None,
         metrics: AnswerMetrics | None = None,
     ) -> None:
         self.address: ControlAddress | None = None
@@ -288,7 +288,7 @@ async def open_control(
     at: str | None = None,
     *,
     name: str = "server",
-    reload: Reload | None = None,
+    reload: ReloadCallback | None = None,
     metrics: AnswerMetrics | None = None,
 ) -> AsyncIterator[Control | None]:
     """Context manager that runs a `Control` during its block and yields it; yields None if there is no control service.

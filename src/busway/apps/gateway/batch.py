@@ -11,7 +11,7 @@ from ...client.link import AsyncLinkDriver
 from ...session.call import Call
 from ...session.forwarded_reads import ForwardedReads
 from ...session.responder import Forwarding
-from .read_cache import Key, Place
+from .read_cache import Key, ReadRange
 from .upstream import Upstream
 from .waiter_deadlines import WaiterDeadlines
 
@@ -22,10 +22,10 @@ ForwardedRequest = Any
 
 The client gets the object back with the reply.
 """
-Waiter = tuple[ForwardingClient, Any, ForwardedRequest]
+WaitingClient = tuple[ForwardingClient, Any, ForwardedRequest]
 """A client, the tag that names its request for the client, and that request."""
 _NO_POSITIONS: frozenset[int] = frozenset()
-_NONE_JOINED: Mapping[int, list[Waiter]] = MappingProxyType({})
+_NONE_JOINED: Mapping[int, list[WaitingClient]] = MappingProxyType({})
 
 
 class BatchForwarder(Protocol):
@@ -41,7 +41,7 @@ class BatchForwarder(Protocol):
     def withdraw(self, batch: "Batch", asker: ForwardingClient) -> None:
         """Drop the requests of a client that has disconnected; those that other clients wait for go on."""
 
-    def give_up_one(self, batch: "Batch", waiter: Waiter | None) -> None:
+    def give_up_one(self, batch: "Batch", waiter: WaitingClient | None) -> None:
         """Answer a client whose deadline has passed with exception code 0A or 0B.
 
         ``waiter`` is a client that joined a read of the batch; None is the client that sent the batch, with all its
@@ -101,11 +101,11 @@ class Batch(Call):
 
     # What most batches never set is a class attribute until it is set, as in `Call`.
     told: Set[int] = _NO_POSITIONS
-    joined: Mapping[int, list[Waiter]] = _NONE_JOINED
-    deadlines: WaiterDeadlines[Waiter | None] | None = None
+    joined: Mapping[int, list[WaitingClient]] = _NONE_JOINED
+    deadlines: WaiterDeadlines[WaitingClient | None] | None = None
     keys: Sequence[Key] = ()
     shared: MutableMapping[Key, "Batch"] | None = None
-    place: Place | None = None
+    place: ReadRange | None = None
     since: int = 0
     read_at: float = 0.0
 
@@ -162,10 +162,10 @@ class Batch(Call):
         """Number of client requests in the batch that have no answer yet; a shared read counts once."""
         return len(self.tags) - len(self.told)
 
-    def waiters(self, position: int) -> list[Waiter]:
+    def waiters(self, position: int) -> list[WaitingClient]:
         """Return the clients that wait for the request at a position of the batch, each with its tag and request."""
         own = [] if self.asker is None else [(self.asker, self.tags[position], self.asked[position])]
         return own + self.joined.get(position, [])
 
 
-__all__ = ["Batch", "BatchForwarder", "BatchTarget", "ForwardedRequest", "ForwardingClient", "Waiter"]
+__all__ = ["Batch", "BatchForwarder", "BatchTarget", "ForwardedRequest", "ForwardingClient", "WaitingClient"]

@@ -16,7 +16,7 @@ from ...access.rules import AccessRules, Policy
 from ...client.settings import link_settings
 from ...config.files.file_error import FileError
 from ...config.files.gateway import GatewayFile, GatewayListenerSection, UpstreamSection
-from ...config.files.lines import Path as Place
+from ...config.files.lines import KeyPath
 from ...config.files.schema import Source, parse_with_source
 from ...config.links import NamedLink
 from ...config.reading import read_text
@@ -264,11 +264,11 @@ def _put_together(
     return GatewayConfiguration(replace(common, warnings=warnings), file, plan, tuple(routes))
 
 
-def _section_of(file: GatewayFile, place: Place) -> GatewayListenerSection | None:
+def _section_of(file: GatewayFile, place: KeyPath) -> GatewayListenerSection | None:
     return file.listener[int(place[1])] if place[0] == "listener" else None
 
 
-def _placed_listener(file: GatewayFile, place: Place, endpoint: Endpoint, deadline: float | None) -> PlacedListener:
+def _placed_listener(file: GatewayFile, place: KeyPath, endpoint: Endpoint, deadline: float | None) -> PlacedListener:
     section = _section_of(file, place)
     if section is None:
         return PlacedListener(file.listen[int(place[1])], endpoint, place, deadline, deadline != CLIENT_DEADLINE)
@@ -292,13 +292,13 @@ def _named_apart(listeners: Sequence[PlacedListener]) -> list[PlacedListener]:
     return list(named.values())
 
 
-def _is_silent(file: GatewayFile, place: Place) -> bool:
+def _is_silent(file: GatewayFile, place: KeyPath) -> bool:
     section = _section_of(file, place)
     return section is not None and section.built(GatewayListenerParameters).silent_broadcasts
 
 
 def _upstream(
-    section: UpstreamSection, link: NamedLink, at: Place, report: ConfigurationReport
+    section: UpstreamSection, link: NamedLink, at: KeyPath, report: ConfigurationReport
 ) -> UpstreamSettings | None:
     return report.make(
         lambda: UpstreamSettings(

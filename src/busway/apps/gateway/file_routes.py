@@ -10,7 +10,7 @@ from functools import partial
 
 from ...codes import ExceptionCode
 from ...config.files.gateway import GatewayFile, RouteSection
-from ...config.files.lines import Path as Place
+from ...config.files.lines import KeyPath
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError
 from ...options.endpoints import Endpoint
@@ -33,7 +33,7 @@ class PlacedRoute:
     """
 
     route: Route
-    place: Place
+    place: KeyPath
     section: RouteSection | None
 
     @property
@@ -54,7 +54,7 @@ class PlacedRoute:
         """Seconds of silence that the route wants between a unit's reply and the next request to it; 0 for none."""
         return (self.section.parameters.request_gap or 0.0) if self.section is not None else 0.0
 
-    def key(self, *names: str) -> Place:
+    def key(self, *names: str) -> KeyPath:
         """Return the path in the file of the first of these keys that the route's section has.
 
         Returns the path of the section if it has none of them.
@@ -77,7 +77,7 @@ class PlacedListener:
 
     name: str
     endpoint: Endpoint
-    place: Place
+    place: KeyPath
     deadline: float | None
     is_chosen: bool = False
 
@@ -107,7 +107,7 @@ def placed_routes(
         ]
     found = []
     for index, section in enumerate(file.route):
-        at: Place = ("route", index)
+        at: KeyPath = ("route", index)
         link = section.parameters.link
         if link is not None and link not in upstreams:
             continue  # reported with the section of the upstream
@@ -117,7 +117,7 @@ def placed_routes(
     return found
 
 
-def _key_of(section: RouteSection, at: Place, key: str | None) -> Place:
+def _key_of(section: RouteSection, at: KeyPath, key: str | None) -> KeyPath:
     return (*at, key) if key is not None and key in section.model_fields_set else at
 
 

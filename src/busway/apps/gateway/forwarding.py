@@ -22,10 +22,10 @@ from ...codes import BROADCAST_UNIT
 from ...errors import ModbusError, NoReply, Overloaded
 from ...pdu.message import Message
 from ...pdu.read_items import ReadBits, ReadRegisters
-from ...session.call import Outcome
+from ...session.call import RequestOutcome
 from ...session.client import TcpClientSession
-from .batch import Batch, ForwardedRequest, ForwardingClient, Waiter
-from .read_cache import Key, Place, ReadCache
+from .batch import Batch, ForwardedRequest, ForwardingClient, WaitingClient
+from .read_cache import Key, ReadCache, ReadRange
 from .shared_reads import share
 from .upstream import Upstream
 from .upstream_exception_codes import NO_PATH
@@ -187,7 +187,7 @@ class Forwarder:
                 self._all_answered = asyncio.Event()
             await self._all_answered.wait()
 
-    def recall(self, unit: int, place: Place, seconds: float) -> bytes | None:
+    def recall(self, unit: int, place: ReadRange, seconds: float) -> bytes | None:
         """Return remembered data that answer a read, as in a reply, if they are young enough; else None.
 
         Counts the read in ``recalled`` if they are.
@@ -255,7 +255,7 @@ class Forwarder:
         if not batch.open:
             self.leave(batch)
 
-    def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[Outcome | bytes | None]) -> None:
+    def _answer_one(self, batch: Batch, position: int, outcomes: Sequence[RequestOutcome | bytes | None]) -> None:
         """Answer all clients that wait for one request, whose reply or error is known; `send` sends the answers.
 
         Args:
@@ -286,7 +286,7 @@ class Forwarder:
                 asker.reply(tag, asked, reply)
             self.answered[asker] = None
 
-    def refuse(self, waiter: Waiter, code: int) -> None:
+    def refuse(self, waiter: WaitingClient, code: int) -> None:
         """Answer a forwarded request of a client with an exception code; `send` sends the answer."""
         asker, tag, asked = waiter
         asker.refuse(tag, asked, code)
@@ -294,7 +294,7 @@ class Forwarder:
 
     # Clients that wait no longer.
 
-    def give_up_one(self, batch: Batch, waiter: Waiter | None) -> None:
+    def give_up_one(self, batch: Batch, waiter: WaitingClient | None) -> None:
         """Answer a client whose deadline has passed, for each request without an answer: 0B if it was sent, else 0A.
 
         The answers are sent at once. The batch is cancelled if no other client waits for it, except a write that was

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from ...client.sessions import timing_of
 from ...codes import BROADCAST_UNIT, exception_meaning
 from ...values.counts import counted
-from ..server.overview import Row, overview
+from ..server.overview import OverviewRow, overview
 from .configuration import GatewayConfiguration
 from .file_routes import PlacedRoute
 from .route_checks import worst_case
@@ -22,7 +22,7 @@ _OF_GATEWAYS = frozenset({"listener", "policy", "server"})
 """Kinds of rows that the overview of a gateway takes from the overview of a server."""
 
 
-def gateway_rows(configuration: GatewayConfiguration) -> Iterator[Row]:
+def gateway_rows(configuration: GatewayConfiguration) -> Iterator[OverviewRow]:
     """Yield a row of text for each part of a gateway's configuration: its kind, name and description."""
     plan = configuration.plan
     known = {kind: [row for row in overview(configuration.common) if row[0] == kind] for kind in _OF_GATEWAYS}
@@ -53,7 +53,7 @@ def routing_rows(configuration: GatewayConfiguration) -> Iterator[RoutingRow]:
         )
 
 
-def _listener(listener: GatewayListener, row: Row) -> Iterator[str]:
+def _listener(listener: GatewayListener, row: OverviewRow) -> Iterator[str]:
     if listener.name != row[1]:
         yield row[1]
     yield row[2]

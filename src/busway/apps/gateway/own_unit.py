@@ -73,11 +73,11 @@ UPSTREAM_REGISTERS: Final = (
     StatusRegister(14, 2, "spared", "reads answered by another's, or from memory"),
 )
 
-Numbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
+StatusNumbers = Callable[[], tuple[Sequence[int], Sequence[Sequence[int]]]]
 """Function that returns two lists: the values of `REGISTERS`, and for each upstream those of `UPSTREAM_REGISTERS`."""
 
 
-def own_device(numbers: Numbers, *, registers: bool = False) -> Device:
+def own_device(numbers: StatusNumbers, *, registers: bool = False) -> Device:
     """Create the device that answers for the gateway itself: identification, diagnostics, status registers.
 
     Args:

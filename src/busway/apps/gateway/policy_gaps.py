@@ -9,12 +9,12 @@ permitted by the second route.
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import chain, permutations
 
-from ...access.notation import Range
+from ...access.notation import NumberRange
 from ...access.question import TouchedRange, touched_by
 from ...access.rule_evaluation import Rights, UnitAccess, Zone
 from ...access.rules import Action, Policy, Rule
 from ...codes import Table
-from ...config.files.lines import Path as Place
+from ...config.files.lines import KeyPath
 from ...pdu.functions import STANDARD
 from ...pdu.message import Request
 from .file_routes import PlacedRoute
@@ -22,13 +22,13 @@ from .routes import Route
 
 Way = tuple[PlacedRoute, int]
 """A route that leads to a device, and the unit that clients ask to use it."""
-Access = tuple[type[Request], TouchedRange]
+RequestedRange = tuple[type[Request], TouchedRange]
 """A function, and a range of data that it reads or writes."""
 
 
 def policy_gaps(
     policy: Policy, routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
-) -> Iterator[tuple[Place, str]]:
+) -> Iterator[tuple[KeyPath, str]]:
     """Yield the access rules that clients can evade by another route to the same device.
 
     Yields the path of the rule in the gateway file and a message, once for each route that evades it.
@@ -59,13 +59,13 @@ def policy_gaps(
                     yield ("policy", "rule", index), sentence
 
 
-def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[Access]:
+def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[RequestedRange]:
     """Return the accesses to test, each a function and a table that it reads or writes.
 
     Of several functions that all rules and routes treat alike, only the first is returned.
     """
     by_rules = [rule for rule in policy.rules if rule.functions is not None]
-    found: dict[object, Access] = {}
+    found: dict[object, RequestedRange] = {}
     for kind in STANDARD:
         named = tuple(rule.names(kind.code, kind.sub_code) for rule in by_rules)
         routed = tuple(kind.code in one.route.functions for one in routes)
@@ -100,7 +100,7 @@ def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
     )
 
 
-def _evaded(rule: Rule, rights: Rights, accesses: Sequence[Access], way: Way, other: Way) -> str:
+def _evaded(rule: Rule, rights: Rights, accesses: Sequence[RequestedRange], way: Way, other: Way) -> str:
     """Return a sentence on how a request by another route can do more than a rule permits; empty if it cannot.
 
     Args:
@@ -145,7 +145,7 @@ def _takes(route: Route, kind: type[Request]) -> bool:
     return not route.functions or kind.code in route.functions
 
 
-def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | None:
+def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> NumberRange | None:
     """Return the part of the addresses ``low`` … ``high - 1`` that a route takes: first address and end (exclusive).
 
     None if the route takes none of them.
@@ -159,7 +159,7 @@ def _taken(route: Route, touched: TouchedRange, low: int, high: int) -> Range | 
     return (low, high) if low < high else None
 
 
-def _permits_more(other: Zone, zone: Zone, items: Range) -> bool:
+def _permits_more(other: Zone, zone: Zone, items: NumberRange) -> bool:
     """Whether the rule for another route permits more of some items than the rule for this route.
 
     True if it permits items that this route's rule refuses, or permits them with another rate or other limits. False if

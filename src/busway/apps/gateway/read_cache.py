@@ -25,7 +25,7 @@ from ...pdu.wide_registers import NARROW
 Shared = TypeVar("Shared")
 Key = bytes
 """The PDU of a read as it is sent upstream; for a read that is split, the PDUs of all its parts joined."""
-Place = tuple[Table, int, int]
+ReadRange = tuple[Table, int, int]
 """A range of items: table, address of the first item, number of items."""
 
 ANY_DEVICE = (BROADCAST_UNIT, TCP_DEVICE_UNIT)
@@ -38,7 +38,7 @@ BLOCKS_PER_UNIT = 64
 class _Block:
     """The values that one read returned, and the time when that read was forwarded, in monotonic seconds."""
 
-    place: Place
+    place: ReadRange
     data: bytes
     read_at: float
 
@@ -53,7 +53,7 @@ class _Unit(Generic[Shared]):
     open_writes: int = 0
     changes: int = 0
     reading: dict[Key, Shared] = field(default_factory=dict)
-    blocks: dict[Place, _Block] = field(default_factory=dict)  # used last comes last
+    blocks: dict[ReadRange, _Block] = field(default_factory=dict)  # used last comes last
 
     def forget(self) -> None:
         self.changes += 1
@@ -139,7 +139,7 @@ class ReadCache(Generic[Shared]):
 
     # Values.
 
-    def remember(self, unit: int, place: Place, data: bytes, *, since: int, read_at: float) -> None:
+    def remember(self, unit: int, place: ReadRange, data: bytes, *, since: int, read_at: float) -> None:
         """Keep the data of a read, unless a write that concerns the unit was in progress since the read was forwarded.
 
         Args:
@@ -157,7 +157,7 @@ class ReadCache(Generic[Shared]):
         if len(state.blocks) > BLOCKS_PER_UNIT:
             del state.blocks[next(iter(state.blocks))]
 
-    def recall(self, unit: int, place: Place, now: float, *, for_seconds: float) -> bytes | None:
+    def recall(self, unit: int, place: ReadRange, now: float, *, for_seconds: float) -> bytes | None:
         """Return remembered values of a range, as in a reply; None if there are none that are young enough.
 
         Args:

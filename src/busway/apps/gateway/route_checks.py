@@ -17,7 +17,7 @@ from ...access.rules import Policy
 from ...client.sessions import timing_of
 from ...codes import LAST_SERIAL_UNIT
 from ...config.files.gateway import GatewayFile
-from ...config.files.lines import Path as Place
+from ...config.files.lines import KeyPath
 from ...config.report import ConfigurationReport
 from ...options.endpoints import Endpoint
 from ...pdu.functions import STANDARD
@@ -97,10 +97,10 @@ def check_routes(
         report.warn(at, sentence)
 
 
-Faults = Iterator[tuple[Place, str]]
+PlacedWarnings = Iterator[tuple[KeyPath, str]]
 
 
-def _unreached(routes: Sequence[PlacedRoute]) -> Faults:
+def _unreached(routes: Sequence[PlacedRoute]) -> PlacedWarnings:
     plain = [one.route for one in routes]
     for position, placed in enumerate(routes):
         takers, left = taken_before(plain, position)
@@ -112,7 +112,7 @@ def _unreached(routes: Sequence[PlacedRoute]) -> Faults:
             )
 
 
-def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
+def _overlaps(routes: Sequence[PlacedRoute]) -> PlacedWarnings:
     plain = [one.route for one in routes]
     for position, placed in enumerate(routes):
         route = placed.route
@@ -126,7 +126,7 @@ def _overlaps(routes: Sequence[PlacedRoute]) -> Faults:
             yield placed.key("units"), f"{named} before it {'takes' if len(takers) == 1 else 'take'} units {taken}"
 
 
-def _hidden_refusals(routes: Sequence[PlacedRoute]) -> Faults:
+def _hidden_refusals(routes: Sequence[PlacedRoute]) -> PlacedWarnings:
     """Yield an error for each refusing route if an earlier route forwards or drops a part of the requests to refuse.
 
     A refusing route without units, functions and addresses gets no error: it refuses what other routes do not take.
@@ -189,7 +189,7 @@ def _titled(routes: Sequence[PlacedRoute], route: Route) -> str:
 
 def _impossible_units(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
-) -> Faults:
+) -> PlacedWarnings:
     for placed in routes:
         route = placed.route
         if route.upstream and upstream_units(upstreams[route.upstream]) is SERIAL_UNITS:
@@ -218,7 +218,7 @@ def _no_upstream_unit(route: Route, unit: int) -> str:
     return f"unit {unit} would be {there} on {route.upstream!r}, a serial line, which has units 1…{LAST_SERIAL_UNIT}"
 
 
-def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
+def _impossible_addresses(routes: Sequence[PlacedRoute]) -> PlacedWarnings:
     for placed in routes:
         route = placed.route
         if route.addresses is None:
@@ -230,7 +230,7 @@ def _impossible_addresses(routes: Sequence[PlacedRoute]) -> Faults:
             yield placed.key("functions"), f"none of them reads or writes {route.addresses.table.label}s"
 
 
-def _gaps_on_networks(routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
+def _gaps_on_networks(routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]) -> PlacedWarnings:
     for placed in routes:
         if placed.gap and placed.route.upstream and upstreams[placed.route.upstream].link.line is None:
             yield placed.key("request_gap"), "is an option of the link where that is no serial line"
@@ -244,7 +244,7 @@ def _touches(code: int, addresses: AddressRange) -> bool:
 
 def _impatient_clients(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
-) -> Faults:
+) -> PlacedWarnings:
     for listener in listeners:
         if listener.deadline is None or not listener.is_chosen:
             continue
@@ -265,7 +265,7 @@ def _impatient_clients(
 
 def _upstreams_slower_than_the_default(
     routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
-) -> Faults:
+) -> PlacedWarnings:
     """Yield warnings about upstreams slower than the default ``client_deadline`` of their listeners."""
     deadline = next((one.deadline for one in listeners if one.deadline is not None and not one.is_chosen), None)
     if deadline is None:
@@ -327,7 +327,7 @@ def _attempts(retries: int, timeout: float, beside: float, pieces: int) -> Worst
 
 def _listeners_without_units(
     file: GatewayFile, routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]
-) -> Faults:
+) -> PlacedWarnings:
     own = file.gateway.parameters().own_unit
     for listener in listeners:
         units = {unit for one in _of_listener(routes, listener) for unit in one.route.units}
@@ -339,7 +339,7 @@ def _listeners_without_units(
             )
 
 
-def _idle_listeners(routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]) -> Faults:
+def _idle_listeners(routes: Sequence[PlacedRoute], listeners: Sequence[PlacedListener]) -> PlacedWarnings:
     for listener in listeners:
         if not listener.is_serial and not any(one.route.upstream for one in _of_listener(routes, listener)):
             yield listener.place, "no route leads from here to a link"
@@ -349,7 +349,9 @@ def _of_listener(routes: Sequence[PlacedRoute], listener: PlacedListener) -> lis
     return [one for one in routes if not one.route.listeners or listener.name in one.route.listeners]
 
 
-def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]) -> Faults:
+def _loops(
+    file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Mapping[str, UpstreamSettings]
+) -> PlacedWarnings:
     """Yield errors for upstreams that lead back to a listener of the gateway, and for serial ports used twice."""
     owners: dict[str, str] = {}
     for listener in listeners:
@@ -360,7 +362,7 @@ def _loops(file: GatewayFile, listeners: Sequence[PlacedListener], upstreams: Ma
         if upstream is None:
             continue
         endpoint = upstream.link.endpoint
-        place: Place = ("link", index, "url")
+        place: KeyPath = ("link", index, "url")
         if endpoint.carrier == "serial":
             port = os.path.realpath(endpoint.path)
             if port in owners:
@@ -389,14 +391,14 @@ def _bracketed(host: str) -> str:
 
 def _idle_upstreams(
     file: GatewayFile, routes: Sequence[PlacedRoute], upstreams: Mapping[str, UpstreamSettings]
-) -> Faults:
+) -> PlacedWarnings:
     used = {one.route.upstream for one in routes}
     for index, section in enumerate(file.link):
         if section.name in upstreams and section.name not in used:
             yield ("link", index, "name"), f"no route leads to {section.name!r}"
 
 
-def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) -> Faults:
+def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) -> PlacedWarnings:
     seen: dict[tuple[str, str, int | None], str] = {}
     for index, section in enumerate(file.link):
         upstream = upstreams.get(section.name)
@@ -412,7 +414,7 @@ def _same_servers(file: GatewayFile, upstreams: Mapping[str, UpstreamSettings]) 
         seen.setdefault(server, section.name)
 
 
-def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> Faults:
+def _hidden_own_unit(file: GatewayFile, routes: Sequence[PlacedRoute]) -> PlacedWarnings:
     own = file.gateway.parameters().own_unit
     if own is None:
         return

@@ -30,9 +30,9 @@ from ...session.responder import (
     ForwardedMessage,
     Forwarding,
     ForwardingTarget,
-    Outcome,
     RequestContext,
     Responder,
+    ResponderAnswer,
     ServedUnit,
 )
 from .forwarding import Forwarder, ForwardTarget
@@ -164,7 +164,7 @@ class ListenerRouter:
         asked.prepare()
         return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Return the outcome of a request: its reply, how it is forwarded, or silence.
 
         Requests that no route takes are answered by the gateway's own unit if they are for its number or for unit 0 (no
@@ -244,19 +244,19 @@ class ListenerRouter:
                 return asked.of_data(data)
         return Forwarding(context, ((target, asked),))
 
-    def _no_route(self, context: RequestContext, found: Straddles | None) -> Outcome:
+    def _no_route(self, context: RequestContext, found: Straddles | None) -> ResponderAnswer:
         self.counters.no_route += 1
         code = _NO_PATH if found is None else ExceptionCode.ILLEGAL_DATA_ADDRESS
         return ExceptionResponse(context.function, code)
 
-    def _not_forwarded(self, context: RequestContext, route: Route) -> Outcome:
+    def _not_forwarded(self, context: RequestContext, route: Route) -> ResponderAnswer:
         if route.action is RouteAction.REFUSE:
             self.counters.refused += 1
             return ExceptionResponse(context.function, route.code)
         self.counters.dropped += 1
         return SILENCE
 
-    def _broadcast(self, context: RequestContext, request: Request) -> Outcome:
+    def _broadcast(self, context: RequestContext, request: Request) -> ResponderAnswer:
         """Return the outcome of a write to unit 0 over a network, which goes to all upstreams that take broadcasts.
 
         A write that the policy denies for any unit goes to no upstream, and the client gets the exception code. A write
@@ -295,7 +295,7 @@ class ListenerRouter:
                 reply = outcome
         return Forwarding(context, tuple(asks), reply) if asks else reply
 
-    def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> Outcome:
+    def _part_of_broadcast(self, context: RequestContext, executed: set[int], request: Request) -> ResponderAnswer:
         """Return how a broadcast from a serial line is forwarded for one unit; silence if nothing is to be sent for it.
 
         Called for each unit that the listener serves. A broadcast on a serial line never gets a reply.

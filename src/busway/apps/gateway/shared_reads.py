@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from functools import partial
 from typing import Any, Final
 
-from .batch import Batch, ForwardedRequest, ForwardingClient, Waiter
+from .batch import Batch, ForwardedRequest, ForwardingClient, WaitingClient
 from .read_cache import Key
 from .waiter_deadlines import WaiterDeadlines
 
@@ -53,7 +53,7 @@ def share(
     return [tag for tag, _ in left.values()], [one for _, one in left.values()], twice
 
 
-def _join(batch: Batch, waiter: Waiter, within: float | None) -> None:
+def _join(batch: Batch, waiter: WaitingClient, within: float | None) -> None:
     """Let a client wait for an equal read in a batch that is in flight, with a deadline of its own.
 
     Args:

@@ -8,9 +8,10 @@ from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
 from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS
+from ...config.files.lines import KeyPath
 from ...values.refusal import shown
 from .imported import ImportedDevice, others_of, tables_in
-from .plain_yaml import Place, YamlDocument, parse_yaml
+from .plain_yaml import YamlDocument, parse_yaml
 
 _TABLES: Final = {"holding": "holding", "input": "input", "coil": "coil", "discrete_input": "discrete"}
 _SWAPS: Final = {None: None, "none": None, "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
@@ -40,7 +41,7 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
     document = parse_yaml(text, name)
     data, root = document.data, ()
     found = ImportedDevice()
-    place: Place = root
+    place: KeyPath = root
     if isinstance(data, dict) and "modbus" in data:
         for key in others_of(data, {"modbus"}):
             found.omit(f"line {document.line((key,))}", key, "is not Modbus")
@@ -51,7 +52,7 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
     return found
 
 
-def _hub(hub: Mapping[str, Any], place: Place, document: YamlDocument, found: ImportedDevice) -> None:
+def _hub(hub: Mapping[str, Any], place: KeyPath, document: YamlDocument, found: ImportedDevice) -> None:
     if "host" in hub:
         found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {hub['host']}:{hub.get('port', 502)}")
     for key in others_of(hub, _OF_HUB):

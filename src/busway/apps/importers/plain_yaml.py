@@ -10,11 +10,11 @@ from dataclasses import dataclass, field
 from importlib import import_module
 from typing import Any, Final
 
+from ...config.files.lines import KeyPath
 from ...errors import ConfigError
 from ...extras import require
 from ...values.refusal import shown
 
-Place = tuple[str | int, ...]
 LONGEST: Final = 1_000_000
 MOST_NODES: Final = 100_000
 LONGEST_NUMBER: Final = 1000
@@ -35,9 +35,9 @@ class YamlDocument:
     """
 
     data: Any  # what YAML has
-    lines: dict[Place, int] = field(default_factory=dict)
+    lines: dict[KeyPath, int] = field(default_factory=dict)
 
-    def line(self, place: Place) -> int:
+    def line(self, place: KeyPath) -> int:
         """Return the line number of a path, or of the nearest part of the document around it; 1 if there is none."""
         while place and place not in self.lines:
             place = place[:-1]
@@ -81,7 +81,7 @@ class _Reader:
         self.found = YamlDocument(None)
         self._name, self._loader, self._left = name, loader, MOST_NODES
 
-    def value(self, node: Any, place: Place) -> Any:  # a node of PyYAML, and what YAML has
+    def value(self, node: Any, place: KeyPath) -> Any:  # a node of PyYAML, and what YAML has
         """Return a parsed YAML node as plain Python data, and store the lines of its parts in ``found``.
 
         Args:
@@ -119,7 +119,7 @@ class _Reader:
         except (ValueError, LookupError, OverflowError) as error:  # PyYAML does not check what a tag is put before
             raise self._error(node, f"{shown(node.value)} cannot be read as {kind}") from error
 
-    def _inner(self, first: Any, node: Any, place: Place) -> Any:
+    def _inner(self, first: Any, node: Any, place: KeyPath) -> Any:
         self.found.lines[place] = first.start_mark.line + 1
         return self.value(node, place)
 

@@ -18,7 +18,7 @@ from ...access.addresses import AddressList
 from ...access.rules import AccessRules, Policy
 from ...config.certificates import tls_of
 from ...config.files.file_error import FileError
-from ...config.files.lines import Path as Place
+from ...config.files.lines import KeyPath
 from ...config.files.schema import read_source, with_unit
 from ...config.files.system import SystemFile
 from ...config.links import NamedLink, named_links
@@ -316,7 +316,7 @@ class _Makers:
             return None
         return build_parameters(TlsParameters, rooted(self._security, self._name))
 
-    def _limits(self, own: Mapping[str, Any], at: Place) -> ListenerParameters | None:
+    def _limits(self, own: Mapping[str, Any], at: KeyPath) -> ListenerParameters | None:
         known = declared(ListenerParameters)
         general = {key: value for key, value in self._general.items() if key in known}
         chosen = {**general, **own, **self._changes}
@@ -325,7 +325,7 @@ class _Makers:
             lambda key: nearest(key, own, at, general, ("server",)),
         )
 
-    def listener(self, place: Place, endpoint: Endpoint) -> Listener:
+    def listener(self, place: KeyPath, endpoint: Endpoint) -> Listener:
         """Create a listener of the file. Invalid options are reported; the listener must then not be used.
 
         An invalid TLS option, access list or limit makes the whole group None: ``tls``, ``access`` or ``limits``.
@@ -352,7 +352,7 @@ class _Makers:
         limits = self._limits(own_limits, at) if own_limits else None
         return self._checked(Listener(endpoint, access=access, tls=tls, limits=limits), place, own)
 
-    def _checked(self, listener: Listener, place: Place, own: Mapping[str, Any] | None = None) -> Listener:
+    def _checked(self, listener: Listener, place: KeyPath, own: Mapping[str, Any] | None = None) -> Listener:
         """Check the TLS options of a listener, report errors in them, and return the listener unchanged.
 
         Args:
@@ -362,13 +362,13 @@ class _Makers:
         """
         options = parse_endpoint(listener.endpoint).options
 
-        def place_of(key: str | None) -> Place:
+        def place_of(key: str | None) -> KeyPath:
             return place if key in options else nearest(key, own or {}, place[:2], self._security, ("security",))
 
         self._check_options.make(lambda: tls_of(listener), place_of)
         return listener
 
-    def _tls(self, own: Mapping[str, Any], at: Place) -> TlsParameters | None:
+    def _tls(self, own: Mapping[str, Any], at: KeyPath) -> TlsParameters | None:
         chosen = rooted({**self._security, **own}, self._name)
         return self._check_options.make(
             lambda: build_parameters(TlsParameters, chosen),

@@ -17,11 +17,11 @@ from ...server.listener import Listener
 from ...values.counts import counted
 from .configuration import Configuration
 
-Row = tuple[str, str, str]
+OverviewRow = tuple[str, str, str]
 """One row of an overview: kind (such as ``listener`` or ``unit``), name and description."""
 
 
-def overview(configuration: Configuration) -> Iterator[Row]:
+def overview(configuration: Configuration) -> Iterator[OverviewRow]:
     """Yield rows of text for listeners, policy, server, links and units of a configuration, in this order."""
     file = configuration.file
     for listener in configuration.listeners:

@@ -9,7 +9,7 @@ from collections.abc import Collection, Iterable, Iterator
 from typing import Final
 
 from ...config.files.fault_sections import FaultSection, parse_fault_words
-from ...config.files.lines import Path
+from ...config.files.lines import KeyPath
 from ...config.files.schema import Source
 from ...errors import ConfigError
 from ...faults.applied_faults import Schedule
@@ -46,7 +46,7 @@ def fault_problems(
     return found
 
 
-def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) -> Iterator[tuple[Path, str]]:
+def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) -> Iterator[tuple[KeyPath, str]]:
     fault_profile = fault_profiles.get(section.fault_profile)
     if fault_profile is None:
         try:

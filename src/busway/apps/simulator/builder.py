@@ -16,7 +16,7 @@ from typing import Final
 from ...config.devices import build_device
 from ...config.files.behaviours import BehaviourSection, FormulaSection, ReplaySection
 from ...config.files.file_error import FileError
-from ...config.files.lines import Path
+from ...config.files.lines import KeyPath
 from ...config.files.schema import in_order
 from ...config.files.simulation import SimulatedPointSection
 from ...config.paths import within
@@ -99,7 +99,7 @@ class _Plan:
     """
 
     section: BehaviourSection
-    problem: Callable[[Path, str], ConfigError]
+    problem: Callable[[KeyPath, str], ConfigError]
     expressions: dict[str, Expression] = field(default_factory=dict)
     recording: Recording | None = None
 
@@ -127,13 +127,13 @@ def _plans(declared: Sequence[DeclaredUnit], read: Reader) -> dict[int, _Plan]:
     return plans
 
 
-def _problems_at(unit: DeclaredUnit, path: Path) -> Callable[[Path, str], ConfigError]:
+def _problems_at(unit: DeclaredUnit, path: KeyPath) -> Callable[[KeyPath, str], ConfigError]:
     return lambda inner, sentence: unit.problem((*path, *inner), sentence)
 
 
 def _plan(
     section: BehaviourSection,
-    problem: Callable[[Path, str], ConfigError],
+    problem: Callable[[KeyPath, str], ConfigError],
     name: str,
     read: Reader,
     recordings: dict[str, Recording],

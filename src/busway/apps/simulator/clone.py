@@ -33,7 +33,7 @@ from ...values import Address, ValueType, format_address
 from ...values.counts import counted
 from .recorded_tables import item_keys
 
-Answer = TypeVar("Answer")
+Offered = TypeVar("Offered")
 Progress = Callable[[str], None]
 
 RANGES: Final = (range(10_000), range(40_000, 41_000))
@@ -450,7 +450,7 @@ def _objects(unit: BlockingUnit) -> dict[int, bytes]:
     return {}
 
 
-def _offered(ask: Callable[[], Answer]) -> Answer | None:
+def _offered(ask: Callable[[], Offered]) -> Offered | None:
     """Return what ``ask`` returns; None if the device refuses the request or its reply is invalid.
 
     Args:

@@ -22,7 +22,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 from ...config.files.file_error import FileError
-from ...config.files.lines import Path
+from ...config.files.lines import KeyPath
 from ...config.files.schema import Source, in_order, read_source, with_unit
 from ...config.files.simulation import (
     IncludeSection,
@@ -63,9 +63,9 @@ class DeclaredUnit:
 
     section: SimulatedUnitSection
     source: Source
-    path: Path
+    path: KeyPath
 
-    def problem(self, path: Path, sentence: str) -> ConfigError:
+    def problem(self, path: KeyPath, sentence: str) -> ConfigError:
         """Return an error about a key of the unit's section, with file, line and key.
 
         Args:
@@ -188,7 +188,7 @@ class _Including:
         for index, section in enumerate(file.include):
             yield from self._one(section, source, ("include", index))
 
-    def _one(self, section: IncludeSection, parent: Source, at: Path) -> Iterator[DeclaredUnit]:
+    def _one(self, section: IncludeSection, parent: Source, at: KeyPath) -> Iterator[DeclaredUnit]:
         name = section.file if section.file.startswith(PREFIX) else within(parent.name, section.file)
         identity = _identity(name)
         if identity in self._chain:
@@ -234,7 +234,7 @@ class _Including:
         yield from _Including(self._read, (*self._chain, identity), self._count).all_of(profile, filled)
 
     def _several(
-        self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, Path]
+        self, source: Source, parameters: Mapping[str, Parameter], numbers: Sequence[int], asked: tuple[Source, KeyPath]
     ) -> Iterator[DeclaredUnit]:
         """Yield the units that an include with ``units`` makes from its file's single ``[[unit]]`` section.
 

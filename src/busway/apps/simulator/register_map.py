@@ -32,7 +32,7 @@ from typing import Any, Final
 
 from ...codes import Table
 from ...config.files.file_error import FileError
-from ...config.files.lines import Path as Place
+from ...config.files.lines import KeyPath
 from ...config.files.schema import Source, in_order
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError, InvalidRequest
@@ -168,7 +168,7 @@ def parse_register_map(data: bytes | str, name: str) -> list[SimulatedPointSecti
     reader = _Reader(name, text)
     rows = reader.rows()
     problems = reader.problems
-    lines: dict[Place, int] = {(): 1}
+    lines: dict[KeyPath, int] = {(): 1}
     points: list[dict[str, Any]] = []  # Any: what a key of a point takes
     for row in rows:
         keys, faults = _keys_of(row)

@@ -21,7 +21,7 @@ from ...server.blocks import BitRun, RegisterRun
 from ...server.device import Device
 from ...values import ValueType
 
-Put = Callable[[bytearray, int, Any], object]
+PutNumber = Callable[[bytearray, int, Any], object]
 """Function that writes a number of the point's type, or a ``bool``, into the memory of a device.
 
 Its arguments: the memory, the offset of the point in it in bytes (for one bit: in bits), and the number.
@@ -68,7 +68,7 @@ class PointForm:
     bit: int | None
     form: ValueType[Any] | None
     size: int
-    put: Put
+    put: PutNumber
     quantise: Quantise
     factors: tuple[float, float] = (1.0, 0.0)
 
@@ -126,7 +126,7 @@ def _put_bit(data: bytearray, offset: int, on: bool) -> None:
         data[offset >> 3] &= 255 - mask
 
 
-def _putter(form: ValueType[Any]) -> Put:
+def _putter(form: ValueType[Any]) -> PutNumber:
     """Return a function that writes a number of a value type into memory; a faster one for common byte orders."""
     letter = _LETTERS.get(form.name)
     if letter is not None and form.order == "ABCDEFGH"[: 2 * form.registers]:
@@ -150,7 +150,7 @@ def _merge(form: ValueType[Any], data: bytearray, offset: int, number: Any) -> N
     data[offset : offset + size] = form.merge(number, data[offset : offset + size])
 
 
-def _putter_low_word_first(letter: str) -> Put:
+def _putter_low_word_first(letter: str) -> PutNumber:
     pack = struct.Struct(f">{letter}").pack
 
     def put(data: bytearray, offset: int, number: Any) -> None:

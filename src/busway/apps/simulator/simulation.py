@@ -48,7 +48,7 @@ _log = logging.getLogger("busway.apps.simulator")
 SLICE: Final = 0.002
 """Seconds for which the engine computes values in one go; then requests are answered before it goes on."""
 
-Watcher = Callable[[list[PointChanged]], object]
+PointsObserver = Callable[[list[PointChanged]], object]
 
 
 class SimulationTimer(Protocol):
@@ -123,7 +123,7 @@ class Simulation:
         self.board: FaultSwitchboard = FaultSwitchboard(seed=self.seed, clock=clock)
         put_on(self.board, self.declaration.file.fault)
         self.warnings: list[str] = []
-        self._watchers: tuple[Watcher, ...] = ()
+        self._watchers: tuple[PointsObserver, ...] = ()
         self._observers: list[RequestObserver] = []
         self._server: Server | None = None
         self._clock = clock
@@ -196,7 +196,7 @@ class Simulation:
         with point.device.lock:
             self._engine.release(point, self.time)
 
-    def watch(self, callback: Watcher) -> Callable[[], None]:
+    def watch(self, callback: PointsObserver) -> Callable[[], None]:
         """Register a function to be called with each group of new values.
 
         Args:

@@ -38,11 +38,11 @@ from starlette.responses import JSONResponse
 from ...access.repeats import Repeats, so_often
 from ..control.addresses import is_loopback
 
-Scope = MutableMapping[str, Any]  # Any: as ASGI has them
-Message = MutableMapping[str, Any]
-Receive = Callable[[], Awaitable[Message]]
-Send = Callable[[Message], Awaitable[None]]
-Application = Callable[[Scope, Receive, Send], Awaitable[None]]
+AsgiScope = MutableMapping[str, Any]  # Any: as ASGI has them
+AsgiMessage = MutableMapping[str, Any]
+AsgiReceive = Callable[[], Awaitable[AsgiMessage]]
+AsgiSend = Callable[[AsgiMessage], Awaitable[None]]
+AsgiApplication = Callable[[AsgiScope, AsgiReceive, AsgiSend], Awaitable[None]]
 
 BODY_LIMIT: Final = 4 * 1024 * 1024
 """Largest number of bytes in the body of a request: room for a hundred thousand values."""
@@ -162,7 +162,7 @@ def require(role: Role) -> RequiredRole:
     return RequiredRole(role)
 
 
-def caller_of(scope: Scope) -> Caller:
+def caller_of(scope: AsgiScope) -> Caller:
     """Return the caller of a request that `PageAccess` has accepted. Raises `Refused` (401) for a request without one.
 
     Requests for the files of the page have no caller.
@@ -173,7 +173,7 @@ def caller_of(scope: Scope) -> Caller:
     return found
 
 
-def current_caller(scope: Scope) -> Caller | None:
+def current_caller(scope: AsgiScope) -> Caller | None:
     """Return the caller of a request accepted earlier, by the tokens valid now; None if it would be refused now.
 
     ``scope`` is the ASGI scope of the request; the caller may have another role than before.
@@ -197,13 +197,13 @@ class PageAccess:
         is_open: called with the path of a request; returns True if no caller need be known, as for the page's files.
     """
 
-    def __init__(self, inner: Application, rules: PageAccessRules, is_open: Callable[[str], bool]) -> None:
+    def __init__(self, inner: AsgiApplication, rules: PageAccessRules, is_open: Callable[[str], bool]) -> None:
         self._inner = inner
         self._rules = rules
         self._is_open = is_open
         self._wrong_tokens = Repeats()
 
-    async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
+    async def __call__(self, scope: AsgiScope, receive: AsgiReceive, send: AsgiSend) -> None:
         """Check one HTTP request or WebSocket; pass it on to the application, or answer that it is refused."""
         if scope["type"] not in ("http", "websocket"):
             await self._inner(scope, receive, send)
@@ -217,7 +217,7 @@ class PageAccess:
         except Refused as error:
             await _refuse(error, scope, receive, send)
 
-    def _check(self, scope: Scope, headers: dict[str, list[str]]) -> None:
+    def _check(self, scope: AsgiScope, headers: dict[str, list[str]]) -> None:
         host = _single(headers, "host")
         if self._rules.is_loopback and not _names_loopback(host):
             raise Refused(403, "the Host is not one of this machine's loopback")
@@ -237,7 +237,7 @@ class PageAccess:
             if kind not in _BODY_KINDS:
                 raise Refused(415, f"the body must be {' or '.join(_BODY_KINDS)}")
 
-    def _caller(self, scope: Scope, headers: dict[str, list[str]]) -> Caller:
+    def _caller(self, scope: AsgiScope, headers: dict[str, list[str]]) -> Caller:
         """Return the caller of a request. Raises `Refused` (401) if it needs a token, or if its token is wrong.
 
         Stores in ``scope`` the function with which `current_caller` finds the caller again later.
@@ -284,7 +284,7 @@ def _digest(token: str) -> bytes:
     return hashlib.sha256(token.encode("utf-8", "surrogatepass")).digest()
 
 
-def _headers(scope: Scope) -> dict[str, list[str]]:
+def _headers(scope: AsgiScope) -> dict[str, list[str]]:
     found: dict[str, list[str]] = {}
     for name, value in scope["headers"]:
         found.setdefault(name.decode("latin-1").lower(), []).append(value.decode("latin-1").strip())
@@ -303,7 +303,7 @@ def _names_loopback(host: str) -> bool:
     return name.lower() == "localhost" or is_loopback(name.strip("[]"))
 
 
-def _token(scope: Scope, headers: dict[str, list[str]]) -> str | None:
+def _token(scope: AsgiScope, headers: dict[str, list[str]]) -> str | None:
     """Return the token in a request (subprotocol of a WebSocket, or ``Authorization``); None if it has neither.
 
     Returns an empty text, which is a wrong token, if ``Authorization`` has another scheme than ``Bearer``.
@@ -323,7 +323,7 @@ def _has_body(headers: dict[str, list[str]]) -> bool:
     return "transfer-encoding" in headers or _single(headers, "content-length") not in ("", "0")
 
 
-def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
+def _bounded(receive: AsgiReceive, headers: dict[str, list[str]]) -> AsgiReceive:
     """Return a ``receive`` that raises `Refused` (413) once a body exceeds `BODY_LIMIT` bytes.
 
     Raises `Refused` (413) at once if ``Content-Length`` announces more or is no number.
@@ -333,7 +333,7 @@ def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
         raise Refused(413, f"the body exceeds {BODY_LIMIT} bytes")
     taken = 0
 
-    async def take() -> Message:
+    async def take() -> AsgiMessage:
         nonlocal taken
         message = await receive()
         taken += len(message.get("body", b""))
@@ -344,7 +344,7 @@ def _bounded(receive: Receive, headers: dict[str, list[str]]) -> Receive:
     return take
 
 
-async def _refuse(error: Refused, scope: Scope, receive: Receive, send: Send) -> None:
+async def _refuse(error: Refused, scope: AsgiScope, receive: AsgiReceive, send: AsgiSend) -> None:
     if scope["type"] == "websocket":
         await send({"type": "websocket.close", "code": POLICY_VIOLATION, "reason": error.detail})
         return

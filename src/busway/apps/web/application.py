@@ -24,7 +24,18 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from .access import Application, Caller, Message, PageAccess, PageAccessRules, Receive, Role, Scope, Send, require
+from .access import (
+    AsgiApplication,
+    AsgiMessage,
+    AsgiReceive,
+    AsgiScope,
+    AsgiSend,
+    Caller,
+    PageAccess,
+    PageAccessRules,
+    Role,
+    require,
+)
 from .connections import Throttle
 from .messages import CallerAnswer
 from .operations import failed, new_application, secure_document
@@ -105,7 +116,7 @@ async def _get_caller(caller: Annotated[Caller, Depends(require(Role.VIEW))]) ->
     return CallerAnswer(name=caller.name, role=caller.role.label)
 
 
-def guarded(inner: FastAPI, names: Sequence[str], rules: PageAccessRules) -> Application:
+def guarded(inner: FastAPI, names: Sequence[str], rules: PageAccessRules) -> AsgiApplication:
     """Return the ASGI application of a page: an API, the files of the page, access rules and common HTTP headers.
 
     Args:
@@ -163,11 +174,11 @@ def _below(folder: Traversable, path: str) -> Iterator[tuple[str, Traversable]]:
             yield f"{path}/{one.name}", one
 
 
-def _with_headers(inner: Application) -> Application:
+def _with_headers(inner: AsgiApplication) -> AsgiApplication:
     """Return an ASGI application that passes requests to ``inner`` and adds the page's common HTTP headers."""
 
-    async def application(scope: Scope, receive: Receive, send: Send) -> None:
-        async def send_more(message: Message) -> None:
+    async def application(scope: AsgiScope, receive: AsgiReceive, send: AsgiSend) -> None:
+        async def send_more(message: AsgiMessage) -> None:
             if message["type"] == "http.response.start":
                 headers: list[tuple[bytes, bytes]] = [*message["headers"], *_HEADERS]
                 if not any(name.lower() == b"cache-control" for name, _ in headers):

@@ -34,16 +34,16 @@ _LONGEST_NAME: Final = 200
 
 Operator = Annotated[Caller, Depends(require(Role.OPERATE))]
 Configurer = Annotated[Caller, Depends(require(Role.CONFIGURE))]
-Viewer = Annotated[Caller, Depends(require(Role.VIEW))]
+ViewerCaller = Annotated[Caller, Depends(require(Role.VIEW))]
 
-Name = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
+NameField = Annotated[str, Field(min_length=1, max_length=_LONGEST_NAME)]
 
 
 class NewCommand(Asked):
     """Request to check a value for a point and keep the command until it is confirmed."""
 
-    device: Name
-    point: Name
+    device: NameField
+    point: NameField
     value: Plain = Field(description="In the unit of measure, or a name of a number; numbers are no texts.")
 
 
@@ -240,7 +240,7 @@ class CommandsApi:
         return _answer(result)
 
     async def list_commands(
-        self, caller: Viewer, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
+        self, caller: ViewerCaller, limit: Annotated[int, Query(ge=1, le=MOST_LISTED)] = 100
     ) -> CommandsAnswer:
         """Return the results of the latest commands, the newest first. 503: their journal cannot be read."""
         try:

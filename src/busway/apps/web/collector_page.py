@@ -27,7 +27,7 @@ from ..collector.collector import Collector
 from ..collector.configuration import CollectorConfiguration
 from ..collector.preview import CollectorPreview, preview
 from ..collector.report_rules import store_rules
-from ..collector.samples import NANOSECONDS, Quality, Value, quality_of, reason_text
+from ..collector.samples import NANOSECONDS, Quality, SampleValue, quality_of, reason_text
 from ..collector.store.query_results import BucketTable
 from ..collector.store.reading import Store
 from ..collector.store.writer import Commit
@@ -406,7 +406,7 @@ def _trend(table: BucketTable, now: int, seconds: float, longest: float, held: f
     return answer
 
 
-def _held_trend(answer: TrendAnswer, last: tuple[Value | None, int, int] | None) -> TrendAnswer:
+def _held_trend(answer: TrendAnswer, last: tuple[SampleValue | None, int, int] | None) -> TrendAnswer:
     """Extend a chart to the time at which the point was read last, with its last value. Changes and returns ``answer``.
 
     For points of which the store keeps only changes. An empty chart gets the last value at its begin, too.

@@ -27,7 +27,7 @@ from ...transport.tcp import network_kind
 from ...transport.tls.context import WatchedContext, web_context
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
-from .access import AccessToken, Application, PageAccessRules, Role
+from .access import AccessToken, AsgiApplication, PageAccessRules, Role
 from .application import PageModule, guarded, page_resources
 from .connections import SharedConnections
 from .page_tokens import SHORTEST_TOKEN, is_token, new_token
@@ -84,7 +84,7 @@ class HostedPage(ABC):
         """Return the page's HTTP API as a FastAPI application, without the page's files and access rules."""
         return page_resources(self.title, self.description, self.modules())
 
-    def application(self, rules: PageAccessRules) -> Application:
+    def application(self, rules: PageAccessRules) -> AsgiApplication:
         """Return the ASGI application that serves page and API under these access rules; called by `start`."""
         return guarded(self.resources(), [module.name for module in self.modules()], rules)
 
@@ -215,7 +215,7 @@ _TOKEN_HEADERS: Final = frozenset({"authorization", "sec-websocket-protocol"})
 _HIDDEN_TOKENS: Final = _HiddenTokens()
 
 
-def _configured(application: Application, context: WatchedContext | None) -> uvicorn.Config:
+def _configured(application: AsgiApplication, context: WatchedContext | None) -> uvicorn.Config:
     logging.getLogger("uvicorn.error").addFilter(_HIDDEN_TOKENS)  # the same again is not added
     protocols = SharedConnections().protocols(None if context is None else context.current)
     return uvicorn.Config(

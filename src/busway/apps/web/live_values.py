@@ -30,8 +30,8 @@ from ..collector.samples import (
     Quality,
     Reason,
     SampleBatch,
+    SampleValue,
     StateInterval,
-    Value,
     mended_batch,
     mended_interval,
     quality_of,
@@ -71,7 +71,7 @@ class LiveValues:
         moment: Callable[[], float] = time.monotonic,
     ) -> None:
         self.tick: int = 0
-        self.values: list[Value | None] = [None] * len(points)
+        self.values: list[SampleValue | None] = [None] * len(points)
         self.reasons: list[int] = [0] * len(points)
         self.times: list[int] = [0] * len(points)
         self._changed_at = [0] * len(points)
@@ -235,7 +235,7 @@ class LiveValues:
             found = self._groups[group] = [known.get((group.device, point), -1) for point in group.points]
         return found
 
-    def columns(self) -> tuple[list[Value | None], list[int], list[int]]:
+    def columns(self) -> tuple[list[SampleValue | None], list[int], list[int]]:
         """Return values, reason codes to show and times of all points as three new lists, after an `advance`.
 
         Times are milliseconds since 1970 UTC; 0 for points that were not read yet.

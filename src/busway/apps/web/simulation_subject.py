@@ -90,7 +90,7 @@ class ServedUnits(Protocol):
         """Set the counters of the server to zero."""
 
 
-Watcher = Callable[[Sequence[Any]], None]  # Any: `PointChange`
+PageObserver = Callable[[Sequence[Any]], None]  # Any: `PointChange`
 
 
 class Board(Protocol):
@@ -162,7 +162,7 @@ class PageSubject(Protocol):
             InvalidRequest: there is no such point.
         """
 
-    def watch(self, callback: Watcher) -> Any:
+    def watch(self, callback: PageObserver) -> Any:
         """Register a function called with each list of `PointChange`s; returns a function that unregisters it."""
 
     # Time.

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ...errors import ConfigError
 from ...framing.mbap import FrameKind, MbapReceiver
-from ...framing.received import Damaged, Direction, Received
+from ...framing.received import Damaged, Direction, FrameOrDamage
 from ...observe.socket_addresses import SocketAddresses
 from ...observe.trace import TRACE
 from ...observe.wording import described, in_words
@@ -360,7 +360,7 @@ class _Line:
         self._onward = onward
         self._requests = _Requests()
 
-    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+    def heard(self, found: FrameOrDamage, *, at: float | None = None, is_outgoing: bool = False) -> None:
         """Record a frame or damaged bytes of the line.
 
         Args:
@@ -393,7 +393,7 @@ class _Nothing:
     def sent(self, data: bytes) -> None:
         """Ignore sent bytes, because nothing is recorded."""
 
-    def heard(self, found: Received, *, at: float | None = None, is_outgoing: bool = False) -> None:
+    def heard(self, found: FrameOrDamage, *, at: float | None = None, is_outgoing: bool = False) -> None:
         """Ignore a frame or damaged bytes, because nothing is recorded."""
 
 

@@ -26,7 +26,7 @@ from ...pdu.message import Message
 from ...pdu.model import Context, Refusal
 from ...server.server import Server
 from ...server.serving import serve
-from ...session.responder import SILENCE, Outcome, RequestContext, ServedUnit
+from ...session.responder import SILENCE, RequestContext, ResponderAnswer, ServedUnit
 from .client import PREFIX, SERIAL_SCHEMES, TlsFiles
 from .datastore import ModbusServerContext
 from .device import ModbusDeviceIdentification
@@ -179,7 +179,7 @@ class ContextResponder:
         """Return the unit if a context answers for it; otherwise None."""
         return ServedUnit(unit) if unit in self._context else None
 
-    def answer(self, context: RequestContext, request: AnyRequest) -> Outcome:
+    def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Execute a request on the context of its unit, and return the reply; `SILENCE` if no reply is to be sent.
 
         An exception that the context raises is logged, and the reply is exception 04.

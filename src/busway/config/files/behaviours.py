@@ -24,7 +24,7 @@ FASTEST: Final = 0.01
 SLOWEST: Final = 86_400.0
 
 KIND: Final = "what makes the value."
-Number = Annotated[float, Field(allow_inf_nan=False)]
+FiniteNumber = Annotated[float, Field(allow_inf_nan=False)]
 Seconds = Annotated[float, Range(0.001, 1e9)]
 Degrees = Annotated[float, Range(-360, 360)]
 
@@ -37,7 +37,7 @@ def _as_expression(value: object) -> object:
     return value
 
 
-Expression = Annotated[float | str, BeforeValidator(_as_expression, json_schema_input_type=float | str)]
+ExpressionField = Annotated[float | str, BeforeValidator(_as_expression, json_schema_input_type=float | str)]
 
 
 class BehaviourSection(Section):
@@ -64,15 +64,15 @@ class ConstantSection(BehaviourSection):
     """Behaviour ``constant``: the value never changes."""
 
     kind: Annotated[Literal["constant"], KIND]
-    value: Annotated[Number | bool, "the value."]
+    value: Annotated[FiniteNumber | bool, "the value."]
 
 
 class RampSection(BehaviourSection):
     """Behaviour ``ramp``: the value rises or falls linearly."""
 
     kind: Annotated[Literal["ramp"], KIND]
-    first: Annotated[Number, "value at the beginning."] = 0.0
-    last: Annotated[Number, "value at the end."]
+    first: Annotated[FiniteNumber, "value at the beginning."] = 0.0
+    last: Annotated[FiniteNumber, "value at the end."]
     duration: Annotated[Seconds, "seconds from the first to the last."]
     at_end: Annotated[Literal["hold", "repeat", "return"], "what comes then; `return`: the way it came."] = "repeat"
 
@@ -81,8 +81,8 @@ class SineSection(BehaviourSection):
     """Behaviour ``sine``: the value follows a sine wave."""
 
     kind: Annotated[Literal["sine"], KIND]
-    mean: Annotated[Number, "value in the middle."] = 0.0
-    amplitude: Annotated[Number, "how far it goes up and down from there."]
+    mean: Annotated[FiniteNumber, "value in the middle."] = 0.0
+    amplitude: Annotated[FiniteNumber, "how far it goes up and down from there."]
     period: Annotated[Seconds, "seconds once around."]
     phase: Annotated[Degrees, "degrees at the beginning."] = 0.0
 
@@ -91,8 +91,8 @@ class SquareSection(BehaviourSection):
     """Behaviour ``square``: the value alternates between two values."""
 
     kind: Annotated[Literal["square"], KIND]
-    low: Annotated[Number, "the lower value."] = 0.0
-    high: Annotated[Number, "the upper value, which comes first."] = 1.0
+    low: Annotated[FiniteNumber, "the lower value."] = 0.0
+    high: Annotated[FiniteNumber, "the upper value, which comes first."] = 1.0
     period: Annotated[Seconds, "seconds once around."]
     duty: Annotated[float, Range(0, 1), "the part of a period for which it is high."] = 0.5
     phase: Annotated[Degrees, "degrees at the beginning."] = 0.0
@@ -102,8 +102,10 @@ class NoiseSection(BehaviourSection):
     """Behaviour ``noise``: random values around a mean, with a uniform or a normal distribution."""
 
     kind: Annotated[Literal["noise"], KIND]
-    mean: Annotated[Number, "value in the middle."] = 0.0
-    spread: Annotated[Number, Range(0, math.inf), "how far a value may be from it; of `gauss` the standard deviation."]
+    mean: Annotated[FiniteNumber, "value in the middle."] = 0.0
+    spread: Annotated[
+        FiniteNumber, Range(0, math.inf), "how far a value may be from it; of `gauss` the standard deviation."
+    ]
     distribution: Annotated[Literal["uniform", "gauss"], "how values are distributed."] = "uniform"
 
 
@@ -113,9 +115,9 @@ class RandomWalkSection(BehaviourSection):
     begins: ClassVar[bool] = True
 
     kind: Annotated[Literal["random-walk"], KIND]
-    step: Annotated[Number, Range(0, math.inf, above=True), "the longest step up or down."]
-    low: Annotated[Number | None, "where it turns back; None: at the minimum of the point."] = None
-    high: Annotated[Number | None, "where it turns back; None: at the maximum of the point."] = None
+    step: Annotated[FiniteNumber, Range(0, math.inf, above=True), "the longest step up or down."]
+    low: Annotated[FiniteNumber | None, "where it turns back; None: at the minimum of the point."] = None
+    high: Annotated[FiniteNumber | None, "where it turns back; None: at the maximum of the point."] = None
 
     @model_validator(mode="after")
     def _check(self) -> "RandomWalkSection":
@@ -131,9 +133,9 @@ class CounterSection(BehaviourSection):
     expressions: ClassVar[tuple[str, ...]] = ("rate",)
 
     kind: Annotated[Literal["counter"], KIND]
-    rate: Annotated[Expression, "what is added in a second."]
+    rate: Annotated[ExpressionField, "what is added in a second."]
     rollover: Annotated[
-        Number | None,
+        FiniteNumber | None,
         Range(0, math.inf, above=True),
         "value at which it begins again from 0; None: where a whole-number type ends, from `offset` of the point.",
     ] = None
@@ -146,7 +148,7 @@ class LagSection(BehaviourSection):
     expressions: ClassVar[tuple[str, ...]] = ("target",)
 
     kind: Annotated[Literal["lag"], KIND]
-    target: Annotated[Expression, "the value that it follows."]
+    target: Annotated[ExpressionField, "the value that it follows."]
     time_constant: Annotated[Seconds, "seconds for 63 % of the way."]
 
 

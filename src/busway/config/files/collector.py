@@ -23,7 +23,7 @@ from pydantic import BeforeValidator, Field
 
 from ...options.declaration import Name, Range
 from .device import UnitSection
-from .lines import Path
+from .lines import KeyPath
 from .listeners import ListenerSection, Url
 from .points import Report, ReportSection
 from .schema import NO_LIST, NO_TABLE, Section
@@ -34,7 +34,7 @@ from .system import LinkSection, SystemFile, twice
 NOTHING: Final = "none: a collector serves nothing."
 _HOST: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,62}")
 _MOST_HOSTS: Final = 2
-Role = Literal["view", "operate", "configure"]
+RoleName = Literal["view", "operate", "configure"]
 
 
 class CollectorSection(Section):
@@ -86,7 +86,7 @@ class PageAccessSection(Section):
     ] = None
     revocation_list: Annotated[str | None, Name("the path of a file"), "which of them are revoked."] = None
     subjects: Annotated[
-        dict[str, Role], 'role by the subject of a client certificate: `"CN=anna,O=plant" = "operate"`.'
+        dict[str, RoleName], 'role by the subject of a client certificate: `"CN=anna,O=plant" = "operate"`.'
     ] = NO_TABLE
 
 
@@ -174,7 +174,7 @@ class CollectorFile(SystemFile):
         """
         return device.poll_class or (next(iter(self.poll_class)) if len(self.poll_class) == 1 else "")
 
-    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+    def _whole_faults(self) -> Iterator[tuple[KeyPath, str]]:
         for key, sections in (("link", self.link), ("device", self.device), ("poll_class", self.poll_class)):
             if not sections:
                 yield (key,), "is missing"
@@ -201,7 +201,7 @@ def _host_faults(hosts: Sequence[str]) -> Iterator[str]:
         yield "has one host, or two: the preferred one, and the one that takes over"
 
 
-def _page_access_faults(access: PageAccessSection) -> Iterator[tuple[Path, str]]:
+def _page_access_faults(access: PageAccessSection) -> Iterator[tuple[KeyPath, str]]:
     for key in ("key", "password_file", "authority", "revocation_list"):
         if getattr(access, key) is not None and access.certificate is None:
             yield ("page_access", key), "is for a page with TLS: certificate is missing"

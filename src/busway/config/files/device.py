@@ -32,7 +32,7 @@ from ...values import Address, parse_address
 from ...values.counts import counted
 from ...values.refusal import shown
 from .file_error import FileError
-from .lines import Path
+from .lines import KeyPath
 from .listeners import Url
 from .options import OptionSection, with_options_of
 from .points import MOST_REPEATED, STAND_IN, PointSection, WholeSection, checked, resolved
@@ -114,7 +114,7 @@ class Hexadecimal(Section):
     hex: Annotated[str, 'the bytes: `"01 02"`.']
 
 
-ServerId = Annotated[
+ServerIdField = Annotated[
     bytes, BeforeValidator(_as_server_id, json_schema_input_type=str | Hexadecimal), Field(max_length=251)
 ]
 Bytes = Annotated[bytes, BeforeValidator(_as_bytes, json_schema_input_type=str | Hexadecimal)]
@@ -168,7 +168,7 @@ class TableSection(Section):
         """The offset after the last item of the table."""
         return self.first + self.size
 
-    def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[Path, str]]:
+    def faults(self, *, bits: bool, size: int = TABLE_SIZE) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors in the declaration of the table, each as path in the section and sentence.
 
         Args:
@@ -243,7 +243,7 @@ class GroupSection(WholeSection):
         """Return valid values for keys that a group must have: they replace wrong ones while the rest is checked."""
         return {"name": "?"}
 
-    def faults(self) -> Iterator[tuple[Path, str]]:
+    def faults(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of keys of this group that do not go together, each as path and sentence."""
         if self.count_from and self.count is None:
             yield ("count",), f"is missing: the most that {self.count_from} may say"
@@ -262,7 +262,7 @@ class GroupSection(WholeSection):
         return (point.name for point in self.point)
 
     def placed(
-        self, path: Path, prefix: str, by: int, outer: Sequence[str], around: "_Around"
+        self, path: KeyPath, prefix: str, by: int, outer: Sequence[str], around: "_Around"
     ) -> Iterator["PlacedPoint"]:
         """Yield the group's points, with final names and addresses, once for each repetition of the group.
 
@@ -309,7 +309,7 @@ class PlacedPoint:
         group: name of the atomic group, read in one request, that the point is in; None for none.
     """
 
-    path: Path
+    path: KeyPath
     section: PointSection
     exists: tuple[tuple[str, int], ...] = ()
     group: str | None = None
@@ -338,7 +338,7 @@ class ReadSection(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "ReadSection":
-        faults: list[tuple[Path, str]] = []
+        faults: list[tuple[KeyPath, str]] = []
         for key in ("readable", "forbidden", "exact"):
             for index, text in enumerate(getattr(self, key)):
                 try:
@@ -422,7 +422,7 @@ class UnitSection(WholeSection):
         'text or `{ hex = "01 02" }`, at most 244 bytes; left out: vendor, product and revision of busway.',
     ] = NO_TABLE
     server_id: Annotated[
-        ServerId | None,
+        ServerIdField | None,
         'function 17: a text, to which the run indicator FF is added, or `{ hex = "…" }` as it stands; None: `busway`.',
     ] = None
     exception_status: Annotated[int, Range(0, 255), "what function 07 gives."] = 0
@@ -490,7 +490,7 @@ class UnitSection(WholeSection):
         """Return the identification objects that the file declares (function 43/14), by number; empty for none."""
         return {_object_number(key): value for key, value in self.identification.items()}
 
-    def faults(self) -> Iterator[tuple[Path, str]]:
+    def faults(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of keys and points of this unit that do not go together, each as path and sentence."""
         yield from self._table_faults()
         yield from self._placed_faults()
@@ -498,7 +498,7 @@ class UnitSection(WholeSection):
         yield from _repeated("file", "number", [each.number for each in self.file])
         yield from _repeated("fifo", "address", [each.place.offset for each in self.fifo])
 
-    def _table_faults(self) -> Iterator[tuple[Path, str]]:
+    def _table_faults(self) -> Iterator[tuple[KeyPath, str]]:
         for table in Table:
             declared = self.table(table)
             if declared is not None:
@@ -508,7 +508,7 @@ class UnitSection(WholeSection):
             for path, message in file.faults(bits=False, size=MAX_FILE_RECORD_NUMBER + 1):
                 yield ("file", index, *path), message
 
-    def _placed_faults(self) -> Iterator[tuple[Path, str]]:
+    def _placed_faults(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of points that do not go together: equal names, shared bits, wrong names, circles.
 
         Only one error is yielded if the groups have too many points, or a repeated group does not fit into its table.
@@ -528,7 +528,7 @@ class UnitSection(WholeSection):
         yield from _names_that_are_not_there(placed)
         yield from _circles(placed)
 
-    def _object_faults(self) -> Iterator[tuple[Path, str]]:
+    def _object_faults(self) -> Iterator[tuple[KeyPath, str]]:
         numbers: dict[int, str] = {}
         for key, value in self.identification.items():
             try:
@@ -559,7 +559,7 @@ class DeviceFile(Section):
             raise FileProblems(faults)
         return self
 
-    def _unit_faults(self) -> Iterator[tuple[Path, str]]:
+    def _unit_faults(self) -> Iterator[tuple[KeyPath, str]]:
         owners: dict[int, int] = {}
         for index, section in enumerate(self.unit):
             for number in section.unit:
@@ -582,7 +582,7 @@ def _object_number(key: str) -> int:
     return number
 
 
-def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path, str]]:
+def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[KeyPath, str]]:
     seen: dict[Any, int] = {}
     for index, value in enumerate(values):
         if value in seen:
@@ -590,7 +590,7 @@ def _repeated(section: str, key: str, values: list[Any]) -> Iterator[tuple[Path,
         seen.setdefault(value, index)
 
 
-def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
+def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tuple[KeyPath, str]]:
     """Yield errors for points outside their table, and for points that overlap without being allowed to."""
     owners: dict[tuple[Table, int, int], str] = {}
     for each in stored:
@@ -613,7 +613,7 @@ def _overlaps(unit: UnitSection, stored: Sequence[PlacedPoint]) -> Iterator[tupl
             owners |= {(point.table, offset, bit): point.name for bit in bits}
 
 
-def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
+def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[KeyPath, str]]:
     """Yield an error for each name of a point, in ``scale_from``, ``count_from`` or a formula, that does not fit.
 
     There is no such point, or it holds no number of the kind that is needed. A formula that uses ``t`` or a constant
@@ -645,7 +645,7 @@ def _names_that_are_not_there(placed: Sequence[PlacedPoint]) -> Iterator[tuple[P
                     yield (*each.path, "formula"), f"{shown(name)} holds no number, but {other.form.name}"
 
 
-def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[Path, str]]:
+def _circles(placed: Sequence[PlacedPoint]) -> Iterator[tuple[KeyPath, str]]:
     """Yield an error for the first circle of computed points: a point whose formula depends on itself."""
     computed = {each.section.name: each for each in placed if each.section.is_computed}
     done: set[str] = set()

@@ -12,14 +12,13 @@ from typing import Annotated, Any, Final
 
 from pydantic import BeforeValidator, Field, model_validator
 
-from ...access.notation import Range as ItemRange
-from ...access.notation import merged, parse_items, parse_units, parse_whole_functions
+from ...access.notation import NumberRange, merged, parse_items, parse_units, parse_whole_functions
 from ...codes import Table
 from ...errors import ConfigError
 from ...options.declaration import Name, Range
 from ...values.refusal import shown
-from .lines import Path
-from .policy import Numbers
+from .lines import KeyPath
+from .policy import NumbersField
 from .schema import NO_TABLE, FileProblems, Section, Source, keys_of
 
 _MOST_SECONDS: Final = 366 * 86_400.0
@@ -63,10 +62,10 @@ class FaultSection(Section):
 
     name: Annotated[str, "what it is switched by; left out: the fault profile."] = ""
     fault_profile: Annotated[str, Name("the name of a fault profile"), "what goes wrong."]
-    units: Annotated[Numbers | None, 'units, `"1-3"`; None: all.'] = None
-    functions: Annotated[Numbers | None, "codes and names of functions; None: all."] = None
+    units: Annotated[NumbersField | None, 'units, `"1-3"`; None: all.'] = None
+    functions: Annotated[NumbersField | None, "codes and names of functions; None: all."] = None
     addresses: Annotated[
-        Numbers | None, 'items, `"4x101-4x110"`; a number without a table: the items of every table; None: all.'
+        NumbersField | None, 'items, `"4x101-4x110"`; a number without a table: the items of every table; None: all.'
     ] = None
     probability: Annotated[float, Range(0, 1), "the part of the requests that it strikes."] = 1.0
     schedule: Annotated[ScheduleSection, "when it is active, counted from the time it was switched on."] = (
@@ -77,7 +76,7 @@ class FaultSection(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "FaultSection":
-        faults: list[tuple[Path, str]] = []
+        faults: list[tuple[KeyPath, str]] = []
         for key in ("units", "functions", "addresses"):
             try:
                 getattr(self, f"chosen_{key}")()
@@ -95,14 +94,14 @@ class FaultSection(Section):
         """Return the function codes, 1…127, that the fault applies to; None for all."""
         return None if self.functions is None else parse_whole_functions(self.functions, "a fault")
 
-    def chosen_addresses(self) -> dict[Table, tuple[ItemRange, ...]] | None:
+    def chosen_addresses(self) -> dict[Table, tuple[NumberRange, ...]] | None:
         """Return the item ranges that the fault applies to, by table; None for all.
 
         Each range is its first item, 0-based, and the item after its last.
         """
         if self.addresses is None:
             return None
-        found: dict[Table, list[ItemRange]] = {}
+        found: dict[Table, list[NumberRange]] = {}
         for each in self.addresses:
             for part in each.split(",") if isinstance(each, str) else [each]:
                 for table, ranges in _items(part).items():
@@ -110,7 +109,7 @@ class FaultSection(Section):
         return {table: merged(ranges) for table, ranges in found.items()}
 
 
-def _items(part: str | int) -> dict[Table, tuple[ItemRange, ...]]:
+def _items(part: str | int) -> dict[Table, tuple[NumberRange, ...]]:
     if isinstance(part, str) and not _OFFSETS.fullmatch(part):
         return parse_items(part, None)
     return {table: ranges for table in Table for _, ranges in parse_items(part, table).items()}

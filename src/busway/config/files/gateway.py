@@ -23,7 +23,7 @@ from ...codes import Table
 from ...errors import ConfigError
 from ...options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
 from .device import UnitSection
-from .lines import Path
+from .lines import KeyPath
 from .listeners import ListenerSection, clashes
 from .options import OptionSection, with_options_of
 from .schema import NO_LIST, FileProblems
@@ -84,7 +84,7 @@ class RouteSection(OptionSection):
             raise FileProblems(faults)
         return self
 
-    def _faults(self) -> Iterator[tuple[Path, str]]:
+    def _faults(self) -> Iterator[tuple[KeyPath, str]]:
         wanted = self.parameters
         ways = [name for name in ("link", "refuse", "drop") if getattr(wanted, name) not in (None, False)]
         if len(ways) != 1:
@@ -181,7 +181,7 @@ class GatewayFile(SystemFile):
         rules = [_with_urls(rule, urls) for rule in _list(policy.get("rule"))]
         return {**value, "policy": {**policy, "rule": rules}} if rules else value
 
-    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+    def _whole_faults(self) -> Iterator[tuple[KeyPath, str]]:
         yield from clashes(self.places())
         if not self.link:
             yield ("link",), "is missing"

@@ -8,21 +8,21 @@ A path is a tuple of keys and, in arrays, indexes: ``("unit", 0, "point", 3, "ty
 from collections.abc import Mapping
 from typing import Final
 
-Path = tuple[str | int, ...]
+KeyPath = tuple[str | int, ...]
 
 _SPACE: Final = " \t"
 _BLANK: Final = " \t\r\n"
 _DELIMITERS: Final = ("'''", '"""', "'", '"')
 
 
-def key_lines(text: str) -> dict[Path, int]:
+def key_lines(text: str) -> dict[KeyPath, int]:
     """Return the 1-based line of every key, table and array element in a valid TOML text, by its path."""
     reader = _Reader(text)
     reader.read_document()
     return reader.lines
 
 
-def line_of(lines: Mapping[Path, int], path: Path) -> int:
+def line_of(lines: Mapping[KeyPath, int], path: KeyPath) -> int:
     """Return the 1-based line of a path; if the file does not have it, the line of the nearest key around it.
 
     1 if the file has no key around it either.
@@ -47,13 +47,13 @@ class _Reader:
         self._text = text
         self._at = 0
         self._line = 1
-        self._tables: dict[Path, int] = {}
+        self._tables: dict[KeyPath, int] = {}
         """Number of elements that each array of tables has so far, by the path of the array."""
-        self.lines: dict[Path, int] = {}
+        self.lines: dict[KeyPath, int] = {}
 
     def read_document(self) -> None:
         """Read the whole TOML text, and record the line of each key in ``lines``."""
-        table: Path = ()
+        table: KeyPath = ()
         while True:
             self._skip_blank()
             if self._at >= len(self._text):
@@ -65,13 +65,13 @@ class _Reader:
             else:
                 self._read_pair(table)
 
-    def _read_header(self, brackets: int) -> Path:
+    def _read_header(self, brackets: int) -> KeyPath:
         line = self._line
         self._move(brackets)
         keys = self._read_key()
         self._skip(_SPACE)
         self._move(brackets)
-        path: Path = ()
+        path: KeyPath = ()
         for position, key in enumerate(keys):
             path = (*path, key)
             if brackets == 2 and position == len(keys) - 1:
@@ -82,7 +82,7 @@ class _Reader:
             self.lines.setdefault(path, line)
         return path
 
-    def _read_pair(self, table: Path) -> None:
+    def _read_pair(self, table: KeyPath) -> None:
         line = self._line
         path = table
         for key in self._read_key():
@@ -110,7 +110,7 @@ class _Reader:
                 return keys
             self._move(1)
 
-    def _read_value(self, path: Path) -> None:
+    def _read_value(self, path: KeyPath) -> None:
         first = self._text[self._at : self._at + 1]
         if first == "[":
             self._move(1)

@@ -13,7 +13,7 @@ from ...options.declaration import declared
 from ...options.endpoints import parse_endpoint
 from ...options.server import ListenerParameters
 from ...options.tls import TlsParameters
-from .lines import Path
+from .lines import KeyPath
 from .options import OptionSection, with_options_of
 from .policy import Hosts, RefusedHosts, Secure
 from .schema import NO_LIST, FileProblems
@@ -47,7 +47,7 @@ class ListenerSection(OptionSection):
     @model_validator(mode="after")
     def _check_scheme(self) -> "ListenerSection":
         carrier = parse_endpoint(self.url).carrier
-        faults: list[tuple[Path, str]] = []
+        faults: list[tuple[KeyPath, str]] = []
         for name in type(self).model_fields:
             if name in self.model_fields_set and name not in self.on_lines:
                 if carrier == "serial":
@@ -59,7 +59,7 @@ class ListenerSection(OptionSection):
         return self
 
 
-def clashes(places: Sequence[tuple[Path, str]]) -> Iterator[tuple[Path, str]]:
+def clashes(places: Sequence[tuple[KeyPath, str]]) -> Iterator[tuple[KeyPath, str]]:
     """Yield an error for each listener that uses the address and port, or the serial port, of an earlier one.
 
     Each error is the path of the later URL and a sentence. A host that means all addresses, such as ``0.0.0.0``,

@@ -21,7 +21,7 @@ from ...options.text import build_parameters
 from ...values.refusal import shown
 from .schema import FileProblems, Section
 
-Kind = TypeVar("Kind", bound="OptionSection")
+SectionKind = TypeVar("SectionKind", bound="OptionSection")
 Parameters = TypeVar("Parameters")
 
 
@@ -84,7 +84,7 @@ def build(kind: type[Any], options: Mapping[str, Any]) -> None:
 
 def with_options_of(
     *kinds: type[Any], role: str = "", without: Iterable[str] = ()
-) -> Callable[[type[Kind]], type[Kind]]:
+) -> Callable[[type[SectionKind]], type[SectionKind]]:
     """Class decorator that adds a key to a file section for each option of the parameter classes.
 
     A key that the section has already stays as it is. The decorator returns a new subclass of the same name.
@@ -95,7 +95,7 @@ def with_options_of(
         without: names of options that have no effect here, and so are no keys.
     """
 
-    def extended(section: type[Kind]) -> type[Kind]:
+    def extended(section: type[SectionKind]) -> type[SectionKind]:
         keys: dict[str, Any] = {}  # pairs of type and default, as pydantic takes them
         for option in Offer.of(*kinds, role=role).options.values():
             if option.name not in without and option.name not in section.model_fields:

@@ -33,7 +33,7 @@ from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
 from ...values.counts import counted
 from ...values.refusal import shown
-from .lines import Path
+from .lines import KeyPath
 from .schema import NO_LIST, NO_TABLE, FileProblems, Section, faults_in
 
 Result = TypeVar("Result")
@@ -244,7 +244,7 @@ STAND_IN: Final = "0"
 class WholeSection(Section):
     """Base of file sections that report all errors at once: of single keys, and of keys that do not go together."""
 
-    def faults(self) -> Iterator[tuple[Path, str]]:
+    def faults(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of keys of this section that do not go together, each as path and sentence.
 
         Called when each key by itself is valid, or has been replaced by a valid value. Subclasses override it; here it
@@ -267,8 +267,8 @@ class WholeSection(Section):
 
     @classmethod
     def _further(
-        cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[Path, str]]
-    ) -> Iterator[tuple[Path, str]]:
+        cls, data: Any, handler: ModelWrapValidatorHandler[Any], found: Sequence[tuple[KeyPath, str]]
+    ) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of keys that do not go together, although other keys of the section are invalid.
 
         For this check the invalid keys, whose paths are in ``found``, are left out or replaced by valid values
@@ -606,11 +606,11 @@ class PointSection(WholeSection):
         """Return the names of the key ``enumeration`` as text, ``off (0), auto (1)``; empty if the point has none."""
         return self.described.choices()
 
-    def faults(self) -> Iterator[tuple[Path, str]]:
+    def faults(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of keys of this point that do not go together, each as path and sentence."""
         return self._computed_faults() if self.formula else self._stored_faults()
 
-    def _computed_faults(self) -> Iterator[tuple[Path, str]]:
+    def _computed_faults(self) -> Iterator[tuple[KeyPath, str]]:
         for key in _OF_A_READ:
             if key in self.model_fields_set:
                 yield (key,), f"{shown(self.name)} is computed and has no {key}"
@@ -620,7 +620,7 @@ class PointSection(WholeSection):
             yield ("formula",), error.message
         yield from self._valid_faults()
 
-    def _stored_faults(self) -> Iterator[tuple[Path, str]]:
+    def _stored_faults(self) -> Iterator[tuple[KeyPath, str]]:
         if not self.address:
             yield ("address",), "is missing"
             return
@@ -643,7 +643,7 @@ class PointSection(WholeSection):
             except InvalidRequest as error:
                 yield ("value",), error.message
 
-    def _bit_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
+    def _bit_faults(self, place: Address) -> Iterator[tuple[KeyPath, str]]:
         if self.type is not None:
             yield ("type",), f"{place} is one bit and has no type"
         if self._bits[1] >= 0:
@@ -652,7 +652,7 @@ class PointSection(WholeSection):
             if key in self.model_fields_set and getattr(self, key) != type(self).model_fields[key].default:
                 yield (key,), f"{place} is one bit and has no {key}"
 
-    def _register_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
+    def _register_faults(self, place: Address) -> Iterator[tuple[KeyPath, str]]:
         try:
             plain = value_type(self.type or "uint16")
         except InvalidRequest as error:
@@ -680,7 +680,7 @@ class PointSection(WholeSection):
                 if getattr(self, key) != type(self).model_fields[key].default:
                     yield (key,), f"{form.name} is no number and has no {key}"
 
-    def _access_faults(self, place: Address) -> Iterator[tuple[Path, str]]:
+    def _access_faults(self, place: Address) -> Iterator[tuple[KeyPath, str]]:
         if self.access == "read-write" and not self.table.is_writable:
             yield ("access",), f"Modbus cannot write {self.table.label}s"
         if self.access == "read" and (place.bit is not None or self._bits[1] >= 0):
@@ -688,7 +688,7 @@ class PointSection(WholeSection):
         if self.write is not None and not self.is_writable:
             yield ("write",), f"{shown(self.name)} is only read"
 
-    def _number_faults(self) -> Iterator[tuple[Path, str]]:
+    def _number_faults(self) -> Iterator[tuple[KeyPath, str]]:
         for key in ("minimum", "maximum"):
             if getattr(self, key) is not None and not self.is_number:
                 yield (key,), f"{shown(self.name)} holds no number and has no {key}"
@@ -705,7 +705,7 @@ class PointSection(WholeSection):
         elif self.invalid:
             yield ("invalid",), f"{shown(self.name)} holds no number and has no invalid ones"
 
-    def _valid_faults(self) -> Iterator[tuple[Path, str]]:
+    def _valid_faults(self) -> Iterator[tuple[KeyPath, str]]:
         if self.valid is not None and not self.valid[0] <= self.valid[1]:
             yield ("valid",), f"must be [low, high], not {shown(self.valid)}"
         if self.valid is not None and not self.is_computed and not self.is_number:
@@ -718,7 +718,7 @@ class PointSection(WholeSection):
             if any(other.kind == each.kind for other in self.alarm[:index]):
                 yield ("alarm", index, "kind"), f"{each.kind} is there already"
 
-    def _state_faults(self, index: int, alarm: AlarmSection) -> Iterator[tuple[Path, str]]:
+    def _state_faults(self, index: int, alarm: AlarmSection) -> Iterator[tuple[KeyPath, str]]:
         is_bit = not self.is_computed and self.form is None
         there = ["true", "false"] if is_bit else [*self.enumeration, *self.flags]
         if not there:
@@ -731,7 +731,7 @@ class PointSection(WholeSection):
                     f"there is no state {shown(each)}; there are {', '.join(there)}",
                 )
 
-    def _name_faults(self) -> Iterator[tuple[Path, str]]:
+    def _name_faults(self) -> Iterator[tuple[KeyPath, str]]:
         if self.flags and (not self.is_whole or self.conversion.changes or self.scale_from):
             yield ("flags",), "names of bits go with whole numbers without a scale"
         if self.flags and self.enumeration:

@@ -14,7 +14,7 @@ from ...access.rules import RATES, AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...options.declaration import Name
 from ...values.refusal import shown
-from .lines import Path
+from .lines import KeyPath
 from .schema import NO_LIST, FileProblems, Section, parse_file
 
 
@@ -37,7 +37,9 @@ def _as_texts(value: object) -> object:
 MOST_RULES: Final = 100_000
 """Most rules of a policy. Reading so many takes some ten seconds, in a thread beside the program's others."""
 
-Numbers = Annotated[list[int | str], BeforeValidator(_as_numbers, json_schema_input_type=int | str | list[int | str])]
+NumbersField = Annotated[
+    list[int | str], BeforeValidator(_as_numbers, json_schema_input_type=int | str | list[int | str])
+]
 Texts = Annotated[list[str], BeforeValidator(_as_texts, json_schema_input_type=str | list[str])]
 ActionWord = Literal["allow", "deny", "read-only"]
 Hosts = Annotated[list[str], 'addresses and networks that may connect: `"10.0.0.7"`, `"10.0.0.0/8"`, `"fe80::/64"`.']
@@ -99,12 +101,12 @@ class RuleSection(Section):
         '`["tls://"]`; None: anywhere.',
     ] = None
     units: Annotated[
-        Numbers | None,
+        NumbersField | None,
         'units asked, `"1-5,7"`, and all that their device is listed as; None: all. A sole device answers to 0 and 255',
         "too.",
     ] = None
     functions: Annotated[
-        Numbers | None,
+        NumbersField | None,
         'codes, `"8/1"` (sub-function), names, and the groups `read` (1–4, 20, 24), `write` (5, 6, 15, 16, 21–23),',
         "`diagnostics` (7, 8, 11, 12, 17); None: all.",
     ] = None
@@ -112,11 +114,11 @@ class RuleSection(Section):
         Texts | None, "items of a table: `holding`, `input`, `coil`, `discrete`, or a list; None: see `addresses`."
     ] = None
     addresses: Annotated[
-        Numbers | None,
+        NumbersField | None,
         'items, `"4x101-4x110"`, `"holding:100-109"`, `"%MW100-%MW109"`; with a `table` also offsets `"100-109"`;',
         "None: all of the table, or any.",
     ] = None
-    files: Annotated[Numbers | None, 'records of functions 20 and 21, by number of the file, `"1-4"`.'] = None
+    files: Annotated[NumbersField | None, 'records of functions 20 and 21, by number of the file, `"1-4"`.'] = None
     access: Annotated[
         Literal["read", "write", "any"],
         "reads or writes of items; a request that touches none is a write if read-only denies it.",
@@ -130,7 +132,7 @@ class RuleSection(Section):
         try:
             self.rule()
         except ConfigError as error:
-            path: Path = (error.key,) if error.key else ()
+            path: KeyPath = (error.key,) if error.key else ()
             raise FileProblems([(path, error.message)]) from None
         return self
 
@@ -167,7 +169,7 @@ class PolicySection(Section):
 
     @model_validator(mode="after")
     def _check(self) -> "PolicySection":
-        faults: list[tuple[Path, str]] = []
+        faults: list[tuple[KeyPath, str]] = []
         try:
             self.addresses()
         except ConfigError as error:

@@ -28,7 +28,7 @@ from ...errors import ConfigError
 from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_of
 from ...values.refusal import shown
 from .file_error import FileError
-from .lines import Path, key_lines, line_of
+from .lines import KeyPath, key_lines, line_of
 
 
 def _describe(schema: dict[str, Any], section: "type[Section]") -> None:  # what JSON has
@@ -141,9 +141,9 @@ class FileProblems(ValueError):
         faults: path in the section, and sentence, of each problem.
     """
 
-    def __init__(self, faults: Sequence[tuple[Path, str]]) -> None:
+    def __init__(self, faults: Sequence[tuple[KeyPath, str]]) -> None:
         super().__init__("; ".join(sentence for _, sentence in faults))
-        self.faults: tuple[tuple[Path, str], ...] = tuple(faults)
+        self.faults: tuple[tuple[KeyPath, str], ...] = tuple(faults)
 
 
 File = TypeVar("File", bound=Section)
@@ -161,9 +161,9 @@ class Source:
 
     name: str
     data: Mapping[str, Any]  # what TOML has: any of its types
-    lines: Mapping[Path, int]
+    lines: Mapping[KeyPath, int]
 
-    def problem(self, path: Path, sentence: str) -> ConfigError:
+    def problem(self, path: KeyPath, sentence: str) -> ConfigError:
         """Return an error about a path of the file, with file name, line and key; it is not raised here.
 
         If the file does not have the path, the line is that of the nearest key or table around it; 1 if there is none.
@@ -296,19 +296,19 @@ def read_section(schema: type[File], data: object) -> File:
         raise FileProblems(faults_in(error, schema)) from None
 
 
-def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[Path, str]]:
+def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[KeyPath, str]]:
     """Return the problems in an error of pydantic: path in the section, and sentence, of each."""
     return [fault for each in error.errors() for fault in faults_of(each, schema)]
 
 
-def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
+def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[KeyPath, str]]:
     """Yield the problems in one error of pydantic: path in the section, and sentence, of each.
 
     Args:
         error: an entry of ``ValidationError.errors()``, hence Any.
         schema: the class of the section.
     """
-    path: Path = tuple(error["loc"])
+    path: KeyPath = tuple(error["loc"])
     raised = error.get("ctx", {}).get("error")
     if isinstance(raised, FileProblems):
         for inner, sentence in raised.faults:
@@ -317,7 +317,7 @@ def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[Path, str]]:
         yield path, _sentence(error, schema, path)
 
 
-def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
+def _standing(path: KeyPath, lines: Mapping[KeyPath, int]) -> KeyPath:
     """Return the path under which the file has a value, for a path of the checked data.
 
     A key that takes one value or a list has an index in the path, but not in the file if one value is written there.
@@ -328,7 +328,7 @@ def _standing(path: Path, lines: Mapping[Path, int]) -> Path:
     return next((each for each in shorter if each in lines and isinstance(path[-1], int)), path)
 
 
-def _written(path: Path) -> str | None:
+def _written(path: KeyPath) -> str | None:
     """Return the path of a key as text: ``unit[0].point[3].type``; None for an empty path."""
     text = ""
     for each in path:
@@ -353,7 +353,7 @@ _WORDS = {
 }
 
 
-def _sentence(error: Any, schema: type[Section], path: Path) -> str:
+def _sentence(error: Any, schema: type[Section], path: KeyPath) -> str:
     kind, details = error["type"], error.get("ctx", {})
     got = f", not {shown(error['input'])}"
     if kind == "extra_forbidden":
@@ -387,7 +387,7 @@ def _unknown_key(key: str, section: type[Section] | None) -> str:
     return f"unknown key; {only} {', '.join(known)}"
 
 
-def _section_at(schema: type[Section], path: Path) -> type[Section] | None:
+def _section_at(schema: type[Section], path: KeyPath) -> type[Section] | None:
     """Return the schema class of the table at a path; None if a key of the path is unknown or has no schema class."""
     for key in path:
         if isinstance(key, int):

@@ -32,7 +32,7 @@ from ...values.refusal import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import OF_GROUP, GroupSection, UnitSection, Whole
 from .fault_sections import FaultSection
-from .lines import Path
+from .lines import KeyPath
 from .points import PointSection, checked, resolved
 from .schema import NO_LIST, NO_TABLE, Section, json_schema, keys_of
 from .system import DEFAULT_LISTEN, SystemFile
@@ -82,7 +82,7 @@ class SimulatedPointSection(PointSection):
         DeclaredBehaviour | None, "what makes the value of a number or a single bit change; None: it is written alone."
     ] = None
 
-    def faults(self) -> Iterator[tuple[Path, str]]:
+    def faults(self) -> Iterator[tuple[KeyPath, str]]:
         """Yield the errors of keys of this point that do not go together, each as path and sentence.
 
         If the keys of the point itself have no errors, those of its behaviour are yielded.
@@ -112,7 +112,7 @@ class SimulatedPointSection(PointSection):
         }
         return moved.model_copy(update={"behaviour": moved.behaviour.model_copy(update=changes)}) if changes else moved
 
-    def _behaviour_faults(self) -> Iterator[tuple[Path, str]]:
+    def _behaviour_faults(self) -> Iterator[tuple[KeyPath, str]]:
         if self.behaviour is None:
             return
         if self.is_computed:
@@ -216,7 +216,7 @@ class SimulationFile(SystemFile, ParameterKeys):
     fault: Annotated[list[FaultSection], "faults that its devices have."] = NO_LIST
     unit: Annotated[Sequence[SimulatedUnitSection], "the devices."] = NO_LIST
 
-    def places(self) -> list[tuple[Path, str]]:
+    def places(self) -> list[tuple[KeyPath, str]]:
         """Return the URLs to listen on, each with its path in the file.
 
         If the file names none, the only one is the default URL `DEFAULT_LISTEN`; a file that has neither units nor
@@ -224,7 +224,7 @@ class SimulationFile(SystemFile, ParameterKeys):
         """
         return super().places() or ([(("include",), DEFAULT_LISTEN)] if self.include else [])
 
-    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+    def _whole_faults(self) -> Iterator[tuple[KeyPath, str]]:
         missing = [(("unit",), "is missing")] if not self.unit and not self.include else []
         yield from missing
         yield from (each for each in super()._whole_faults() if each != (("unit",), "is missing"))

@@ -22,7 +22,7 @@ from ...options.offer import LINKS
 from ...options.service import AuditParameters, ControlParameters, MetricsParameters
 from ...options.tls import TlsParameters
 from .device import DeviceFile, LinkPresetWord, UnitSection
-from .lines import Path
+from .lines import KeyPath
 from .listeners import ListenerSection, Url, clashes
 from .options import OptionSection, with_options_of
 from .policy import ActionWord, PolicySection
@@ -131,13 +131,13 @@ class SystemFile(DeviceFile):
         """The options of the control socket; those that the file leaves out have their defaults."""
         return self.control.built(ControlParameters)
 
-    def places(self) -> list[tuple[Path, str]]:
+    def places(self) -> list[tuple[KeyPath, str]]:
         """Return the URLs to listen on, each with its path in the file: first those of ``listen``, then ``listener``.
 
         If there are none, the only one is the default URL `DEFAULT_LISTEN` for a file with units; a file without units
         then has none.
         """
-        given: list[tuple[Path, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
+        given: list[tuple[KeyPath, str]] = [(("listen", index), url) for index, url in enumerate(self.listen)]
         given += [(("listener", index, "url"), each.url) for index, each in enumerate(self.listener)]
         return given or ([(("unit",), DEFAULT_LISTEN)] if self.unit else [])
 
@@ -148,14 +148,14 @@ class SystemFile(DeviceFile):
             raise FileProblems(faults)
         return self
 
-    def _whole_faults(self) -> Iterator[tuple[Path, str]]:
+    def _whole_faults(self) -> Iterator[tuple[KeyPath, str]]:
         if not self.unit and (self.places() or not self.link):
             yield ("unit",), "is missing"
         yield from clashes(self.places())
         yield from twice("link", [each.name for each in self.link])
 
 
-def twice(key: str, names: list[str]) -> Iterator[tuple[Path, str]]:
+def twice(key: str, names: list[str]) -> Iterator[tuple[KeyPath, str]]:
     """Yield an error, as path and sentence, for each section that has the same name as an earlier one.
 
     Args:

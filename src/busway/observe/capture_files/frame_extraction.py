@@ -22,7 +22,7 @@ from typing import Final
 from ...framing.character_times import SerialTiming
 from ...framing.frame_direction import LineRole
 from ...framing.mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH, FrameKind, MbapFrame, MbapReceiver, encode_mbap
-from ...framing.received import Damaged, Direction, Received, SerialFrame, SerialReceiver
+from ...framing.received import Damaged, Direction, FrameOrDamage, SerialFrame, SerialReceiver
 from ...pdu.functions import STANDARD
 from ...session.line_framing import line_framing
 from ...values.counts import counted
@@ -113,7 +113,7 @@ class CapturedFrame:
     unit: int
     pdu: bytes
     transaction: int | None = None
-    received: Received | None = None
+    received: FrameOrDamage | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +137,7 @@ class FaultyBytes:
     fault: TrafficFault
     text: str
     raw: bytes = b""
-    received: Received | None = None
+    received: FrameOrDamage | None = None
 
 
 class ChannelEnding(Enum):
@@ -562,10 +562,10 @@ class _LineChannel:
         """Return the last events of the line: bytes that still waited for a silence, as frames or as damaged bytes."""
         return self._events(self._receiver.flush(self._now))
 
-    def _events(self, received: list[Received]) -> list[TrafficEvent]:
+    def _events(self, received: list[FrameOrDamage]) -> list[TrafficEvent]:
         return [self._event(each) for each in received]
 
-    def _event(self, found: Received) -> TrafficEvent:
+    def _event(self, found: FrameOrDamage) -> TrafficEvent:
         if isinstance(found, Damaged):
             text = f"{found.size} damaged bytes: {found.reason.value}"
             unknown = Direction.UNKNOWN

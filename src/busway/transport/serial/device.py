@@ -13,7 +13,7 @@ from .driver_counters import DriverCounters, read_counters
 from .emission import CharacterClock, characters_held
 from .ioctl import Ioctl, system_ioctl
 from .lock import admit_others, refuse_others
-from .marks import MarkDecoder, Received, switch_marks_on
+from .marks import MarkDecoder, UnmarkedBytes, switch_marks_on
 from .rs485 import DriverDirection, set_rts, settle_direction
 
 if TYPE_CHECKING:
@@ -86,9 +86,9 @@ class OpenDevice:
             switch_marks_on(descriptor)
             self._marks = MarkDecoder()
 
-    def unmarked(self, data: bytes) -> Received:
+    def unmarked(self, data: bytes) -> UnmarkedBytes:
         """Return received bytes without the system's damage marks, and how many of the bytes were damaged."""
-        return self._marks.feed(data) if self._marks is not None else Received(data, 0)
+        return self._marks.feed(data) if self._marks is not None else UnmarkedBytes(data, 0)
 
     def held(self) -> int:
         """Return how many written characters are still in the port, as its driver tells; 0 without a descriptor.

@@ -23,7 +23,7 @@ class _Within(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Received:
+class UnmarkedBytes:
     """Received bytes without the system's damage marks (``data``), and how many of them are damaged (``errors``)."""
 
     data: bytes
@@ -38,13 +38,13 @@ class MarkDecoder:
     def __init__(self) -> None:
         self._within = _Within.DATA
 
-    def feed(self, stream: bytes) -> Received:
+    def feed(self, stream: bytes) -> UnmarkedBytes:
         """Return the received bytes ``stream`` without damage marks, and how many of them are damaged.
 
         The beginning of a mark at the end of ``stream`` is kept for the next call, so the result can be empty.
         """
         if self._within is _Within.DATA and MARK not in stream:
-            return Received(stream, 0)
+            return UnmarkedBytes(stream, 0)
         data = bytearray()
         errors = 0
         within = self._within
@@ -68,7 +68,7 @@ class MarkDecoder:
                 errors += 1
                 within = _Within.DATA
         self._within = within
-        return Received(bytes(data), errors)
+        return UnmarkedBytes(bytes(data), errors)
 
 
 def switch_marks_on(descriptor: int) -> None:

@@ -5,7 +5,7 @@ from dataclasses import replace
 
 from busway.apps.collector.alarms.book import AlarmBook
 from busway.apps.collector.alarms.events import AlarmEventKind, AlarmState
-from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, Value
+from busway.apps.collector.samples import PointGroup, Reason, SampleBatch, SampleValue
 from busway.codes import Table
 from busway.points.point import Point
 from busway.points.point_rules import AlarmRule
@@ -23,7 +23,7 @@ def book_of(points: Sequence[Point] = POINTS) -> AlarmBook:
 
 
 def told(
-    book: AlarmBook, current: Value | None, at: float = 0.0, group: PointGroup = GROUP, reason: int = 0
+    book: AlarmBook, current: SampleValue | None, at: float = 0.0, group: PointGroup = GROUP, reason: int = 0
 ) -> list[str]:
     values = [None] * (len(group.points) - 1) + [current]
     reasons = [int(Reason.TIMEOUT)] * (len(group.points) - 1) + [reason]

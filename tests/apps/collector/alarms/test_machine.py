@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind, AlarmState, alarms_after
 from busway.apps.collector.alarms.machine import AlarmMachine
-from busway.apps.collector.samples import Reason, Value
+from busway.apps.collector.samples import Reason, SampleValue
 from busway.points.point_rules import AlarmRule
 
 SECOND = 1_000_000_000
@@ -140,7 +140,7 @@ def machine_of(
     return AlarmMachine("boiler", "temperature", AlarmRule(kind, limit, delay, hysteresis, True), "°C")
 
 
-def feed(machine: AlarmMachine, at: float, value: Value | None, reason: int = 0) -> AlarmEventKind | None:
+def feed(machine: AlarmMachine, at: float, value: SampleValue | None, reason: int = 0) -> AlarmEventKind | None:
     event = machine.take(value, reason, int(at * SECOND), at)
     return None if event is None else event.kind
 

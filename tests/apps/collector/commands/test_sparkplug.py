@@ -9,7 +9,7 @@ from waiting import until
 from busway.apps.collector.commands.inputs import InputMessage, InputRights
 from busway.apps.collector.commands.message_tasks import MOST_AT_ONCE, MOST_WAITING
 from busway.apps.collector.commands.sparkplug import PLACE, SparkplugCommands
-from busway.apps.collector.samples import Value
+from busway.apps.collector.samples import SampleValue
 from busway.apps.collector.sinks.sparkplug import SparkplugCommand, SparkplugSink, _Device
 from busway.apps.collector.sinks.sparkplug_payload import DataType, Metric, decode_command, encode_payload
 
@@ -29,7 +29,9 @@ NOW = 1_800_000_000.0
         (DataType.DOUBLE, None),
     ],
 )
-def test_a_command_says_a_value_by_the_type_of_the_message_or_of_the_birth(kind: DataType, value: Value | None) -> None:
+def test_a_command_says_a_value_by_the_type_of_the_message_or_of_the_birth(
+    kind: DataType, value: SampleValue | None
+) -> None:
     content = encode_payload([Metric("a/b", 5 * 10**9, kind, value)], 7 * 10**9, None)
     command = decode_command(content)
     assert (command.time, command.values) == (7000, (("a/b", value),))

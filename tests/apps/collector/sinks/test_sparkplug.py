@@ -16,7 +16,7 @@ from sparkplug_host import SparkplugHost
 from waiting import until
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
-from busway.apps.collector.samples import PointDescription, PointGroup, Reason, Value
+from busway.apps.collector.samples import PointDescription, PointGroup, Reason, SampleValue
 from busway.apps.collector.sinks import sparkplug
 from busway.apps.collector.sinks.delivery import DeliveryOptions
 from busway.apps.collector.sinks.interface import SinkDown, SinkRefused
@@ -48,17 +48,17 @@ class Plant:
             await made.close()
 
     def sample(
-        self, point: str, value: Value | None, reason: int = 0, *, seconds: float | None = None
+        self, point: str, value: SampleValue | None, reason: int = 0, *, seconds: float | None = None
     ) -> CommittedSample:
         """A sample of the device ``pump``, one second after the last."""
         self.seconds += 1
         time = at(self.seconds if seconds is None else seconds)
         return CommittedSample(self.seconds, "pump", point, time, 0, value, reason)
 
-    def shown(self) -> dict[str, tuple[Value | None, int]]:
+    def shown(self) -> dict[str, tuple[SampleValue | None, int]]:
         return {name: (each.value, each.quality) for name, each in self.host.current.get("pump", {}).items()}
 
-    def data(self, point: str) -> list[tuple[Value | None, int]]:
+    def data(self, point: str) -> list[tuple[SampleValue | None, int]]:
         return [(each.value, each.kind) for _, _, each in self.host.data if each.name == point]
 
     def ask(self) -> None:
@@ -156,7 +156,7 @@ async def test_births_show_what_is_bad_as_bad(plant: Plant) -> None:
     ],
 )
 async def test_values_of_many_types_in_one_batch_are_what_they_were(
-    plant: Plant, values: tuple[Value | None, ...]
+    plant: Plant, values: tuple[SampleValue | None, ...]
 ) -> None:
     async with plant.sink() as sink:
         await sink.open()

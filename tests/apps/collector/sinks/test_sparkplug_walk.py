@@ -26,8 +26,8 @@ from busway.apps.collector.samples import (
     Quality,
     Reason,
     SampleBatch,
+    SampleValue,
     StateInterval,
-    Value,
     reason_text,
 )
 from busway.apps.collector.sinks import sparkplug
@@ -112,8 +112,8 @@ class SparkplugWalk:
 
     # Deeds.
 
-    def value(self, point: str) -> Value:
-        choices: dict[str, tuple[Value, ...]] = {
+    def value(self, point: str) -> SampleValue:
+        choices: dict[str, tuple[SampleValue, ...]] = {
             "count": (1, -7, 2**60 + 1, 2**63 + 5, 0),
             "level": (230.5, -0.1, 7),
             "run": (True, False),

@@ -20,7 +20,7 @@ from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.folder import StoreLock
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
-from busway.apps.collector.store.sealing import Step
+from busway.apps.collector.store.sealing import StepDone
 from busway.apps.collector.store.writer import StoreWriter
 from busway.errors import ConfigError
 
@@ -55,7 +55,7 @@ def at_call(number: int, act: Callable[[], None]) -> Iterator[list[int]]:
         sys.setprofile(None)
 
 
-def written_here(source: Path, points: Any, step: Step) -> list[tuple[Path, dict[str, Any]]]:
+def written_here(source: Path, points: Any, step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
     """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
     texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
     return list(sealed_part.write_parts(source, texts, os.getppid()))

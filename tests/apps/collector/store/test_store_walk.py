@@ -23,7 +23,7 @@ from busway.apps.collector.store.committed_samples import CommitReader, Committe
 from busway.apps.collector.store.manifest import StoredPoint
 from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
-from busway.apps.collector.store.sealing import Step
+from busway.apps.collector.store.sealing import StepDone
 from busway.apps.collector.store.writer import StoreWriter
 
 pytest.importorskip("pyarrow")
@@ -186,7 +186,7 @@ class Walk:
                 assert repr(by_key[commit, name, time]) == repr(value)
 
 
-def written_here(source: Path, points: Sequence[StoredPoint], step: Step) -> list[tuple[Path, dict[str, Any]]]:
+def written_here(source: Path, points: Sequence[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
     """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
     texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
     return list(sealed_part.write_parts(source, texts, os.getppid()))

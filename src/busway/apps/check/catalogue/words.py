@@ -5,7 +5,7 @@ Knows the classes of checks; contains no check.
 
 from typing import Final
 
-from ..check import Accepts, Check, Facet, Level, Step, Strength
+from ..check import Accepts, Check, CheckStep, Facet, Level, Strength
 
 MUST: Final = Strength.MUST
 SHOULD: Final = Strength.SHOULD
@@ -42,7 +42,7 @@ def check(
     id: str,
     clause: str,
     says: str,
-    *steps: Step,
+    *steps: CheckStep,
     strength: Strength = MUST,
     level: Level = Level.READ,
     facet: Facet | None = None,

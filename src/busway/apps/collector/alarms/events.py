@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import Final
 
 from ..point_names import PointKey
-from ..samples import Value
+from ..samples import SampleValue
 
 
 class AlarmEventKind(StrEnum):
@@ -97,7 +97,7 @@ class AlarmEvent:
     limit: str
     kind: AlarmEventKind
     at: int
-    value: Value | None = None
+    value: SampleValue | None = None
     by: str = ""
     needs_acknowledgement: bool = False
     text: str = ""
@@ -128,7 +128,7 @@ class RaisedAlarm:
     text: str
     state: AlarmState
     since: int
-    value: Value | None
+    value: SampleValue | None
     acknowledged_by: str | None = None
     acknowledged_at: int | None = None
     cleared_at: int | None = None

@@ -15,7 +15,7 @@ import math
 from dataclasses import replace
 
 from ....points.point_rules import AlarmRule
-from ..samples import NANOSECONDS, Quality, Value, quality_of
+from ..samples import NANOSECONDS, Quality, SampleValue, quality_of
 from .events import AlarmEvent, AlarmEventKind, AlarmState, RaisedAlarm, alarm_after
 
 
@@ -65,7 +65,7 @@ class AlarmMachine:
         if self.alarm is not None:
             self.alarm = replace(self.alarm, point=point)
 
-    def take(self, value: Value | None, reason: int, at: int, now: float) -> AlarmEvent | None:
+    def take(self, value: SampleValue | None, reason: int, at: int, now: float) -> AlarmEvent | None:
         """Change the state of the alarm by a sample of its point.
 
         A bad sample, a text or NaN changes nothing but ``reason``.
@@ -88,7 +88,7 @@ class AlarmMachine:
         self._beyond_since = None
         return self._tell(AlarmEventKind.CLEARED, at, value) if active else None
 
-    def _beyond(self, value: Value, at: int, now: float) -> AlarmEvent | None:
+    def _beyond(self, value: SampleValue, at: int, now: float) -> AlarmEvent | None:
         if self._beyond_since is None:
             self._beyond_since = now
         if round((now - self._beyond_since - self.rule.delay) * NANOSECONDS) < 0:
@@ -105,7 +105,7 @@ class AlarmMachine:
         """
         return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
 
-    def _tell(self, kind: AlarmEventKind, at: int, value: Value | None = None, by: str = "") -> AlarmEvent:
+    def _tell(self, kind: AlarmEventKind, at: int, value: SampleValue | None = None, by: str = "") -> AlarmEvent:
         rule = self.rule
         text = rule.text(self.unit_of_measure)
         needs = rule.acknowledge or self.state is AlarmState.CLEARED  # a person still has to, whatever the limit says

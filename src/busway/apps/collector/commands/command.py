@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from ....errors import InvalidRequest
 from ....values.refusal import shown
-from ..samples import Value
+from ..samples import SampleValue
 
 MADE: Final = "busway-"
 """Prefix of the keys that the collector makes itself; a key of a caller must not have it."""
@@ -30,7 +30,7 @@ LONGEST_VALUE: Final = 2000
 many characters at most.
 """
 
-CommandValue = Value | list[Value]
+CommandValue = SampleValue | list[SampleValue]
 """Value of a command: a state, a number, a text or the name of a number; or a list of numbers or of names of flags."""
 
 _KEY: Final = re.compile(r"[A-Za-z0-9._:@-]{1,100}")

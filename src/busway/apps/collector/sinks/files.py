@@ -25,7 +25,7 @@ from typing import Any, Final, TypeVar
 from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import FileFormat
-from ..samples import NANOSECONDS, Value, reason_text
+from ..samples import NANOSECONDS, SampleValue, reason_text
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from ..store.folder import UNFINISHED, is_cut_off, make_durably, sync_file, sync_folder
 from ..store.sealing import arrow
@@ -36,7 +36,7 @@ HEADER: Final = ("time", "device", "point", "value", "quality", "reason", "half_
 ALARM_HEADER: Final = ("time", "device", "point", "limit", "event", "value", "text", "by", "commit", "place")
 
 
-Written = TypeVar("Written", CommittedSample, CommittedAlarm)
+SampleOrAlarm = TypeVar("SampleOrAlarm", CommittedSample, CommittedAlarm)
 
 
 class FileSink:
@@ -96,7 +96,7 @@ class FileSink:
         """
         await self._write(self._write_alarms, alarms)
 
-    async def _write(self, write: Callable[[Sequence[Written]], None], what: Sequence[Written]) -> None:
+    async def _write(self, write: Callable[[Sequence[SampleOrAlarm]], None], what: Sequence[SampleOrAlarm]) -> None:
         try:
             await asyncio.to_thread(write, what)
         except OSError as error:
@@ -203,7 +203,7 @@ def _alarm_columns(alarms: Sequence[CommittedAlarm]) -> dict[str, Any]:  # colum
     }
 
 
-def _value_columns(values: Sequence[Value | None]) -> dict[str, Any]:  # columns of Arrow
+def _value_columns(values: Sequence[SampleValue | None]) -> dict[str, Any]:  # columns of Arrow
     pa = arrow()
     numbers = [None if each is None or isinstance(each, str) else float(each) for each in values]
     return {

@@ -17,7 +17,7 @@ from enum import Enum, auto
 from typing import Any, Final
 
 from ....points.point import Point
-from ..samples import Value
+from ..samples import SampleValue
 
 UNITS: Final[Mapping[str, tuple[str, ...]]] = {
     "apparent_power": ("VA",),
@@ -77,7 +77,7 @@ def kind_of(point: Point) -> EntityKind:
     return EntityKind.NUMBER if point.rollover is None else EntityKind.TOTAL
 
 
-def kind_of_value(value: Value | None) -> EntityKind | None:
+def kind_of_value(value: SampleValue | None) -> EntityKind | None:
     """Return the kind of a point by one of its values, for a point without description; None if there is no value."""
     if value is None:
         return None

@@ -29,7 +29,7 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ....extras import require
 from ....options.sinks import PostgresqlOptions
-from ..samples import Reason, Value
+from ..samples import Reason, SampleValue
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .hidden_secrets import HiddenSecrets
 from .interface import DeviceGap, SinkDown, SinkRefused
@@ -306,7 +306,7 @@ def _alarm_record(alarm: CommittedAlarm) -> tuple[Any, ...]:  # as asyncpg wants
     return *key, number, text, event.text, event.by, rest, alarm.commit, alarm.place
 
 
-def number_and_text(value: Value | None) -> tuple[float | None, str | None]:
+def number_and_text(value: SampleValue | None) -> tuple[float | None, str | None]:
     """Return a value for the columns ``value`` and ``text`` of the table.
 
     Returns:

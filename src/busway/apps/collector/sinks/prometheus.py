@@ -36,8 +36,8 @@ from ..samples import (
     Quality,
     Reason,
     SampleBatch,
+    SampleValue,
     StateInterval,
-    Value,
     mended_batch,
     mended_interval,
     quality_of,
@@ -184,13 +184,13 @@ class LastValues:
         with self._lock:
             return dict(self._intervals)
 
-    def last(self, device: str, point: str) -> tuple[Value | None, int, int] | None:
+    def last(self, device: str, point: str) -> tuple[SampleValue | None, int, int] | None:
         """Return value, number of the reason and time of the last sample of one point; None if there is no sample.
 
         The time is in nanoseconds since 1970 UTC. The reason, 0 for good, is the one to show now, which may differ from
         that of the sample (rules 3 to 5).
         """
-        found: tuple[Value | None, int, int] | None = None
+        found: tuple[SampleValue | None, int, int] | None = None
         with self._lock:
             for batch in self._batches.values():
                 if batch.device != device or not self._is_known(device, point):
@@ -201,7 +201,7 @@ class LastValues:
                     found = batch.values[index], self._reason(batch, point, reason), batch.time
         return found
 
-    def samples(self) -> Iterator[tuple[str, str, Value | None, int, int]]:
+    def samples(self) -> Iterator[tuple[str, str, SampleValue | None, int, int]]:
         """Yield device, point, value, number of the reason and time of the last sample of each point, ordered by name.
 
         Times are nanoseconds since 1970 UTC. The reason, 0 for good, is the one to show now, which may differ from that

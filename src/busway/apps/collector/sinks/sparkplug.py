@@ -40,7 +40,7 @@ from typing import Any, Final, Protocol, TypeVar
 from ....errors import ConfigError
 from ....extras import require
 from ....safe_files import write_whole
-from ..samples import Quality, Reason, Value, reason_text
+from ..samples import Quality, Reason, SampleValue, reason_text
 from ..store.committed_samples import CommittedAlarm, CommittedSample
 from .documents import alarm_document
 from .interface import SinkDown, SinkRefused
@@ -115,7 +115,7 @@ class _Device:
         self.behind.difference_update(points)
 
 
-def _wider(known: DataType | None, value: Value) -> DataType:
+def _wider(known: DataType | None, value: SampleValue) -> DataType:
     """Return the type of a metric that gets a new value; ``known`` is its type so far, None for a new metric.
 
     A metric of type DOUBLE or UINT64 keeps its type for an integer that this type holds exactly; else the type is that
@@ -142,7 +142,7 @@ class SparkplugCommand:
 
     device: str
     point: str
-    value: Value | None
+    value: SampleValue | None
     sent: float | None
     is_retained: bool
 
@@ -689,7 +689,7 @@ def _parts(samples: list[CommittedSample]) -> Iterator[list[CommittedSample]]:
     yield samples[begin:]
 
 
-def _kind_in_message(value: Value) -> DataType:
+def _kind_in_message(value: SampleValue) -> DataType:
     """Return the type of a value for `_parts`: an integer of less than `_MOST_EXACT` counts as DOUBLE, like floats."""
     kind = type_of(value)
     return DataType.DOUBLE if kind is DataType.INT64 and abs(int(value)) < _MOST_EXACT else kind
@@ -717,5 +717,5 @@ def _metric(sample: CommittedSample, kind: DataType, *, is_historical: bool = Fa
     return Metric(sample.point, sample.time, kind, _value(sample.value, kind), is_historical, tuple(properties))
 
 
-def _value(value: Value | None, kind: DataType) -> Value | None:
+def _value(value: SampleValue | None, kind: DataType) -> SampleValue | None:
     return float(value) if kind is DataType.DOUBLE and isinstance(value, int) else value

@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from ....extras import require
-from ..samples import NANOSECONDS, Value
+from ..samples import NANOSECONDS, SampleValue
 
 _MILLISECOND: Final = NANOSECONDS // 1000
 _OPTIONAL, _REPEATED = 1, 3
@@ -71,12 +71,12 @@ class Metric:
     name: str
     time: int
     kind: DataType
-    value: Value | None
+    value: SampleValue | None
     is_historical: bool = False
     properties: tuple[tuple[str, str | SparkplugQuality], ...] = ()
 
 
-def type_of(value: Value) -> DataType:
+def type_of(value: SampleValue) -> DataType:
     """Return the Sparkplug type of a metric with this value: BOOLEAN, INT64, UINT64, DOUBLE or STRING."""
     if isinstance(value, bool):
         return DataType.BOOLEAN
@@ -117,7 +117,7 @@ class CommandPayload:
     """
 
     time: int | None
-    values: tuple[tuple[str, Value | None], ...]
+    values: tuple[tuple[str, SampleValue | None], ...]
 
 
 def decode_command(content: bytes, kinds: Mapping[str, DataType] | None = None) -> CommandPayload:
@@ -140,11 +140,11 @@ def decode_command(content: bytes, kinds: Mapping[str, DataType] | None = None) 
     return CommandPayload(payload.timestamp or None, values)
 
 
-def _value_in(metric: Any, born: DataType | None) -> Value | None:  # a message of protobuf
+def _value_in(metric: Any, born: DataType | None) -> SampleValue | None:  # a message of protobuf
     which = metric.WhichOneof("value")
     if which is None or metric.is_null:
         return None
-    value: Value = getattr(metric, which)
+    value: SampleValue = getattr(metric, which)
     kind = metric.datatype or (int(born) if born is not None else 0)
     if which == "int_value" and kind in (DataType.INT8, DataType.INT16, DataType.INT32):
         return _signed(int(value), 32)

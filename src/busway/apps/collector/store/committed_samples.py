@@ -20,10 +20,10 @@ from typing import Any, Final, NamedTuple, TypeVar
 
 from ..alarms.events import AlarmEvent
 from ..sample_clock import EARLIEST
-from ..samples import Quality, Value, quality_of
+from ..samples import Quality, SampleValue, quality_of
 from .alarm_events import alarm_events, alarm_rows
 from .clock_correction import EVERY
-from .file_rows import Row
+from .file_rows import FileRow
 from .folder import SEGMENTS
 from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import open_part_facts, part_intervals
@@ -56,7 +56,7 @@ class CommittedSample(NamedTuple):
     point: str
     time: int
     half_width: int
-    value: Value | None
+    value: SampleValue | None
     reason: int
     unit_of_measure: str = ""
     revision: int = 0
@@ -263,7 +263,7 @@ class CommitReader:
             return None
         return CommitRange(max(numbers), self._samples([], intervals), self._committed_alarms(alarms))
 
-    def _segment_rows(self, part: StorePart, after: int, most: int) -> tuple[int, list[Row]]:
+    def _segment_rows(self, part: StorePart, after: int, most: int) -> tuple[int, list[FileRow]]:
         with closing(open_for_reading(self._folder / SEGMENTS / part.file)) as database:
             database.execute("BEGIN")
             last, total, low, high = after, 0, None, None
@@ -285,14 +285,14 @@ class CommitReader:
             ).fetchall()
             return last, rows
 
-    def _sealed_rows(self, parts: Sequence[StorePart], after: int, most: int) -> tuple[int, list[Row]]:
+    def _sealed_rows(self, parts: Sequence[StorePart], after: int, most: int) -> tuple[int, list[FileRow]]:
         final = max(part.last_commit or 0 for part in parts)
         first = max(min(part.first_commit or 0 for part in parts), after + 1)
         total = sum(part.rows or 0 for part in parts)
         whole = final + 1 - min(part.first_commit or 0 for part in parts)
         last = min(final, first + max(1, most * whole // max(1, total)) - 1)
         pc = arrow("compute")
-        rows: list[Row] = []
+        rows: list[FileRow] = []
         for part in parts:
             table = self._table(part)
             numbers = table["commit_number"]
@@ -320,9 +320,9 @@ class CommitReader:
         # The manifest last: a segment that is sealed meanwhile has moved its intervals there.
         return dict.fromkeys([*own, *self._manifest.intervals(after)])
 
-    def _samples(self, rows: list[Row], intervals: list[IntervalRow]) -> list[CommittedSample]:
+    def _samples(self, rows: list[FileRow], intervals: list[IntervalRow]) -> list[CommittedSample]:
         self._look_up_points(rows, intervals)
-        marks: list[Row] = [
+        marks: list[FileRow] = [
             (row.begin, point.id, None, row.reason, 0, row.commit_number)
             for row in intervals
             if row.device is not None and row.end is None
@@ -346,7 +346,7 @@ class CommitReader:
             )
         return samples
 
-    def _look_up_points(self, rows: list[Row], intervals: list[IntervalRow]) -> None:
+    def _look_up_points(self, rows: list[FileRow], intervals: list[IntervalRow]) -> None:
         described = self._manifest.descriptions
         if described == self._described and not intervals and all(row[1] in self._points for row in rows):
             return
@@ -363,5 +363,5 @@ class CommitReader:
         return point.point
 
 
-def _order(row: Row) -> tuple[int, int, int]:
+def _order(row: FileRow) -> tuple[int, int, int]:
     return row[5], row[0], row[1]

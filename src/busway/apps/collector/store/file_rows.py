@@ -9,7 +9,7 @@ from typing import Any
 
 from ..samples import Reason
 
-Row = tuple[int, int, Any, int, int, int]
+FileRow = tuple[int, int, Any, int, int, int]
 """A sample as stored: time (nanoseconds since 1970 UTC), id of the point, value as SQLite stores it (`stored_value`),
 number of the reason, half width (nanoseconds), commit number. A tuple, because it is fast.
 """
@@ -60,7 +60,7 @@ def number_of(value: Any) -> float | None:  # Any: what SQLite has
     return float(value) if isinstance(value, int | float) else None
 
 
-def sums_of_rows(rows: Sequence[Row], bucket: int) -> SumsByBucket:
+def sums_of_rows(rows: Sequence[FileRow], bucket: int) -> SumsByBucket:
     """Return count, total, minimum, maximum and worst reason of samples by time bucket and point.
 
     It is for samples that were merged from several files; `part_sums` reads the sums of one file.

@@ -16,7 +16,7 @@ from typing import Final
 
 from ....points.point_rules import ReportRule
 from ..alarms.events import AlarmEvent
-from ..samples import NANOSECONDS, CounterState, Gap, PointGroup, SampleBatch, StateInterval, Value
+from ..samples import NANOSECONDS, CounterState, Gap, PointGroup, SampleBatch, SampleValue, StateInterval
 
 StoreRules = Mapping[tuple[str, str], ReportRule]
 """By device and point, the report rules of the points of which not every sample is kept."""
@@ -36,7 +36,7 @@ class _Kept:
     """
 
     time: int
-    value: Value | None
+    value: SampleValue | None
     reason: int
 
 
@@ -151,7 +151,7 @@ class KeptSamples:
         device, time = batch.device, batch.time
         known, fresh = self._last.get(device, {}), choice.last.setdefault(device, {})
         places: list[int] = []
-        values: list[Value | None] | None = None
+        values: list[SampleValue | None] | None = None
         columns = zip(batch.points, batch.values, batch.reason_column(), rules, strict=True)
         for place, (point, value, reason, rule) in enumerate(columns):
             if rule is None:

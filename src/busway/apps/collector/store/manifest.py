@@ -25,7 +25,7 @@ from typing import Any, Final
 from ....errors import ConfigError
 from ..point_names import PointNames
 from ..sample_clock import ClockCorrection
-from ..samples import PointDescription, Value
+from ..samples import PointDescription, SampleValue
 from .clock_correction import EVERY, CommitCorrection
 from .database import open_database, transaction
 from .folder import MANIFEST, check_store
@@ -208,7 +208,7 @@ class ReportedSample:
     device: str
     point: str
     time: int
-    value: Value | None
+    value: SampleValue | None
     reason: int
 
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Final
 
 from ..samples import Reason
-from .file_rows import Row, Sums, SumsByBucket, number_of
+from .file_rows import FileRow, Sums, SumsByBucket, number_of
 from .folder import SEGMENTS
 from .manifest import IntervalRow, StorePart
 from .sealed_files import sealed_rows, sealed_sums
@@ -68,7 +68,7 @@ def part_intervals(folder: Path, part: StorePart) -> list[IntervalRow]:
         return []
 
 
-def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
+def part_rows(folder: Path, part: StorePart, ids: Sequence[int] | None, low: int, high: int) -> list[FileRow]:
     """Return the samples in one file of the store within a period, in no particular order.
 
     Args:

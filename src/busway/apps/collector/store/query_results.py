@@ -10,7 +10,7 @@ from importlib import import_module
 from typing import Any, Final
 
 from ....extras import require
-from ..samples import Gap, Quality, Sample, StateInterval, Value, quality_of, reason_text
+from ..samples import Gap, Quality, Sample, SampleValue, StateInterval, quality_of, reason_text
 
 EXACT: Final = 2**53
 """Every integer whose absolute value is at most this is exactly representable as float."""
@@ -76,7 +76,7 @@ class SampleTable(ColumnTable):
     point: list[str] = field(default_factory=list)
     time: list[int] = field(default_factory=list)
     half_width: list[int] = field(default_factory=list)
-    value: list[Value | None] = field(default_factory=list)
+    value: list[SampleValue | None] = field(default_factory=list)
     reason: list[int] = field(default_factory=list)
     intervals: list[StateInterval] = field(default_factory=list)
     gaps: list[Gap] = field(default_factory=list)
@@ -156,11 +156,11 @@ class BucketTable(ColumnTable):
         }
 
 
-def _number(value: Value | None) -> float | int | None:
+def _number(value: SampleValue | None) -> float | int | None:
     return None if value is None or isinstance(value, str) else value
 
 
-def _text(value: Value | None) -> str | None:
+def _text(value: SampleValue | None) -> str | None:
     if isinstance(value, int) and abs(value) > EXACT and int(float(value)) != value:
         return str(value)
     return value if isinstance(value, str) else None

@@ -25,14 +25,14 @@ from ....errors import InvalidRequest
 from ..alarms.events import AlarmEvent
 from ..samples import Gap, StateInterval
 from .alarm_events import alarm_events, alarm_rows
-from .file_rows import Row, Sums, SumsByBucket, add_sums, sums_of_rows
+from .file_rows import FileRow, Sums, SumsByBucket, add_sums, sums_of_rows
 from .folder import SEGMENTS, check_store
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
 from .parts import open_part_facts, part_intervals, part_rows, part_sums
 from .query_results import BucketTable, SampleTable
 from .sealed_files import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
 from .segment import sample_value
-from .selection import Moment, chosen_points, period, span
+from .selection import QueryTime, chosen_points, period, span
 
 MOST_SAMPLES: Final = 10_000_000
 """Most samples that one call of `Store.read` returns: some 2 GB."""
@@ -85,7 +85,7 @@ class Store:
 
     @overload
     def read(
-        self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
+        self, points: str | Sequence[str] = "*", *, since: QueryTime | None = None, until: QueryTime | None = None
     ) -> SampleTable: ...
 
     @overload
@@ -93,8 +93,8 @@ class Store:
         self,
         points: str | Sequence[str] = "*",
         *,
-        since: Moment | None = None,
-        until: Moment | None = None,
+        since: QueryTime | None = None,
+        until: QueryTime | None = None,
         bucket: str | float,
     ) -> BucketTable: ...
 
@@ -102,8 +102,8 @@ class Store:
         self,
         points: str | Sequence[str] = "*",
         *,
-        since: Moment | None = None,
-        until: Moment | None = None,
+        since: QueryTime | None = None,
+        until: QueryTime | None = None,
         bucket: str | float | None = None,
     ) -> SampleTable | BucketTable:
         """Return samples, or minimum, maximum and mean for each time bucket.
@@ -135,7 +135,7 @@ class Store:
         return whole
 
     def pieces(
-        self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
+        self, points: str | Sequence[str] = "*", *, since: QueryTime | None = None, until: QueryTime | None = None
     ) -> Iterator[SampleTable]:
         """Yield the samples that `read` returns in several tables of limited size, in the order of time.
 
@@ -157,7 +157,7 @@ class Store:
         yield _table(marks, by_id, intervals)
 
     def alarms(
-        self, points: str | Sequence[str] = "*", *, since: Moment | None = None, until: Moment | None = None
+        self, points: str | Sequence[str] = "*", *, since: QueryTime | None = None, until: QueryTime | None = None
     ) -> list[AlarmEvent]:
         """Return the alarm events of points, in the order in which they were stored.
 
@@ -174,7 +174,7 @@ class Store:
         return [each for each in events if low <= each.at < high and (each.device, each.point) in names]
 
     def _buckets(
-        self, points: str | Sequence[str], since: Moment | None, until: Moment | None, bucket: int
+        self, points: str | Sequence[str], since: QueryTime | None, until: QueryTime | None, bucket: int
     ) -> BucketTable:
         now = time.time_ns()
         low, high = period(since, until, now)
@@ -277,13 +277,13 @@ class Store:
     def _files(self, piece: TimePiece) -> list[Path]:
         return [self.folder / SEGMENTS / part.file for part in piece.parts]
 
-    def _merged(self, piece: TimePiece, ids: list[int] | None) -> list[Row]:
+    def _merged(self, piece: TimePiece, ids: list[int] | None) -> list[FileRow]:
         if piece.is_run:
             return sealed_rows(self._files(piece), ids, piece.low, piece.high)
         found = [part_rows(self.folder, part, ids, piece.low, piece.high) for part in piece.parts]
         if len(found) == 1:
             return found[0]
-        merged: dict[tuple[int, int], Row] = {}
+        merged: dict[tuple[int, int], FileRow] = {}
         for rows in found:
             for row in rows:
                 other = merged.get(row[:2])
@@ -388,7 +388,7 @@ def _share(part: StorePart, begin: int, end: int) -> float:
     return (part.rows or 0) * (end - begin) / ((part.high or 0) + 1 - (part.low or 0))
 
 
-def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[Row]:
+def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) -> list[FileRow]:
     """Return the samples without a value that stand for intervals and gaps in query results.
 
     There is one for each interval or gap and each point concerned, at the begin of the interval but not before ``low``
@@ -403,7 +403,7 @@ def _marks(intervals: list[IntervalRow], points: list[StoredPoint], low: int) ->
     return sorted(found, key=lambda row: row[:2])
 
 
-def _table(rows: Sequence[Row], points: dict[int, StoredPoint], intervals: list[IntervalRow]) -> SampleTable:
+def _table(rows: Sequence[FileRow], points: dict[int, StoredPoint], intervals: list[IntervalRow]) -> SampleTable:
     table = SampleTable()
     if rows:
         times, ids, values, reasons, widths, _ = (list(column) for column in zip(*rows, strict=True))

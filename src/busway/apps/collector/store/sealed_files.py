@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ..samples import Reason
-from .file_rows import Row, Sums, SumsByBucket, add_sums
+from .file_rows import FileRow, Sums, SumsByBucket, add_sums
 from .sealing import arrow
 
 FILES_AT_ONCE: Final = 256
@@ -55,7 +55,7 @@ def reads_many() -> bool:
         return False
 
 
-def sealed_rows(files: Sequence[Path], ids: Sequence[int] | None, low: int, high: int) -> list[Row]:
+def sealed_rows(files: Sequence[Path], ids: Sequence[int] | None, low: int, high: int) -> list[FileRow]:
     """Return the samples in sealed files within a period, in no particular order.
 
     Args:
@@ -150,8 +150,8 @@ def _table(file: Path, ids: Sequence[int] | None, low: int, high: int, columns: 
     return arrow("parquet").read_table(file, columns=columns, filters=wanted)
 
 
-def rows_of_table(table: Any) -> list[Row]:
-    """Convert a table read from a Parquet file to rows in the form in which a segment file has them (`Row`)."""
+def rows_of_table(table: Any) -> list[FileRow]:
+    """Convert a table read from a Parquet file to rows in the form in which a segment file has them (`FileRow`)."""
     if not table.num_rows:
         return []
     columns = {name: table[name] for name in _COLUMNS if name != "time"}

@@ -26,7 +26,7 @@ from .folder import SEGMENTS, UNFINISHED, sync_folder, unlink_part
 from .manifest import Manifest, StoredPoint, StorePart
 from .segment import intervals_of, open_for_reading
 
-Step = Callable[[str], None]
+StepDone = Callable[[str], None]
 """A function that is called with the name of each step when the step is done; tests end the process there."""
 
 _LONGEST: Final = 1800
@@ -55,7 +55,7 @@ def arrow(module: str = "") -> Any:  # pyarrow has no types of its own
     return import_module(f"pyarrow{'.' * bool(module)}{module}")
 
 
-def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[StorePart]:
+def seal(folder: Path, manifest: Manifest, part: StorePart, step: StepDone) -> list[StorePart]:
     """Turn a closed segment into Parquet files, list them in the manifest in its place, and delete the segment file.
 
     Args:
@@ -89,7 +89,7 @@ def seal(folder: Path, manifest: Manifest, part: StorePart, step: Step) -> list[
     return parts
 
 
-def _written(source: Path, points: list[StoredPoint], step: Step) -> list[tuple[Path, dict[str, Any]]]:
+def _written(source: Path, points: list[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
     """Let another process write the Parquet files of a segment file, and wait for its end.
 
     Returns:

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import Final
 
 from ..alarms.events import AlarmEvent
-from ..samples import CounterState, Gap, Quality, Reason, SampleBatch, StateInterval, Value, quality_of
+from ..samples import CounterState, Gap, Quality, Reason, SampleBatch, SampleValue, StateInterval, quality_of
 from .clock_correction import CommitCorrection, mend_segment
 from .database import open_database
 from .folder import size_of, sync_file
@@ -270,7 +270,7 @@ def stored_value(value: object) -> object:
     return value
 
 
-def sample_value(stored: int | float | str | bytes | None, reason: int, is_state: bool) -> Value | None:
+def sample_value(stored: int | float | str | bytes | None, reason: int, is_state: bool) -> SampleValue | None:
     """Convert a value as SQLite stores it to the value of the sample.
 
     Args:

@@ -14,14 +14,14 @@ from ....values.refusal import shown
 from ..samples import NANOSECONDS
 from .manifest import StoredPoint
 
-Moment = str | datetime | int
+QueryTime = str | datetime | int
 """A time: ``1h`` (an hour ago), ISO 8601 text, a `datetime`, or nanoseconds since 1970 UTC."""
 
 EVER: Final = 2**63 - 1
 """The last nanosecond that a store can name."""
 
 
-def period(since: Moment | None, until: Moment | None, now: int) -> tuple[int, int]:
+def period(since: QueryTime | None, until: QueryTime | None, now: int) -> tuple[int, int]:
     """Return begin and end of a period as nanoseconds since 1970 UTC; the end is excluded.
 
     Args:
@@ -38,7 +38,7 @@ def period(since: Moment | None, until: Moment | None, now: int) -> tuple[int, i
     return low, high
 
 
-def moment(given: Moment, now: int) -> int:
+def moment(given: QueryTime, now: int) -> int:
     """Convert a time given by a user to nanoseconds since 1970 UTC.
 
     Args:

@@ -34,7 +34,7 @@ from .folder import SEGMENTS, StoreLock, make_folder, sync_folder
 from .manifest import IntervalRow, Manifest, StorePart
 from .recovery import close_open_segments, close_segment, intervals_since_end
 from .retention import Retention, parts_to_drop
-from .sealing import Step, can_seal, remove_unfinished, remove_unlisted, seal
+from .sealing import StepDone, can_seal, remove_unfinished, remove_unlisted, seal
 from .segment import Segment, alarms_of, facts_of, intervals_of, open_for_reading
 
 EVER: Final = 2**63 - 1
@@ -119,7 +119,7 @@ class StoreWriter:
         *,
         now: int,
         clock_is_right: bool = True,
-        step: Step = no_step,
+        step: StepDone = no_step,
     ) -> None:
         """Open a store for writing, and create it if there is none.
 

@@ -1,6 +1,6 @@
 """Behaviour ``formula``: a value computed from other points and the time."""
 
-from ....points.expression import Bound
+from ....points.expression import BoundExpression
 
 
 class Formula:
@@ -16,8 +16,8 @@ class Formula:
 
     __slots__ = ("value",)
 
-    def __init__(self, compute: Bound) -> None:
-        self.value: Bound = compute
+    def __init__(self, compute: BoundExpression) -> None:
+        self.value: BoundExpression = compute
 
     def resume(self, time: float, value: float) -> None:
         """Do nothing: the value follows from other points and the time, not from an earlier value."""

@@ -10,7 +10,7 @@
 
 import math
 
-from ....points.expression import Bound
+from ....points.expression import BoundExpression
 
 
 class SteadyCounter:
@@ -59,7 +59,7 @@ class Counter:
 
     __slots__ = ("_begin", "_rate", "_rollover", "_seen", "_time", "_value")
 
-    def __init__(self, rate: Bound, rollover: float | None, start: float, begin: float = 0.0) -> None:
+    def __init__(self, rate: BoundExpression, rollover: float | None, start: float, begin: float = 0.0) -> None:
         self._rate = rate
         self._rollover = rollover
         self._begin = begin
@@ -144,7 +144,7 @@ class Lag:
 
     __slots__ = ("_seen", "_target", "_time", "_time_constant", "_value")
 
-    def __init__(self, target: Bound, time_constant: float, start: float) -> None:
+    def __init__(self, target: BoundExpression, time_constant: float, start: float) -> None:
         self._target = target
         self._time_constant = time_constant
         self._value = start
