@@ -20,8 +20,8 @@ from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.web.access import AccessToken, PageAccessRules, Role
 from busway.apps.web.collector_page import CollectorPage
+from busway.apps.web.request_guard import AccessToken, PageAccessRules, Role
 
 pytestmark = pytest.mark.real_time
 
