@@ -21,7 +21,7 @@ from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
 from ..session.server_transaction_slots import ServerTransactionSlots
-from ..transport.interfaces import interfaces_with
+from ..transport.network_interfaces import interfaces_with
 from .connection_pools import Pool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .listener_settings import ListenerSettings

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 from enum import Enum
 
 from ..session.diagnostic_counters import DiagnosticCounters
-from ..transport.interfaces import Interface
+from ..transport.network_interfaces import Interface
 from .connection_pools import Pool
 from .server_counters import ServerCounters
 from .status_indicators import StatusIndicators

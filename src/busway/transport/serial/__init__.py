@@ -11,8 +11,8 @@
 `ioctl`            All ioctl calls to the driver of a serial port, in one place so that a test can replace the driver
 `lock`             Lock of a serial port against other programs, and the name of the program that holds it
 `marks`            Removes the marks that the system puts before characters that arrived damaged (`PARMRK`)
-`opening`          Which serial ports this process has open, so that two users of one are refused
 `overruns`         Detects characters that a serial port has lost, by the counters of its driver
+`port_claims`      Claims of serial ports: which ones this process has open, so that a second user of one is refused
 `ports`            Finds serial ports by path, by name under `by-id`, or by USB identity
 `reopen`           Opens a serial port that may be missing for now, with pauses between the attempts
 `rs485`            Direction control of an RS-485 adapter: by the port's driver, or by the RTS signal
@@ -23,8 +23,8 @@ There are two ways to use a port: `connection` under asyncio, `blocking` without
 
 `serialx` opens the ports. It is imported when the first one is opened, so that programs without one do not wait for it.
 
-Where it is decided: which port is meant: `ports`. Whether a port is taken: `lock` by other programs, `opening` by this
-one. When a lost port is tried again: `reopen`. When the last character has left: `emission`. Who switches the
+Where it is decided: which port is meant: `ports`. Whether a port is taken: `lock` by other programs, `port_claims` by
+this one. When a lost port is tried again: `reopen`. When the last character has left: `emission`. Who switches the
 direction: `rs485`. Which characters are damaged or lost: `marks`, `overruns`.
 """
 
