@@ -3,7 +3,6 @@
 Sessions do no IO: the caller passes received bytes and the time (``now``), and gets bytes to send and events.
 
 ==========================  ============================================================================================
-`adaptive_timeout`          Timeout of a scan for units: as short as the replies so far allow without missing one
 `call`                      Calls of the application and their requests in flight over TCP: single, pipelined batches
 `client`                    The client's side of a TCP connection: sends requests of calls and matches replies to them
 `connection_life`           A client's connection: when to connect, what to report, what becomes of waiting calls
@@ -16,6 +15,7 @@ Sessions do no IO: the caller passes received bytes and the time (``now``), and 
 `reconnect`                 When a link connects again: the states of its connection, and the pauses between attempts
 `responder`                 The interface of responders, which answer the requests of a server
 `retries`                   What becomes of a link's calls from submission to outcome: queue, retries, deadlines
+`scan_timeout`              Timeout of a scan for units: as short as the replies so far allow without missing one
 `serial_client`             Master of a serial line: one transaction at a time, with turnaround, gaps and late replies
 `serial_server`             The server's side of a serial line: any number of units, which only answer requests
 `server`                    The server's side of one TCP connection: request bytes in, reply bytes out, without IO

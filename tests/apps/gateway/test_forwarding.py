@@ -308,12 +308,12 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     share_reads: bool,
     room: int,
     retries: int,
-    adaptive_timeout: float | None,
+    deadline: float | None,
     queue: int,
 ) -> None:
     options = {"max_transactions": room, "retries": retries, "queue": queue, "recycle_after_timeouts": 1000}
     plant = Plant(share_reads=share_reads, **options)
-    plant.listener.deadline = adaptive_timeout
+    plant.listener.deadline = deadline
     clients = [plant.client(f"10.0.0.{number}:500") for number in range(3)]
     asked: list[dict[int, bytes]] = [{}, {}, {}]
 
