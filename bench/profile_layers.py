@@ -91,7 +91,7 @@ def server_steps() -> dict[str, Step]:
     client = ClientIdentity()
     answer = RequestPipeline(DeviceResponder({1: scripts.device()})).fast_path(client).bind(1, 3)
     assert answer is not None
-    whole = b"".join(scripts.UNPLANNED)
+    whole = b"".join(scripts.UNPREPARED)
     places = [(at + 7, at + 12) for at in range(0, len(whole), 12)]
 
     def answers() -> None:
@@ -99,7 +99,7 @@ def server_steps() -> dict[str, Step]:
             answer(whole, start, end, client)
 
     def session(*first: bytes) -> TcpServerSession:
-        # A handler each: its connections share what they remember, and there is no more room once the plans are full.
+        # A handler each: its connections share what they remember, and there is no more room once these are full.
         own = DeviceResponder({1: scripts.device()})
         made = TcpServerSession(
             RequestPipeline(own),
@@ -118,7 +118,7 @@ def server_steps() -> dict[str, Step]:
 
     return {
         "server answer": answers,
-        "server session": partial(received, session(*scripts.ALL_PLANS), scripts.UNPLANNED),
+        "server session": partial(received, session(*scripts.ALL_PREPARED), scripts.UNPREPARED),
         "server planned session": partial(received, session(*scripts.READS), scripts.READS),
     }
 

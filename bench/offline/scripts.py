@@ -5,7 +5,7 @@ Each script is an asynchronous context manager on a `MemoryLoop` that gives its 
 
 1. A script uses busway as its users do, by `busway.serve`, `busway.open` and gateways, so that what is counted is what
    runs in earnest, drivers included.
-2. It is warm before it is counted: the first turns fill memos and plans.
+2. It is warm before it is counted: the first turns fill caches and prepared answers.
 """
 
 import asyncio
@@ -28,7 +28,7 @@ REGISTERS = 10
 Turn = Callable[[], Awaitable[None]]
 Script = Callable[[MemoryLoop], AbstractAsyncContextManager[Turn]]
 TCP = "tcp://127.0.0.1:0"
-PLANS = 4096
+MOST_PREPARED = 4096
 """So many reads are remembered for all connections together; those that come later take the fast path."""
 READ_AREA = 8000
 """Where reads are made that are not remembered."""
@@ -86,10 +86,10 @@ async def _asked(
 
 
 READS = in_batches([read(number, number % IN_FLIGHT * REGISTERS) for number in range(TRANSACTIONS)])
-UNPLANNED = in_batches([read(number, READ_AREA + number) for number in range(TRANSACTIONS)])
+UNPREPARED = in_batches([read(number, READ_AREA + number) for number in range(TRANSACTIONS)])
 WRITES = in_batches([write(number, number) for number in range(TRANSACTIONS)])
 SINGLE_WRITES = in_batches([write_single(number, number) for number in range(TRANSACTIONS)])
-ALL_PLANS = in_batches([read(number, number, 1) for number in range(PLANS)])
+ALL_PREPARED = in_batches([read(number, number, 1) for number in range(MOST_PREPARED)])
 
 
 def server_planned_read(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
@@ -99,12 +99,12 @@ def server_planned_read(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
 
 def server_fast_path(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     """Reads that are not remembered."""
-    return _asked(loop, busway.serve(TCP, units={1: device()}), UNPLANNED, *ALL_PLANS)
+    return _asked(loop, busway.serve(TCP, units={1: device()}), UNPREPARED, *ALL_PREPARED)
 
 
 def server_policy_window(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:
     """The same behind a policy."""
-    return _asked(loop, busway.serve(TCP, units={1: device()}, policy=policy()), UNPLANNED, *ALL_PLANS)
+    return _asked(loop, busway.serve(TCP, units={1: device()}, policy=policy()), UNPREPARED, *ALL_PREPARED)
 
 
 def server_short_write(loop: MemoryLoop) -> AbstractAsyncContextManager[Turn]:

@@ -1,4 +1,4 @@
-"""A policy around a handler: which path requests take, who shares plans, rates, late outcomes and what the log says."""
+"""A policy around a handler: paths of requests, shared prepared answers, rates, late outcomes, and the log."""
 
 import asyncio
 import json
@@ -415,7 +415,7 @@ def test_what_is_denied_of_a_unit_is_denied_by_every_name_of_its_device(device, 
         read = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 0, 2)
         write = struct.pack(">HHHBBHH", 1, 0, 6, unit, 6, 0, 99)
         elsewhere = struct.pack(">HHHBBHH", 1, 0, 6, unit, 3, 8, 1)
-        for adu in (read, read, write):  # the second time a plan would answer
+        for adu in (read, read, write):  # the second time a prepared answer would do
             assert ask(one, adu) == [bytes((adu[7] | 0x80, 1))]
         assert ask(one, elsewhere) == [bytes.fromhex("03 02 0008")]
     assert device.holding_registers[0] == 0

@@ -95,6 +95,27 @@ def test_a_users_function_is_a_write_unless_it_says_what_it_reads():
     assert allows(Policy.of(Rule.of(functions=100)), functions.decode_request(b"\x64\x00\x01"))
 
 
+def test_a_malformed_request_of_a_users_function_that_reads_and_writes_is_a_write():
+    """A gateway forwards it, so that a device could execute it."""
+
+    class Doubling(Request):
+        """68: reads a register that it names, and writes one that it does not."""
+
+        code = 0x44
+        is_write = True
+        reads = Touch(Table.HOLDING_REGISTERS, count=None)
+        address: int = u16()
+
+        class Reply(ReplyMessage):
+            value: int = u16()
+
+    functions = FunctionTable(Doubling)
+    whole, cut_off = functions.decode_request(b"\x44\x00\x05"), functions.decode_request(b"\x44\x00")
+    assert not allows(Policy.read_only(), whole)
+    assert not allows(Policy.read_only(), cut_off)
+    assert allows(Policy.allow_all(), cut_off)
+
+
 def test_a_range_that_straddles_rules_is_judged_part_by_part():
     policy = Policy.of(Rule.of(name="gap", action="deny", table="holding", addresses="100-109"), default="allow")
     assert decide(policy, READ).rule_name == "gap"

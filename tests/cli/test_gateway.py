@@ -199,7 +199,6 @@ def test_lists_of_who_may_connect_hold_at_every_listener() -> None:
             read_first(fourth, retries=0)
 
 
-@pytest.mark.clause("M6")
 @pytest.mark.real_time
 def test_the_audit_log_has_a_line_for_each_write_through_the_gateway(tmp_path: Path) -> None:
     log = tmp_path / "audit.jsonl"
@@ -351,7 +350,7 @@ def test_a_service_manager_is_told_of_start_reading_and_end(
             assert told() == "STOPPING=1\nSTATUS=0 requests to answer"
 
 
-@pytest.mark.clause("T26")
+@pytest.mark.clause("T34")
 @pytest.mark.real_time
 def test_status_shows_listeners_lines_and_units_that_are_not_asked() -> None:
     with short_directory() as folder, serial_line() as (line, _):

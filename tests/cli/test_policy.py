@@ -99,7 +99,7 @@ def file(tmp_path):
         ),
     ],
 )
-@pytest.mark.clause("T15")
+@pytest.mark.clause("T15", "M6")
 def test_a_request_is_judged_as_a_server_would(run, file, arguments, code, said):
     result = run("policy", "test", file, *arguments)
     assert (result.code, result.out) == (code, said)

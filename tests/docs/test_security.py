@@ -53,7 +53,6 @@ def test_every_key_of_a_rule_is_told(text: str) -> None:
     assert all(f"{key} = " in text or f"`{key}`" in text for key in PolicySection.model_fields if key != "rule")
 
 
-@pytest.mark.clause("T15")
 def test_every_key_of_a_line_is_told(text: str) -> None:
     context = RequestContext(unit=1, function=6, diagnostics=CommunicationState())
     context.judged = Judged("rule")

@@ -309,6 +309,38 @@ async def test_each_role_can_do_its_whole_work_and_a_collector_whose_rights_are_
         await until(lambda: all(d.reads > count for d, count in zip(devices, reads, strict=True)), 60)
 
 
+async def test_what_a_consumer_of_a_sink_delivers_on_the_subject_of_a_link_is_no_command(site: Site) -> None:
+    """The server checks no right for the subject of a delivery, but the message keeps the subject of its stream."""
+    from nats.js.api import AckPolicy, ConsumerConfig, DeliverPolicy
+
+    arrived: list[Any] = []
+
+    async def came(message: Any) -> None:
+        arrived.append(message)
+
+    async with contextlib.AsyncExitStack() as stack:
+        devices = await stack.enter_async_context(devices_of(1))
+        operator = await stack.enter_async_context(site.made())
+        revision = await apply_configuration(operator, file_of(site.folder, "applied", devices), TIMES)
+        west = await stack.enter_async_context(collecting(site, "west", devices, revision))
+        await until(lambda: bool(west.links), 90)
+        link = min(west.links)
+        sink = await stack.enter_async_context(site.table("sink"))
+        await west._coordinator.client.subscribe(f"busway.hall.command.{link}", cb=came)  # type: ignore[attr-defined]
+        await settled(west._coordinator.client)  # type: ignore[attr-defined]
+        command = {"device": link, "point": "setpoint", "value": 66}
+        ours = sink.client.jetstream(timeout=10)
+        await ours.publish("$KV.busway-hall.cursor.broker", json.dumps({**command, "key": "theirs"}).encode())
+        config = ConsumerConfig(
+            deliver_subject=f"busway.hall.command.{link}", ack_policy=AckPolicy.NONE, deliver_policy=DeliverPolicy.ALL
+        )
+        await ours.add_consumer("KV_busway-hall", config)
+        await until(lambda: any(b"theirs" in message.data for message in arrived), 30)
+        allowed = {**command, "value": 7, "key": "ours"}
+        assert (await send_command(operator.client, "hall", link, allowed, 30))["state"] == "done"
+        assert [value for _, value in devices[0].written] == [7]
+
+
 async def test_what_a_collector_misses_is_said_by_name(site: Site) -> None:
     async with site.table("operator") as operator:
         with pytest.raises(ConfigError, match=r"bucket busway-hall-commands is not there yet.* busway fleet apply"):

@@ -1,11 +1,13 @@
 """What a server says when it starts where the network can reach it."""
 
 import logging
+from pathlib import Path
 
 import pytest
 
 import busway
 from busway.access.rules import Policy
+from busway.apps.gateway.configuration import simple_gateway
 from busway.server.bound_sockets import is_everywhere, is_loopback
 from busway.server.exposure import warn_of_exposure
 
@@ -58,6 +60,33 @@ async def test_on_loopback_on_a_line_and_behind_a_policy_nothing_is_said(said: p
     async with busway.serve("tcp://127.0.0.1:0", units=busway.Device(coils=1)):
         pass
     assert said.messages == []
+
+
+async def test_an_audit_log_alone_is_no_policy(said: pytest.LogCaptureFixture, tmp_path: Path) -> None:
+    with busway.AuditLog(tmp_path / "audit.jsonl") as log:
+        async with busway.serve("tcp://0.0.0.0:0", units=busway.Device(coils=1), audit=log, standard_port=False):
+            pass
+        assert any("takes writes from every host" in line for line in said.messages)
+        said.clear()
+        everything = Policy.allow_all()
+        listener = "tcp://0.0.0.0:0"
+        async with busway.serve(listener, units=busway.Device(coils=1), audit=log, policy=everything):
+            pass
+        assert not any("takes writes from every host" in line for line in said.messages)
+
+
+async def test_a_gateway_with_an_audit_log_alone_says_that_it_takes_writes(
+    said: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    configuration = simple_gateway(["tcp://0.0.0.0:0"], "tcp://127.0.0.1:1")
+    with busway.AuditLog(tmp_path / "audit.jsonl") as log:
+        async with configuration.serve(audit=log):
+            pass
+        assert any("takes writes from every host" in line for line in said.messages)
+        said.clear()
+        async with configuration.serve(audit=log, policy=Policy.read_only()):
+            pass
+        assert not any("takes writes from every host" in line for line in said.messages)
 
 
 async def test_a_policy_stands_before_the_devices_and_can_be_replaced_while_it_serves() -> None:

@@ -144,7 +144,7 @@ def test_many_requests_in_flight_over_large_records_are_all_answered(
             assert unit.read_holding_registers(0, count=3) == [REGISTER, 1, 2]
 
 
-@pytest.mark.clause("T27")
+@pytest.mark.clause("T39")
 def test_a_client_that_is_held_back_by_its_rate_gets_every_reply(
     server_files: CertificateFiles, operator: CertificateFiles
 ) -> None:

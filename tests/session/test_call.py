@@ -16,7 +16,7 @@ from busway.options.client import ClientParameters
 from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.call import Call, CallOptions, call_for, encoded_request, plan_of
+from busway.session.call import Call, CallOptions, call_for, encoded_request, packed_batch
 
 
 def call_of(requests: int) -> Call:
@@ -268,17 +268,17 @@ def test_what_was_made_for_a_request_is_kept_for_each_unit() -> None:
     assert [encoded_request(request, unit).unit for unit in (1, 2, 3)] == [1, 2, 3]
 
 
-def test_the_plan_of_the_same_requests_is_made_once_and_that_of_others_anew() -> None:
+def test_the_same_requests_are_packed_once_and_others_anew() -> None:
     requests = [read(1), read(2), ReadCoils(3, 9)]
-    plan = plan_of(requests, 0, 3, 1)
-    assert plan.fits
-    assert plan.reply_sizes == (11, 11, 11)
-    assert plan_of(list(requests), 0, 3, 1) is plan
-    assert plan_of(requests, 0, 2, 1) is not plan
+    packed = packed_batch(requests, 0, 3, 1)
+    assert packed.fits
+    assert packed.reply_sizes == (11, 11, 11)
+    assert packed_batch(list(requests), 0, 3, 1) is packed
+    assert packed_batch(requests, 0, 2, 1) is not packed
     requests[1] = read(3)
-    assert plan_of(requests, 0, 3, 1).encode((1, 2, 3))[20:22] == b"\x00\x03"
-    assert plan_of(requests, 0, 3, 2).encode((1, 2, 3))[6] == 2
+    assert packed_batch(requests, 0, 3, 1).encode((1, 2, 3))[20:22] == b"\x00\x03"
+    assert packed_batch(requests, 0, 3, 2).encode((1, 2, 3))[6] == 2
 
 
 def test_requests_whose_replies_are_not_known_by_their_first_bytes_do_not_fly_together() -> None:
-    assert not plan_of([read(1), WriteSingleRegister(1, 2)], 0, 2, 1).fits
+    assert not packed_batch([read(1), WriteSingleRegister(1, 2)], 0, 2, 1).fits

@@ -17,7 +17,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
 from busway.server.local import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
-from busway.session.forwarded_reads import ForwardedReads, ForwardPlan, ForwardPlans, ReadForwarder
+from busway.session.forwarded_reads import ForwardedReads, PreparedForward, PreparedForwards, ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
 from busway.session.server import TcpServerSession
@@ -37,17 +37,17 @@ class Way:
 
     def __init__(self, unit: int) -> None:
         self.unit = unit
-        self.asked: list[tuple[ForwardedReads, bytes, ForwardPlan]] = []
+        self.asked: list[tuple[ForwardedReads, bytes, PreparedForward]] = []
         self.bunches: list[int] = []
         self.gone: list[ForwardedReads] = []
 
-    def ask(self, asker: ForwardedReads, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
-        self.bunches.append(len(plans))
-        self.asked += [(asker, *read) for read in zip(transactions, plans, strict=True)]
+    def ask(self, asker: ForwardedReads, transactions: Sequence[bytes], forwards: Sequence[PreparedForward]) -> None:
+        self.bunches.append(len(forwards))
+        self.asked += [(asker, *read) for read in zip(transactions, forwards, strict=True)]
         asker.batches[self] = None
 
-    def owed(self, asker: ForwardedReads) -> list[ForwardPlan]:
-        return [plan for one, _, plan in self.asked if one is asker]
+    def owed(self, asker: ForwardedReads) -> list[PreparedForward]:
+        return [forward for one, _, forward in self.asked if one is asker]
 
     def asker_gone(self, asker: ForwardedReads) -> None:
         self.gone.append(asker)
@@ -56,9 +56,9 @@ class Way:
         askers = dict.fromkeys(asker for asker, _, _ in self.asked)
         for asker in askers:
             transactions = [transaction for one, transaction, _ in self.asked if one is asker]
-            plans = self.owed(asker)
-            requests: list[Any] = [plan.requests[0] for plan in plans]
-            asker.answer(transactions, plans, [data_of(self.unit, one.address, one.count) for one in requests])
+            forwards = self.owed(asker)
+            requests: list[Any] = [forward.requests[0] for forward in forwards]
+            asker.answer(transactions, forwards, [data_of(self.unit, one.address, one.count) for one in requests])
             asker.send()
         self.asked.clear()
 
@@ -89,15 +89,15 @@ class HandingOn(LongRoad):
     def __init__(self) -> None:
         super().__init__()
         self.ways = {unit: Way(unit) for unit in range(1, UNITS + 1)}
-        self.planned = 0
+        self.prepared = 0
 
-    def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
-        self.planned += 1
+    def prepared_forward(self, context: RequestContext, pdu: bytes) -> PreparedForward | None:
+        self.prepared += 1
         request = STANDARD.decode_request(pdu)
         if not isinstance(request, ReadHoldingRegisters) or request.address == NOT_HANDED_ON:
             return None
         request.prepare()
-        return ForwardPlan(self.ways[context.unit], context.unit, request)
+        return PreparedForward(self.ways[context.unit], context.unit, request)
 
     def give(self) -> None:
         for way in self.ways.values():
@@ -154,7 +154,7 @@ class HandingOnSome(HandingOn):
         return self.own.serves(unit) if unit == UNITS + 1 else ServedUnit(unit)
 
 
-def test_reads_that_are_planned_and_reads_that_are_handed_on_are_answered_once_whichever_come_first() -> None:
+def test_reads_that_are_prepared_and_reads_that_are_handed_on_are_answered_once_whichever_come_first() -> None:
     handler = HandingOnSome()
     client = Client(handler)
     units = (UNITS + 1, 1)
@@ -199,7 +199,7 @@ def test_reads_that_came_together_go_on_together_each_unit_by_itself() -> None:
     client.send(stream)
     assert (handler.ways[1].bunches, handler.ways[2].bunches) == ([3], [2])
     assert client.session.waiting == client.slots.used == 5
-    assert handler.planned == 4
+    assert handler.prepared == 4
 
 
 def test_reads_of_several_units_with_one_target_go_on_together_and_count_for_the_unit_that_was_named() -> None:
@@ -220,7 +220,7 @@ def test_what_is_no_read_to_hand_on_is_asked_about_once() -> None:
     client = Client(handler)
     for number in range(3):
         client.send(read(number, NOT_HANDED_ON))
-    assert (handler.planned, handler.handled) == (1, [3, 3, 3])
+    assert (handler.prepared, handler.handled) == (1, [3, 3, 3])
 
 
 def test_without_a_slot_a_read_takes_the_generic_path_which_says_06() -> None:
@@ -237,8 +237,8 @@ def test_a_refusal_names_function_and_unit_and_is_counted() -> None:
     handler = HandingOn()
     client = Client(handler)
     client.send(read(1, unit=2))
-    ((asker, transaction, plan),) = handler.ways[2].asked
-    asker.refuse(transaction, plan, 0x0B)
+    ((asker, transaction, forward),) = handler.ways[2].asked
+    asker.refuse(transaction, forward, 0x0B)
     asker.send()
     assert client.got() == {1: bytes((2, 0x83, 0x0B))}
     assert client.diagnostics.counters.bus_exception_error_count == 1
@@ -265,22 +265,22 @@ def test_a_new_generation_asks_anew_what_becomes_of_reads() -> None:
     client = Client(handler)
     client.send(read(1))
     client.send(read(2))
-    assert handler.planned == 1
+    assert handler.prepared == 1
     handler.generation += 1
     client.send(read(3))
-    assert handler.planned == 2
+    assert handler.prepared == 2
 
 
 @pytest.mark.parametrize("known", [True, False])
 def test_what_is_kept_of_reads_is_bounded(known: bool) -> None:
-    plans = ForwardPlans()
+    forwards = PreparedForwards()
     request = ReadHoldingRegisters(0, 1)
     request.prepare()
-    plan = ForwardPlan(Way(1), 1, request) if known else None
+    forward = PreparedForward(Way(1), 1, request) if known else None
     for number in range(10_000):
-        plans.learn(number.to_bytes(10, "big"), plan)
-    assert number.to_bytes(10, "big") in plans
-    assert len(plans.known) + len(plans.others) <= 4096
+        forwards.learn(number.to_bytes(10, "big"), forward)
+    assert number.to_bytes(10, "big") in forwards
+    assert len(forwards.known) + len(forwards.others) <= 4096
 
 
 def test_who_hands_reads_on_is_told_from_who_does_not() -> None:

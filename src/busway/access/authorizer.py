@@ -70,7 +70,7 @@ class PolicyRights:
         """
         return bind(self.rights, unit, served, kind, self._audit)
 
-    def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
+    def permits_prepared(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
         """Whether a gateway or server may cache how it answers a read, so that repetitions of it are not checked again.
 
         True if the request is no write and is permitted without a rate limit to all clients that have these rights.
@@ -102,7 +102,7 @@ class PolicyAuthorizer:
     """Permits or denies the requests to a server by a policy, which can be replaced while the server runs.
 
     Args:
-        policy: the rules.
+        policy: the rules; None permits every request, until `replace_policy`.
         audit: the audit log, for writes on the fast path; an `AuditObserver` records the others. None records no write.
         rates: token buckets by rule name, for several authorizers that count together; None: this one counts alone.
         clock: monotonic seconds, for rates and for repeated log messages.
@@ -111,11 +111,12 @@ class PolicyAuthorizer:
         refusals: number of requests that the policy refused, also those above a rate, by name of the rule that decided
             (``default`` if no rule applied).
         generation: a number that grows by 1 when the policy is replaced.
+        has_policy: whether a policy was given, even one that permits everything.
     """
 
     def __init__(
         self,
-        policy: Policy,
+        policy: Policy | None,
         audit: "AuditLog | None" = None,
         *,
         rates: dict[str, Rates] | None = None,
@@ -123,8 +124,9 @@ class PolicyAuthorizer:
     ) -> None:
         self.refusals: Counter[str] = Counter()
         self.generation: int = 0
+        self.has_policy: bool = policy is not None
         self._audit = audit
-        self._in_force = _InForce(policy)
+        self._in_force = _InForce(Policy.allow_all() if policy is None else policy)
         self._lock = threading.Lock()
         self._clock = clock
         self._rates: dict[str, Rates] = {} if rates is None else rates
@@ -142,6 +144,7 @@ class PolicyAuthorizer:
         rules are dropped, also for other authorizers that were given the same ``rates``.
         """
         with self._lock:
+            self.has_policy = True
             self._in_force = _InForce(policy)
             rates = {rule.name: rule.rate for rule in policy.rules}
             for name, counted in list(self._rates.items()):

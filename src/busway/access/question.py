@@ -7,7 +7,7 @@ Knows messages; knows no rule.
 2. A request of unknown effect counts as a write: a function that is not in the table of functions, a user function that
    declares neither what it reads nor that it writes, a truncated sub-function. So do the sub-functions of 08 that
    change communication (01, 03, 04, 0A, 14), by their declarations.
-3. A malformed request touches its whole tables: a gateway forwards it, and its effect on a device is unknown.
+3. A malformed request touches its whole tables: which items it means is not known, nor what a responder does with it.
 """
 
 from collections.abc import Callable
@@ -202,7 +202,11 @@ def touched_by(kind: type[Request]) -> tuple[TouchedRange, ...]:
         for touch, writes in ((kind.writes, True), (kind.reads, False))
         if touch is not None
     ]
-    return tuple(found) or (TouchedRange(None, 0, 1, counts_as_write(kind)),)
+    if kind.writes is None:
+        writes = counts_as_write(kind)
+        if writes or not found:
+            found.append(TouchedRange(None, 0, 1, writes))
+    return tuple(found)
 
 
 def _sub_function(function: int, data: bytes) -> int | None:

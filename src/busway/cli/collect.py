@@ -159,7 +159,12 @@ def _say_what_runs(collector: "Collector") -> None:
     )
     for page in collector.pages:
         say(f"last values for Prometheus on {page}")
-    for load in configuration.loads(collector.knowledge):
+    _warn_of_loads(collector)
+
+
+def _warn_of_loads(collector: "Collector") -> None:
+    """Print a warning for each poll period that a link cannot keep; it is polled all the same."""
+    for load in collector.configuration.loads(collector.knowledge):
         for problem in load.problems:
             warn(f"warning: {problem}")
 
@@ -172,6 +177,7 @@ async def _read_again(collector: "Collector", begun: asyncio.Event) -> None:
         say_problems("read again, nothing was changed:", str(error))
     else:
         say(f"read again: {'; '.join(done)}")
+        _warn_of_loads(collector)
 
 
 # What would be done.

@@ -90,7 +90,7 @@ class ServerParameters:
 class ListenerParameters:
     """Limits and timeouts of the connections of a listener.
 
-    The timeouts and ``request_rate`` do not apply to connections of priority hosts.
+    The timeouts and ``request_rate`` do not apply to connections of priority hosts; ``write_buffer`` does.
     """
 
     backlog: Annotated[int, Range(1, 65_535), "connections that the system may hold before they are accepted."] = 1024
@@ -115,7 +115,7 @@ class ListenerParameters:
         int,
         Range(1024, 1 << 30),
         "bytes of replies that may wait for a client that does not take them; beyond, nothing more is read from it",
-        "until half of them have gone.",
+        "until no more than a quarter of that is left.",
     ] = 65_536
     write_timeout: Annotated[
         float | None,
@@ -147,8 +147,8 @@ class ListenerParameters:
     request_rate: Annotated[
         float | None,
         Range(0.001, 1e9),
-        "requests a second that one device may make, by all its connections together; what is over the rate is slowed",
-        "down, and over UDP dropped. None for any number.",
+        "requests a second that one host may send to the listener, over all its connections together; what is over the",
+        "rate is slowed down, and over UDP dropped. None for any number.",
     ] = None
     answer_half_closed: Annotated[
         bool,

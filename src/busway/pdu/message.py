@@ -21,7 +21,7 @@ from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
-    from .fast_answers import DirectModel, FastAnswer, ReadPlan
+    from .fast_answers import DirectModel, FastAnswer, PreparedAnswer
     from .model import Context, DataModel
 
 UNKNOWN_LENGTH = -1
@@ -270,8 +270,8 @@ class Request(Message):
             """The bytes with which the expected reply PDU must begin; AttributeError before `prepare`."""
 
     @classmethod
-    def plan(cls, model: "DirectModel", unit: int, pdu: bytes) -> "ReadPlan | None":
-        """Return the prepared answer to a read of registers that a client repeats (`busway.pdu.fast_answers.ReadPlan`).
+    def prepared_answer(cls, model: "DirectModel", unit: int, pdu: bytes) -> "PreparedAnswer | None":
+        """Return the prepared answer (`PreparedAnswer`) to a read of registers that a client repeats.
 
         None if the request does not read registers, or must take the generic path.
 

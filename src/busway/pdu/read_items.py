@@ -7,7 +7,7 @@ from typing import Any, ClassVar
 
 from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
 from .bits import unpack_bits
-from .fast_answers import DirectModel, FastAnswer, ReadPlan, plan_read, read_bits, read_registers
+from .fast_answers import DirectModel, FastAnswer, PreparedAnswer, prepare_answer, read_bits, read_registers
 from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
 from .model import Context, DataModel, Refusal
@@ -104,9 +104,9 @@ class ReadRegisters(Request):
         return None if block is None else read_registers(cls.code, MAX_READ_REGISTERS, block)
 
     @classmethod
-    def plan(cls, model: DirectModel, unit: int, pdu: bytes) -> ReadPlan | None:
+    def prepared_answer(cls, model: DirectModel, unit: int, pdu: bytes) -> PreparedAnswer | None:
         block = model.plain_block(_table(cls), writes=False)
-        return None if block is None else plan_read(unit, pdu, MAX_READ_REGISTERS, block)
+        return None if block is None else prepare_answer(unit, pdu, MAX_READ_REGISTERS, block)
 
 
 class ReadHoldingRegisters(ReadRegisters):

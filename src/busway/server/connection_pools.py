@@ -9,8 +9,9 @@ Pure: knows who is connected and since when unused; closes nothing, logs nothing
 3. If the other pool is full, a new connection replaces another one: first one that has never sent a byte, if its client
    has closed it or it is older than `SECONDS_TO_SPEAK`; else the connection unused longest, or the oldest where all are
    busy. A connection of a host without priority never replaces one of a priority host: where only those are left, the
-   new connection is refused. So clients that connect and close, or send nothing, take no slot of a connection that
-   works; nor does a new connection that its client has closed already.
+   new connection is refused, and so is one that its client has closed already, if there is no free slot. So clients
+   that connect now and then and send nothing replace each other. Many new connections within `SECONDS_TO_SPEAK` replace
+   as many others, also such as work; a limit for each host (rule 5) prevents that.
 4. Only a priority host's connection that finds nothing but connections of priority hosts replaces one of them: the
    oldest of its own host, if there is one, else the oldest. Nothing else keeps both the bound and rule 2.
 5. A host without priority may have a limit of its own; then its next connection replaces its oldest. With a limit of 1

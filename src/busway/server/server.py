@@ -249,7 +249,8 @@ class Server:
             await self.stop()
             raise
         self._started = time.monotonic()
-        warn_of_exposure(self._bound, authorized=self._authorizer is not None)
+        has_policy = getattr(self._authorizer, "has_policy", self._authorizer is not None)
+        warn_of_exposure(self._bound, authorized=has_policy)
 
     async def _open(self, opening: Opening, settings: ListenerSettings) -> None:
         carrier = settings.endpoint.carrier
@@ -388,9 +389,8 @@ class Server:
         if policy is None and audit is None:
             return None
         from ..access.authorizer import PolicyAuthorizer
-        from ..access.rules import Policy
 
-        self._policy_authorizer = PolicyAuthorizer(Policy.allow_all() if policy is None else policy, audit)
+        self._policy_authorizer = PolicyAuthorizer(policy, audit)
         return self._policy_authorizer
 
     async def __aenter__(self) -> Self:

@@ -237,10 +237,10 @@ class EncodedRequest:
         take: function that builds the reply message from the data bytes; used only if ``head`` is not empty.
         others: by unit, the `EncodedRequest` of the same request for each unit it was sent to; None if there is only
             one unit.
-        plan: the plan of the last pipelined batch that began with this request; None without one.
+        packed: the last pipelined batch that began with this request, packed; None without one.
     """
 
-    __slots__ = ("head", "others", "plan", "reply_size", "tail", "take", "unit")
+    __slots__ = ("head", "others", "packed", "reply_size", "tail", "take", "unit")
 
     def __init__(self, request: Request, unit: int) -> None:
         wire = request.prepare()
@@ -252,7 +252,7 @@ class EncodedRequest:
         is_known = take is not None and size > 0 and len(prefix) == 2
         self.head: bytes = _BEHIND.pack(0, size + 1, unit) + prefix if is_known else b""
         self.others: dict[int, EncodedRequest] | None = None
-        self.plan: BatchPlan | None = None
+        self.packed: PackedBatch | None = None
 
 
 def encoded_request(request: Request, unit: int) -> EncodedRequest:
@@ -314,12 +314,12 @@ def free_slots(count: int) -> FreeSlots:
     return [RequestInFlight() for _ in range(count)]
 
 
-class BatchPlan:
+class PackedBatch:
     """The bytes of several requests to one unit, and of their expected replies, without transaction identifiers.
 
     Attributes:
-        following: the requests after the first. The first is left out, because it holds the plan: referring to it would
-            be a reference cycle.
+        following: the requests after the first. The first is left out, because it holds the packed batch: referring
+            to it would be a reference cycle.
         fits: whether all replies can be recognised by their first bytes; otherwise the requests cannot be batched.
         heads: the seven bytes after the transaction identifier of each reply.
         reply_sizes, reply_size: bytes of the ADU of each reply, and of all replies together.
@@ -355,7 +355,7 @@ class BatchPlan:
 
     def encode(self, transactions: Sequence[int]) -> bytes:
         """Return the joined frames of all requests; ``transactions`` has an identifier for each. Requires ``fits``."""
-        fields = self._fields.copy()  # another thread may use the same plan
+        fields = self._fields.copy()  # another thread may use the same object
         fields[0::2] = transactions
         return self._pack(*fields)
 
@@ -385,18 +385,18 @@ def _shapes(tails: tuple[int, ...], replies: tuple[int, ...]) -> tuple[struct.St
     return struct.Struct(">" + out), struct.Struct(">" + back)
 
 
-def plan_of(requests: Sequence[Request], first: int, count: int, unit: int) -> BatchPlan:
-    """Return the plan for sending ``count`` consecutive requests to one unit together.
+def packed_batch(requests: Sequence[Request], first: int, count: int, unit: int) -> PackedBatch:
+    """Return ``count`` consecutive requests to one unit, packed to be sent together.
 
-    ``first`` is the position of the first of these requests in ``requests``. The plan is kept with that request object:
-    the next call with it and equal following requests returns the same plan. The caller must check ``fits`` of it.
+    ``first`` is the position of the first of these requests in ``requests``. The result is kept with that request
+    object: the next call with it and equal following requests returns the same. The caller must check its ``fits``.
     """
     encoded = encoded_request(requests[first], unit)
     following = tuple(requests[first + 1 : first + count])
-    plan = encoded.plan
-    if plan is None or plan.following != following:  # as a rule the very same objects, so this is no work
-        plan = encoded.plan = BatchPlan(encoded, following)
-    return plan
+    packed = encoded.packed
+    if packed is None or packed.following != following:  # as a rule the very same objects, so this is no work
+        packed = encoded.packed = PackedBatch(encoded, following)
+    return packed
 
 
 class PipelinedBatch:
@@ -405,27 +405,27 @@ class PipelinedBatch:
     Attributes:
         call: the call of the requests.
         first: position of the first request in the call.
-        plan: the bytes of the requests without transaction identifiers.
+        packed: the bytes of the requests without transaction identifiers.
         transactions: the transaction identifiers of the requests, in order.
         slots: the objects for requests in flight that the batch occupies: one for each request without reply.
         answered: how many requests, counted from the first, have their reply.
         sent, expires: when the batch was sent and when it times out, in the clock of ``now``.
     """
 
-    __slots__ = ("answered", "call", "expires", "first", "plan", "sent", "slots", "transactions")
+    __slots__ = ("answered", "call", "expires", "first", "packed", "sent", "slots", "transactions")
 
     def __init__(
         self,
         call: Call,
         first: int,
-        plan: BatchPlan,
+        packed: PackedBatch,
         transactions: tuple[int, ...],
         slots: FreeSlots,
         sent: float,
     ) -> None:
         self.call: Call = call
         self.first: int = first
-        self.plan: BatchPlan = plan
+        self.packed: PackedBatch = packed
         self.transactions: tuple[int, ...] = transactions
         self.slots: FreeSlots = slots
         self.answered: int = 0
@@ -436,7 +436,7 @@ class PipelinedBatch:
         """Whether the frame in ``buffer`` at ``at`` is the next expected reply, judged by its first nine bytes."""
         following = self.answered
         return (
-            buffer[at + 2 : at + HEAD_SIZE] == self.plan.heads[following]
+            buffer[at + 2 : at + HEAD_SIZE] == self.packed.heads[following]
             and buffer[at] << 8 | buffer[at + 1] == self.transactions[following]
         )
 

@@ -35,7 +35,7 @@ from ..pdu.general import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from ..values.counts import counted
-from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, plan_of
+from .call import HEAD_SIZE, Call, FreeSlots, PipelinedBatch, RequestInFlight, encoded_request, free_slots, packed_batch
 from .queue import BURST
 from .retries import CallTracker, ClientCounters
 from .unit_breaker import Breakers, BreakerState
@@ -375,8 +375,8 @@ class TcpClientSession:
             self._launches_apart -= 1
             return None
         first = call.next
-        plan = plan_of(call.requests, first, count, call.unit)
-        if not plan.fits:
+        packed = packed_batch(call.requests, first, count, call.unit)
+        if not packed.fits:
             return None
         start = self._transaction + _STEP
         stop = start + _STEP * count
@@ -388,11 +388,11 @@ class TcpClientSession:
             return None
         self._transaction = transactions[-1]
         free = self._free
-        self._batches.append(PipelinedBatch(call, first, plan, transactions, free[-count:], now))
+        self._batches.append(PipelinedBatch(call, first, packed, transactions, free[-count:], now))
         del free[-count:]
         call.next = first + count
         self.counters.requests += count
-        return plan.encode(transactions)
+        return packed.encode(transactions)
 
     def _launch(self, call: Call, position: int, now: float) -> bytes:
         """Make one request a request in flight, and return its frame."""
@@ -512,20 +512,20 @@ class TcpClientSession:
         at = good = 0
         while batches and size - at >= HEAD_SIZE:
             batch = batches[0]
-            plan, call, answered = batch.plan, batch.call, batch.answered
-            end = at + plan.reply_size
-            replies = plan.replies(batch.transactions, buffer, at) if not answered and end <= size else None
+            packed, call, answered = batch.packed, batch.call, batch.answered
+            end = at + packed.reply_size
+            replies = packed.replies(batch.transactions, buffer, at) if not answered and end <= size else None
             if replies is not None:
                 taken = len(replies)
                 call.outcomes[batch.first : batch.first + taken] = replies
                 self._free += batch.slots
                 batches.popleft()
             elif batch.expects(buffer, at):
-                end = at + plan.reply_sizes[answered]
+                end = at + packed.reply_sizes[answered]
                 if end > size:
                     break
                 taken = 1
-                call.outcomes[batch.first + answered] = plan.takers[answered](buffer[at + HEAD_SIZE : end])
+                call.outcomes[batch.first + answered] = packed.takers[answered](buffer[at + HEAD_SIZE : end])
                 self._free.append(batch.slots.pop())
                 batch.answered += 1
                 if not batch.slots:

@@ -31,16 +31,16 @@ _READ_LENGTH = b"\0\0\0\6"
 """Protocol identifier and length field in the MBAP header of a read (functions 01 to 04)."""
 _UNIT_ASKED = 4
 """Offset of the unit identifier in the key of a read (its ten bytes after the transaction identifier), and in
-`ForwardPlan.head`.
+`PreparedForward.head`.
 """
 LAST_READ = 4
 """The largest function code of the reads that are forwarded together: functions 01 to 04."""
-_PLAN_LIMIT = 4096
+_KNOWN_LIMIT = 4096
 DeliverTogether = Callable[[list[bytes]], None]
 """Function that sends the frames of several late replies on the connection."""
 
 
-class ForwardPlan:
+class PreparedForward:
     """How a gateway forwards one particular read: to which upstream unit, and with which request.
 
     Args:
@@ -78,11 +78,11 @@ class ForwardPlan:
         return replies[0]
 
 
-class ForwardPlans:
+class PreparedForwards:
     """Cache of how reads seen before are forwarded, by the ten bytes after the transaction identifier.
 
     Attributes:
-        known: plans of the reads that are forwarded together, by these bytes.
+        known: how the reads that are forwarded together are forwarded, by these bytes.
         others: these bytes of the reads that take the generic path.
         sole_target: the target of all reads in ``known``; None if there are several targets, or no reads.
         several_units: whether clients named more than one unit so far.
@@ -94,35 +94,35 @@ class ForwardPlans:
         self._first_unit: int | None = None
         self.several_units: bool = False
         self.sole_target: ForwardingTarget | None = None
-        self.known: dict[bytes, ForwardPlan] = {}
+        self.known: dict[bytes, PreparedForward] = {}
         self.others: set[bytes] = set()
 
     def __contains__(self, key: bytes) -> bool:
         return key in self.known or key in self.others
 
-    def learn(self, key: bytes, plan: ForwardPlan | None) -> None:
-        """Store how a read is forwarded; ``plan`` None means that it takes the generic path.
+    def learn(self, key: bytes, forward: PreparedForward | None) -> None:
+        """Store how a read is forwarded; ``forward`` None means that it takes the generic path.
 
-        ``key`` is the ten bytes after the transaction identifier. If 4096 reads of this kind (with a plan, or without)
-        are stored already, they are forgotten first.
+        ``key`` is the ten bytes after the transaction identifier. If 4096 reads of this kind (forwarded together,
+        or not) are stored already, they are forgotten first.
         """
-        if plan is None:
-            if len(self.others) >= _PLAN_LIMIT:
+        if forward is None:
+            if len(self.others) >= _KNOWN_LIMIT:
                 self.others.clear()
             self.others.add(key)
         else:
-            if len(self.known) >= _PLAN_LIMIT:
+            if len(self.known) >= _KNOWN_LIMIT:
                 self.known.clear()
-            unit = plan.head[_UNIT_ASKED]
+            unit = forward.head[_UNIT_ASKED]
             if self._first_unit is None:
                 self._first_unit = unit
             elif unit != self._first_unit:
                 self.several_units = True
             if not self.known:
-                self.sole_target = plan.target
-            elif plan.target is not self.sole_target:
+                self.sole_target = forward.target
+            elif forward.target is not self.sole_target:
                 self.sole_target = None
-            self.known[key] = plan
+            self.known[key] = forward
 
 
 class ReadObserver(Protocol):
@@ -143,7 +143,7 @@ class ReadObserver(Protocol):
 class ReadForwarder(Protocol):
     """Interface of a gateway's responder that can forward several reads together."""
 
-    def forward_plan(self, context: "RequestContext", pdu: bytes) -> ForwardPlan | None:
+    def prepared_forward(self, context: "RequestContext", pdu: bytes) -> PreparedForward | None:
         """Return how the read in ``pdu`` is forwarded on the fast path; None if it must take the generic path."""
 
 
@@ -157,7 +157,7 @@ class ForwardedReads:
     """The reads of one client connection that a gateway has forwarded, and their replies until they are sent.
 
     Attributes:
-        plans: how known reads are forwarded; the session replaces the object when rights change.
+        forwards: how known reads are forwarded; the session replaces the object when rights change.
         peer: ``host:port`` of the client.
         is_priority: whether the client is a priority host.
         waiting: number of forwarded reads that are not answered yet.
@@ -174,15 +174,15 @@ class ForwardedReads:
         "_ready",
         "_slots",
         "batches",
+        "forwards",
         "is_priority",
         "peer",
-        "plans",
         "waiting",
     )
 
     def __init__(
         self,
-        plans: ForwardPlans,
+        forwards: PreparedForwards,
         *,
         client: "ClientIdentity",
         slots: "ServerTransactionSlots",
@@ -190,7 +190,7 @@ class ForwardedReads:
         deliver: DeliverTogether,
         observed_by: "ReadObserver | None" = None,
     ) -> None:
-        self.plans: ForwardPlans = plans
+        self.forwards: PreparedForwards = forwards
         self.peer: str = client.peer
         self.is_priority: bool = client.is_priority
         self._client = client
@@ -205,7 +205,7 @@ class ForwardedReads:
         self.batches: dict[Any, None] = {}  # Any: batches are the gateway's
 
     def take(self, buffer: bytes | bytearray, at: int, size: int) -> int:
-        """Forward consecutive reads in ``buffer``, up to the first that is incomplete or not in ``plans.known``.
+        """Forward consecutive reads in ``buffer``, up to the first that is incomplete or not in ``forwards.known``.
 
         Each takes a transaction slot until it is answered; no more are forwarded than there are free slots.
 
@@ -221,22 +221,22 @@ class ForwardedReads:
         count = min((size - at) // READ_SIZE, slots.limit - slots.used)
         if count <= 0:
             return at
-        known = self.plans.known
+        known = self.forwards.known
         end = at + READ_SIZE * count
         if count == 1:  # quicker than the steps for several: 0.4 µs
-            plan = known.get(bytes(buffer[at + 2 : end]))
-            if plan is None:
+            forward = known.get(bytes(buffer[at + 2 : end]))
+            if forward is None:
                 return at
             transactions: Sequence[bytes] = (bytes(buffer[at : at + 2]),)
-            plans: Sequence[ForwardPlan] = (plan,)
+            forwards: Sequence[PreparedForward] = (forward,)
         else:
             fields = _shape(count).unpack_from(buffer, at)
             transactions = fields[0::2]
             try:
-                plans = list(map(known.__getitem__, fields[1::2]))
+                forwards = list(map(known.__getitem__, fields[1::2]))
             except KeyError:
-                plans = list(self._known_ones(fields[1::2]))
-                count = len(plans)
+                forwards = list(self._known_ones(fields[1::2]))
+                count = len(forwards)
                 if not count:
                     return at
                 transactions = transactions[:count]
@@ -247,65 +247,65 @@ class ForwardedReads:
             now = self._observed_by.clock()
             for transaction in transactions:
                 self._began[transaction] = now
-        if count == 1 or not self.plans.several_units:
-            self._diagnostics.arrived[plans[0].head[_UNIT_ASKED]] += count
+        if count == 1 or not self.forwards.several_units:
+            self._diagnostics.arrived[forwards[0].head[_UNIT_ASKED]] += count
         else:
-            self._diagnostics.arrived.update([plan.head[_UNIT_ASKED] for plan in plans])
-        target = self.plans.sole_target
+            self._diagnostics.arrived.update([forward.head[_UNIT_ASKED] for forward in forwards])
+        target = self.forwards.sole_target
         if target is not None:
-            target.ask(self, transactions, plans)
+            target.ask(self, transactions, forwards)
         else:
-            self._ask_each(transactions, plans)
+            self._ask_each(transactions, forwards)
         return end
 
-    def _known_ones(self, keys: Sequence[bytes]) -> Iterator[ForwardPlan]:
-        """Yield the plan of each read in ``keys``, up to the first read that is not in ``plans.known``."""
+    def _known_ones(self, keys: Sequence[bytes]) -> Iterator[PreparedForward]:
+        """Yield how each read in ``keys`` is forwarded, up to the first that is not in ``forwards.known``."""
         for key in keys:
-            plan = self.plans.known.get(key)
-            if plan is None:
+            forward = self.forwards.known.get(key)
+            if forward is None:
                 return
-            yield plan
+            yield forward
 
-    def _ask_each(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan]) -> None:
+    def _ask_each(self, transactions: Sequence[bytes], forwards: Sequence[PreparedForward]) -> None:
         """Forward reads whose upstream units differ: all reads for the same upstream unit together."""
-        by_target: dict[ForwardingTarget, tuple[list[bytes], list[ForwardPlan]]] = {}
-        for transaction, plan in zip(transactions, plans, strict=True):
-            those = by_target.setdefault(plan.target, ([], []))
+        by_target: dict[ForwardingTarget, tuple[list[bytes], list[PreparedForward]]] = {}
+        for transaction, forward in zip(transactions, forwards, strict=True):
+            those = by_target.setdefault(forward.target, ([], []))
             those[0].append(transaction)
-            those[1].append(plan)
-        for target, (some, their_plans) in by_target.items():
-            target.ask(self, some, their_plans)
+            those[1].append(forward)
+        for target, (some, their_forwards) in by_target.items():
+            target.ask(self, some, their_forwards)
 
-    def answer(self, transactions: Sequence[bytes], plans: Sequence[ForwardPlan], data: Sequence[bytes]) -> None:
+    def answer(self, transactions: Sequence[bytes], forwards: Sequence[PreparedForward], data: Sequence[bytes]) -> None:
         """Answer reads with the data that their upstream unit sent; `send` transmits the replies.
 
         The three sequences have one element for each read, in the same order. Does nothing after `close`.
         """
         if self._is_open:
-            count = len(plans)
+            count = len(forwards)
             self.waiting -= count
             self._slots.used -= count
-            if count == 1 or not self.plans.several_units:
-                self._diagnostics.departed[plans[0].head[_UNIT_ASKED]] += count
+            if count == 1 or not self.forwards.several_units:
+                self._diagnostics.departed[forwards[0].head[_UNIT_ASKED]] += count
             else:
-                self._diagnostics.departed.update([plan.head[_UNIT_ASKED] for plan in plans])
+                self._diagnostics.departed.update([forward.head[_UNIT_ASKED] for forward in forwards])
             if count == 1:  # 0.4 µs less than the loop
-                self._ready.append(transactions[0] + plans[0].head + data[0])
+                self._ready.append(transactions[0] + forwards[0].head + data[0])
             else:
-                reads = zip(transactions, plans, data, strict=True)
-                self._ready += [transaction + plan.head + one for transaction, plan, one in reads]
+                reads = zip(transactions, forwards, data, strict=True)
+                self._ready += [transaction + forward.head + one for transaction, forward, one in reads]
 
-    def reply(self, transaction: bytes, plan: ForwardPlan, reply: Any) -> None:  # Any: a message with ``data``
+    def reply(self, transaction: bytes, forward: PreparedForward, reply: Any) -> None:  # Any: a message with ``data``
         """Answer one read with the decoded reply of its upstream unit; `send` transmits it. Nothing after `close`."""
-        self.answer((transaction,), (plan,), (reply.data,))
+        self.answer((transaction,), (forward,), (reply.data,))
 
-    def refuse(self, transaction: bytes, plan: ForwardPlan, code: int) -> None:
+    def refuse(self, transaction: bytes, forward: PreparedForward, code: int) -> None:
         """Answer one read with the exception code ``code``; `send` transmits it. Does nothing after `close`."""
         if self._is_open:
             self.waiting -= 1
             self._slots.used -= 1
-            self._diagnostics.of(plan.head[_UNIT_ASKED]).answered(exception=code)
-            self._ready.append(transaction + plan.refusal(code))
+            self._diagnostics.of(forward.head[_UNIT_ASKED]).answered(exception=code)
+            self._ready.append(transaction + forward.refusal(code))
 
     def send(self) -> None:
         """Transmit to the client all replies that are ready, together. After `close` they are dropped."""
@@ -340,8 +340,8 @@ class ForwardedReads:
         self.waiting = 0
         batches, self.batches = self.batches, {}
         for batch in batches:
-            for plan in batch.owed(self):
-                self._diagnostics.of(plan.head[_UNIT_ASKED]).kept_silent()
+            for forward in batch.owed(self):
+                self._diagnostics.of(forward.head[_UNIT_ASKED]).kept_silent()
             batch.asker_gone(self)
 
 

@@ -18,11 +18,11 @@ from functools import partial
 from typing import Final, Protocol
 
 from ..codes import ExceptionCode, FunctionCode
-from ..pdu.fast_answers import FastAnswer, ReadPlan
+from ..pdu.fast_answers import FastAnswer, PreparedAnswer
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
 from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
-from .forwarded_reads import ForwardPlan, ForwardPlans, ReadForwarder, is_read
+from .forwarded_reads import PreparedForward, PreparedForwards, ReadForwarder, is_read
 from .responder import (
     LATER,
     SILENCE,
@@ -43,7 +43,7 @@ MOST_READS: Final = 4096
 """Most reads that one fast path knows by all their bytes: enough for a poller of 4096 different ranges. Other reads are
 answered by the function for their unit and function code: that takes 1.0 µs instead of 0.4.
 """
-PLANNED: Final = frozenset({int(FunctionCode.READ_HOLDING_REGISTERS), int(FunctionCode.READ_INPUT_REGISTERS)})
+PREPARED: Final = frozenset({int(FunctionCode.READ_HOLDING_REGISTERS), int(FunctionCode.READ_INPUT_REGISTERS)})
 """Function codes of the reads that a fast path stores by all their bytes: reads of registers.
 
 Reads of bits are not stored, because their data must be shifted.
@@ -65,7 +65,7 @@ class ClientRights(Protocol):
         generic path.
         """
 
-    def permits_plan(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
+    def permits_prepared(self, unit: int, served: ServedUnit | None, request: AnyRequest) -> bool:
         """Whether a read is permitted always and without a rate limit, so that repetitions of it need no check."""
 
 
@@ -252,10 +252,10 @@ class FastPath:
     def __init__(self, responder: Responder, rights: ClientRights | None) -> None:
         self._responder = responder
         self._rights = rights
-        self.reads: dict[bytes, ReadPlan] = {}
-        self.frames: dict[bytes, ReadPlan] = {}
+        self.reads: dict[bytes, PreparedAnswer] = {}
+        self.frames: dict[bytes, PreparedAnswer] = {}
         self.functions: dict[bytes, FastAnswer | None] = {}
-        self.forwards: ForwardPlans = ForwardPlans()
+        self.forwards: PreparedForwards = PreparedForwards()
 
     def bind(self, unit: int, function: int) -> FastAnswer | None:
         """Find the function that answers one function code of a unit from bytes; store and return it.
@@ -281,9 +281,9 @@ class FastPath:
         ``adu`` is the whole request on TCP. Next time its bytes alone suffice. Nothing is stored if that is not
         possible, for example because the read is not always permitted. Returns whether there is room for more reads.
         """
-        plan = self._plan(adu[6], adu[7:])
-        if plan is not None:
-            self.reads[adu[2:]] = plan
+        prepared = self._prepared_answer(adu[6], adu[7:])
+        if prepared is not None:
+            self.reads[adu[2:]] = prepared
         return len(self.reads) < MOST_READS
 
     def learn_frame(self, frame: bytes) -> None:
@@ -292,9 +292,9 @@ class FastPath:
         Nothing is stored if the read is not always permitted, or if `MOST_READS` frames are stored already.
         """
         if len(self.frames) < MOST_READS:
-            plan = self._plan(frame[0], frame[1:-2])
-            if plan is not None:
-                self.frames[frame] = plan
+            prepared = self._prepared_answer(frame[0], frame[1:-2])
+            if prepared is not None:
+                self.frames[frame] = prepared
 
     def can_forward(self, forwarder: ReadForwarder, context: RequestContext, adu: bytes) -> bool:
         """Find out how a read that is not known yet is forwarded, and store that in ``forwards``.
@@ -305,18 +305,18 @@ class FastPath:
         key = adu[2:]
         if not is_read(adu) or key in self.forwards:
             return False  # a known read comes here if no slot is left, or it needs the generic path
-        plan: ForwardPlan | None = None
+        prepared: PreparedForward | None = None
         if self._permits(context.unit, self._responder.serves(context.unit), adu[7:]):
-            plan = forwarder.forward_plan(context, adu[7:])
-        self.forwards.learn(key, plan)
-        return plan is not None
+            prepared = forwarder.prepared_forward(context, adu[7:])
+        self.forwards.learn(key, prepared)
+        return prepared is not None
 
-    def _plan(self, unit: int, pdu: bytes) -> ReadPlan | None:
+    def _prepared_answer(self, unit: int, pdu: bytes) -> PreparedAnswer | None:
         served, kind = self._direct(unit, pdu[0])
         if served is None or served.device is None or kind is None:
             return None
-        plan = kind.plan(served.device, unit, pdu)
-        return plan if plan is not None and self._permits(unit, served, pdu) else None
+        prepared = kind.prepared_answer(served.device, unit, pdu)
+        return prepared if prepared is not None and self._permits(unit, served, pdu) else None
 
     def _direct(self, unit: int, function: int) -> tuple[ServedUnit | None, type[Request] | None]:
         """Return unit and request class for a function code, if the unit's device can answer it from bytes.
@@ -331,7 +331,7 @@ class FastPath:
     def _permits(self, unit: int, served: ServedUnit | None, pdu: bytes) -> bool:
         if self._rights is None:
             return True
-        return self._rights.permits_plan(unit, served, self._responder.functions.decode_request(pdu))
+        return self._rights.permits_prepared(unit, served, self._responder.functions.decode_request(pdu))
 
 
 class _NoUnits:

@@ -32,7 +32,7 @@ from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
-from .pipeline import NO_FAST_PATH, PLANNED, FastPath, RequestPipeline, ResponderFailure
+from .pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
 from .server import Deferred
 
@@ -189,10 +189,10 @@ class SerialServerSession:
         replies = []
         began = self._pipeline.clock()
         for at in range(0, len(data), _READ_SIZE):
-            plan = known.get(data[at : at + _READ_SIZE])
-            if plan is None:
+            prepared = known.get(data[at : at + _READ_SIZE])
+            if prepared is None:
                 return None
-            replies.append(plan.head + plan.block.data[plan.part])
+            replies.append(prepared.head + prepared.block.data[prepared.part])
         if not self._framing.skip_requests(now):
             return None
         self._last_byte = max(self._last_byte, now)
@@ -334,7 +334,7 @@ class SerialServerSession:
         self._diagnostics.exchanged[unit] += 1
         if self._pipeline.observers:
             self._pipeline.answered(self._client, [HEAD.pack(0, 0, len(reply) + 1, unit) + reply], began)
-        if pdu[0] in PLANNED and len(frame.raw) == _READ_SIZE:
+        if pdu[0] in PREPARED and len(frame.raw) == _READ_SIZE:
             fast.learn_frame(frame.raw)
         return self._framing.encode(unit, reply)
 

@@ -29,7 +29,7 @@ from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostic_counters import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
-from .pipeline import MOST_READS, NO_FAST_PATH, PLANNED, RequestPipeline, ResponderFailure
+from .pipeline import MOST_READS, NO_FAST_PATH, PREPARED, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext
 from .server_transaction_slots import ServerTransactionSlots
 
@@ -181,11 +181,11 @@ class TcpServerSession:
         known = fast.reads
         began = pipeline.clock() if pipeline.observers else None
         if size == READ_SIZE and began is None:  # a client in lock-step
-            plan = known.get(bytes(buffer[2:READ_SIZE]))
-            if plan is not None:
+            prepared = known.get(bytes(buffer[2:READ_SIZE]))
+            if prepared is not None:
                 self.requests += 1
                 self._diagnostics.exchanged[buffer[_UNIT]] += 1
-                return [bytes(buffer[:2]) + plan.head + plan.block.data[plan.part]]
+                return [bytes(buffer[:2]) + prepared.head + prepared.block.data[prepared.part]]
         reads = None if muted else self._reads
         out: list[bytes] = []
         at = 0
@@ -195,10 +195,10 @@ class TcpServerSession:
             # A poller sends only reads, and repeats them. Cut by one call, without copying the buffer, they take
             # 0.47 µs each, of which 0.2 are for building the answer; by the loop below 0.6.
             for transaction, asked in _cut_reads(memoryview(buffer)[:size]):
-                plan = known.get(asked)
-                if plan is None:
+                prepared = known.get(asked)
+                if prepared is None:
                     break
-                out.append(transaction + plan.head + plan.block.data[plan.part])
+                out.append(transaction + prepared.head + prepared.block.data[prepared.part])
             at = READ_SIZE * len(out)
             if at == size:
                 if size:
@@ -223,9 +223,9 @@ class TcpServerSession:
         # of the ten bytes after its transaction. Another request of the fast path takes 1.0 µs, half of it for the call
         # of the compiled answer.
         while at <= last:
-            plan = known.get(buffer[at + 2 : at + 12])
-            if plan is not None:
-                out.append(buffer[at : at + 2] + plan.head + plan.block.data[plan.part])
+            prepared = known.get(buffer[at + 2 : at + 12])
+            if prepared is not None:
+                out.append(buffer[at : at + 2] + prepared.head + prepared.block.data[prepared.part])
                 at += 12
                 continue
             if not left:
@@ -253,7 +253,7 @@ class TcpServerSession:
                 reply = None if answer is None else answer(buffer, at + 7, end, client)
                 if reply is not None:
                     out.append(_pack(transaction, 0, len(reply) + 1, unit) + reply)
-                    if learns and length == 6 and function in PLANNED:
+                    if learns and length == 6 and function in PREPARED:
                         learns = fast.learn_read(buffer[at:end])
                     at = end
                     continue
@@ -340,7 +340,7 @@ class TcpServerSession:
         self._generation = self._pipeline.generation
         self._fast = self._pipeline.fast_path(self._client)
         if self._reads is not None:
-            self._reads.plans = self._fast.forwards
+            self._reads.forwards = self._fast.forwards
 
     def _can_forward(self, unit: int, adu: bytes) -> bool:
         assert self._forwarder is not None

@@ -342,6 +342,45 @@ async def test_reading_the_file_again_leaves_links_alone_that_did_not_change(tmp
             assert await collector.reload(load_collector(file)) == ["nothing changed"]
 
 
+async def test_reading_the_file_again_leaves_links_alone_whose_poll_classes_did_not_change(tmp_path: Path) -> None:
+    (tmp_path / "pump.toml").write_text('[[unit]]\npoint = [{ name = "speed", address = "4x1" }]\n')
+    async with served() as first, served() as second:
+        text = f"""
+[poll_class]
+fast.period = 0.05
+slow.period = 50.0
+[[link]]
+name = "a"
+url = "{first.endpoints[0]}"
+[[link]]
+name = "b"
+url = "{second.endpoints[0]}"
+[[device]]
+name = "one"
+link = "a"
+unit = 1
+profile = "pump.toml"
+poll_class = "fast"
+[[device]]
+name = "two"
+link = "b"
+unit = 1
+profile = "pump.toml"
+poll_class = "slow"
+"""
+        file = tmp_path / "plant.toml"
+        file.write_text(text)
+        async with busway.collect(file) as collector:
+            file.write_text(text.replace("slow.period = 50.0", "slow.period = 40.0"))
+            assert await collector.reload(load_collector(file)) == ["link b began anew"]
+            file.write_text(text.replace("slow.period = 50.0", "rare.period = 90.0\nslow.period = 40.0"))
+            assert await collector.reload(load_collector(file)) == ["nothing changed"]
+            file.write_text(
+                text.replace("fast.period = 0.05\nslow", "slow").replace("[[link]]", "fast.period = 0.05\n[[link]]", 1)
+            )
+            assert await collector.reload(load_collector(file)) == ["link b began anew"]
+
+
 async def test_last_values_of_a_link_whose_polling_has_stopped_are_held(tmp_path: Path) -> None:
     async with served() as server:
         file = plant(tmp_path, {"a": server.endpoints[0]}, {"pump": "a"})

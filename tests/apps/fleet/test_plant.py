@@ -12,6 +12,7 @@ from busway.apps.fleet.plant import (
     link_times,
     links_of_shards,
     name_edge_nodes,
+    refuse_links_of_one_subject,
     refuse_moved_endpoints,
     refuse_ports_of_any_host,
     refuse_slow_links,
@@ -182,3 +183,10 @@ def test_a_gateway_that_holds_requests_for_longer_than_leases_allow_is_refused(
 def test_a_wait_that_cannot_be_is_refused_with_its_line(tmp_path: Path, wait: str) -> None:
     with pytest.raises(ConfigError, match=r"x\.toml:\d+: .*gateway_wait"):
         parse_collector(plant(tmp_path / "store", [FleetDevice("a", 502)], f"gateway_wait = {wait}"), "x.toml")
+
+
+def test_two_links_whose_commands_would_come_on_one_subject_are_refused(tmp_path: Path) -> None:
+    refuse_links_of_one_subject(made(tmp_path, ("line.1", "tcp://10.0.0.5", []), ("line-1", "tcp://10.0.0.6", [])))
+    both = made(tmp_path, ("line.1", "tcp://10.0.0.5", []), ("line_1", "tcp://10.0.0.6", []))
+    with pytest.raises(ConfigError, match=r"links line\.1 and line_1 would take commands on one subject"):
+        refuse_links_of_one_subject(both)

@@ -861,7 +861,8 @@ def _key_of(configuration: CollectorConfiguration, link: str) -> object:
     if link not in configuration.links:
         return None
     devices: list[CollectedDevice] = configuration.devices_of(link)
-    return configuration.links[link].settings, tuple(devices), tuple(configuration.periods.items())
+    periods = {name: configuration.periods[name] for device in devices for name in device.items}
+    return configuration.links[link].settings, devices, periods
 
 
 def _age_of(configuration: CollectorConfiguration) -> float | None:

@@ -30,6 +30,7 @@ from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordina
 from .coordinators.local import LocalCoordinator
 from .lease_times import LeaseTimes
 from .plant import (
+    refuse_links_of_one_subject,
     refuse_moved_endpoints,
     refuse_ports_of_any_host,
     refuse_slow_links,
@@ -196,6 +197,7 @@ def _checked(
     configuration = SharedConfiguration(path, text, 0).parsed(times)
     if not is_one_machine:
         refuse_ports_of_any_host(configuration)
+    refuse_links_of_one_subject(configuration)
     if before is not None:
         refuse_moved_endpoints(before, configuration)
     return SharedConfiguration(os.path.abspath(path), text, 0)

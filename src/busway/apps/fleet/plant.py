@@ -7,7 +7,9 @@
 3. A gateway may hold a request in a queue and send it to the device later, also when its client has gone. The plant
    says for how long (``gateway_wait`` of a link); that time is a part of each transaction. Where links to one endpoint
    say different times, the longest counts for all, because all of them reach the same devices.
-4. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
+4. Commands for a link come on a subject with its name, in which some characters are replaced. So no two links may have
+   one subject: the owner of the wrong one would answer, too, that nothing was sent.
+5. A newer configuration reaches collectors one after the other, and one of them may refuse it. So no configuration may
    move an endpoint from one shard to another while a collector may live.
 """
 
@@ -21,6 +23,7 @@ from ...client.settings import link_settings, options_of
 from ...config.links import NamedLink
 from ...errors import ConfigError
 from ..collector.configuration import CollectorConfiguration
+from ..collector.sinks.nats import subject_token
 from ..collector.sinks.sparkplug import SparkplugSink
 from ..server.configuration import Configuration
 from .lease_times import LONGEST_TTL, LeaseTimes
@@ -214,8 +217,22 @@ def refuse_ports_of_any_host(configuration: CollectorConfiguration) -> None:
             )
 
 
+def refuse_links_of_one_subject(configuration: CollectorConfiguration) -> None:
+    """Raise `ConfigError` if two links would take commands on one subject of NATS (rule 4)."""
+    found: dict[str, str] = {}
+    for name in configuration.links:
+        other = found.setdefault(subject_token(name), name)
+        if other != name:
+            raise ConfigError(
+                f"links {other} and {name} would take commands on one subject, that of {subject_token(name)}: rename "
+                "one",
+                file=configuration.name,
+                key=f"link.{name}",
+            )
+
+
 def refuse_moved_endpoints(before: CollectorConfiguration, after: CollectorConfiguration) -> None:
-    """Raise `ConfigError` if a new configuration could move an endpoint from one shard to another (rule 4).
+    """Raise `ConfigError` if a new configuration could move an endpoint from one shard to another (rule 5).
 
     It could if another of the endpoint's links sorts first, or if the hosts of that link change. Endpoints that only
     one of the configurations has are not compared.

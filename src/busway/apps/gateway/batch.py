@@ -18,7 +18,7 @@ from .waiter_deadlines import WaiterDeadlines
 ForwardingClient = ForwardedReads | Forwarding
 """The client that gets the answers to forwarded requests: a connection with its reads, or a single request."""
 ForwardedRequest = Any
-"""A request to forward: a `ForwardPlan` if the client is a `ForwardedReads`, a `Translated` if it is a `Forwarding`.
+"""A request to forward: a `PreparedForward` of a `ForwardedReads`, or a `Translated` of a `Forwarding`.
 
 The client gets the object back with the reply.
 """

@@ -412,7 +412,7 @@ class Gateway:
         responder.follow(plan.table.of_listener(listener.name), forwarders)
         authorizer = None
         if self._is_guarded:
-            authorizer = PolicyAuthorizer(policy or Policy.allow_all(), self._audit, rates=self._rates)
+            authorizer = PolicyAuthorizer(policy, self._audit, rates=self._rates)
             responder.refusal_of = authorizer.refusal_of
         # A client that half-closes has left: its requests must not keep a serial line busy.
         limits = listener.settings.limits or plan.server.get("listener") or ListenerParameters()

@@ -23,7 +23,7 @@ from ...pdu.general import ExceptionResponse, MalformedRequest
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...pdu.wide_registers import MAX_DATA, NARROW
-from ...session.forwarded_reads import ForwardPlan
+from ...session.forwarded_reads import PreparedForward
 from ...session.responder import (
     SILENCE,
     Deferral,
@@ -139,7 +139,7 @@ class ListenerRouter:
         """Return the unit with this number if a route takes it or it is the gateway's own unit; else None."""
         return self._served.get(unit)
 
-    def forward_plan(self, context: RequestContext, pdu: bytes) -> ForwardPlan | None:
+    def prepared_forward(self, context: RequestContext, pdu: bytes) -> PreparedForward | None:
         """Return how the fast path forwards reads with this PDU to the context's unit; None: use the generic path.
 
         The generic path is needed for other functions than reads; for reads that no route forwards, that are split, or
@@ -162,7 +162,7 @@ class ListenerRouter:
             return None
         asked = as_bytes(type(request)).decode(requests[0].encode())
         asked.prepare()
-        return ForwardPlan(self._target(forwarder, context.unit, found), context.unit, asked)
+        return PreparedForward(self._target(forwarder, context.unit, found), context.unit, asked)
 
     def answer(self, context: RequestContext, request: AnyRequest) -> ResponderAnswer:
         """Return the outcome of a request: its reply, how it is forwarded, or silence.

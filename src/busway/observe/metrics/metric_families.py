@@ -111,15 +111,12 @@ class ServerCollector(Collector):
         yield GaugeMetricFamily("busway_up", "Whether the server's event loop answered in time.", value=bool(status))
         if status is not None:
             yield from server_families(status)
-            yield from connection_families(getattr(status, "connections", ()))
+            yield from connection_families(getattr(status, "connections", ()), getattr(status, "listeners", ()))
             yield from listener_families(getattr(status, "listeners", ()))
             yield from security_families(getattr(status, "listeners", ()))
             yield from gateway_listener_families(getattr(status, "gateway_listeners", ()))
             yield from upstream_families(getattr(status, "upstreams", ()))
-            refusals = _refusals(status)
-            if refusals:
-                meaning = "Requests that a rule of the policy refused."
-                yield _by_label("busway_policy_refusals", meaning, "rule", refusals)
+            yield from refusal_families(_refusals(status))
         if self._tally is not None:
             yield from request_families(self._tally)
 
@@ -131,6 +128,18 @@ def _refusals(status: Any) -> Counter[str]:
     for one in servers:
         found.update(getattr(one, "refusals", {}))
     return found
+
+
+def refusal_families(refusals: Mapping[str, int]) -> Iterator[Family]:
+    """Yield the metric families of denied requests: all of them, and by rule.
+
+    The first is there from the start, because Prometheus sees no increase in a series whose first value it has not
+    seen. A rule has no series before its first refusal: a policy may have 100 000 rules.
+    """
+    denied = sum(refusals.values())
+    yield CounterMetricFamily("busway_requests_denied", "Requests that the policy refused.", value=denied)
+    if refusals:
+        yield _by_label("busway_policy_refusals", "Requests that a rule of the policy refused.", "rule", refusals)
 
 
 class ClientCollector(Collector):
@@ -215,13 +224,19 @@ def class_families(counters: Any) -> Iterator[Family]:
     yield from families.values()
 
 
-def connection_families(connections: Iterable[Any]) -> Iterator[Family]:
+def connection_families(connections: Iterable[Any], listeners: Iterable[Any]) -> Iterator[Family]:
     """Yield the metric families with the numbers of connections by listener and pool, and of requests that wait.
 
-    ``connections``: `busway.server.status.ConnectionStatus` objects.
+    Args:
+        connections: `busway.server.status.ConnectionStatus` objects.
+        listeners: `busway.server.status.ListenerStatus` objects; a network listener without connections has 0.
     """
     held: Counter[tuple[str, str]] = Counter()
     waiting: Counter[str] = Counter()
+    for listener in listeners:
+        if not listener.endpoint.partition("://")[2].startswith("/"):  # no serial port
+            held.update({(listener.endpoint, "priority"): 0, (listener.endpoint, "other"): 0})
+            waiting[listener.endpoint] = 0
     for one in connections:
         held[one.listener, plain_word(getattr(one, "pool", "other"))] += 1
         waiting[one.listener] += one.waiting

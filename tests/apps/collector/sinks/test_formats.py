@@ -5,6 +5,7 @@ import csv
 import json
 import math
 import os
+import subprocess
 import sys
 import threading
 import urllib.request
@@ -321,6 +322,37 @@ def test_a_device_alone_means_all_its_points_on_a_page_for_prometheus() -> None:
         page.close()
     assert 'busway_point_value{device="meter-7",point="voltage"} 235.0' in text
     assert "pump-1" not in text
+
+
+def test_a_device_alone_means_all_its_points_also_after_the_file_was_read_again() -> None:
+    pytest.importorskip("prometheus_client")
+    values = LastValues()
+    values.update(Commit(1, at(1), [meter_read(1, 5), read_of(PUMP, 1, 900)], []))
+    page = PrometheusPage("127.0.0.1:0", ["pump-1"], values, now=lambda: at(2))
+    try:
+        page.configure(["meter-7"], 60.0)
+        text = urllib.request.urlopen(page.url, timeout=60).read().decode()
+    finally:
+        page.close()
+    assert 'busway_point_value{device="meter-7",point="voltage"} 235.0' in text
+    assert "pump-1" not in text
+
+
+def test_a_scrape_needs_no_file_of_the_program_any_more() -> None:
+    """An update while the program runs puts other files into their place, and the old program cannot load these."""
+    pytest.importorskip("prometheus_client")
+    program = """
+import sys, urllib.request
+from busway.apps.collector.sinks.prometheus import LastValues, PrometheusPage
+page = PrometheusPage("127.0.0.1:0", ["*"], LastValues())
+before = set(sys.modules)
+for accept in ("text/plain", "application/openmetrics-text; version=1.0.0"):
+    urllib.request.urlopen(urllib.request.Request(page.url, headers={"Accept": accept}), timeout=60).read()
+page.close()
+print(*sorted(name for name in set(sys.modules) - before if name.startswith(("busway", "prometheus"))))
+"""
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == []
 
 
 def test_last_values_are_bad_while_the_store_cannot_be_written() -> None:

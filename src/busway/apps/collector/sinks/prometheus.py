@@ -26,6 +26,7 @@ from ....errors import ConfigError
 from ....extras import require
 from ....observe.http import HttpService, bind_tcp
 from ....observe.http_messages import HttpRequest, HttpResponse
+from ....observe.metrics.http_endpoint import render
 from ....options.text import host_and_port
 from ....points.name_patterns import is_meant, point_pattern
 from ..alarms.events import RaisedAlarm
@@ -256,16 +257,23 @@ class PrometheusPage:
         require("prometheus_client", "a page for Prometheus")
         if not points:
             raise ConfigError('names no point; points = ["meter-7/*"] shows those of a device', key="points")
-        self._points, self._values, self._stale, self._now = tuple(map(point_pattern, points)), values, stale, now
+        # Now, and not at the first scrape: by then an update may have put other files into their place.
+        import prometheus_client.core  # noqa: F401
+
+        self._values, self._now = values, now
         self._alarms, self._more = alarms, more
+        self.configure(points, stale)
         self._service = HttpService(bind_tcp(*host_and_port(where, "url")), self._answer, name="busway prometheus")
         host, port = self._service.socket.getsockname()[:2]
         self.url: str = f"http://{host}:{port}/metrics"
         self._service.start()
 
     def configure(self, points: Sequence[str], stale: float) -> None:
-        """Set new patterns ``device/point`` of the points to show, and new seconds after which a value is left out."""
-        self._points, self._stale = tuple(points), stale
+        """Set new patterns ``device/point`` of the points to show, and new seconds after which a value is left out.
+
+        As when the page is made, a device alone means all its points.
+        """
+        self._points, self._stale = tuple(map(point_pattern, points)), stale
 
     def close(self) -> None:
         """Stop listening for scrapes, and end the thread of the service."""
@@ -273,8 +281,6 @@ class PrometheusPage:
 
     def _answer(self, request: HttpRequest) -> HttpResponse:
         from prometheus_client import CollectorRegistry
-
-        from ....observe.metrics.http_endpoint import render
 
         registry = CollectorRegistry()
         registry.register(_Collected(self._families))

@@ -1,4 +1,4 @@
-"""A read that was asked before is answered by its plan: the bytes of the generic path, whatever changes between."""
+"""A read that was asked before gets a prepared answer: the bytes of the generic path, whatever changes between."""
 
 import struct
 
@@ -50,18 +50,18 @@ reads = st.builds(read, st.sampled_from([3, 4]), st.integers(0, SIZE + 5), st.in
 
 
 @given(st.lists(reads, min_size=1, max_size=12))
-def test_the_answer_from_a_plan_equals_the_answer_of_the_generic_path(requests: list[bytes]) -> None:
-    planned = Device(holding_registers=list(range(SIZE)), input_registers=list(range(1000, 1000 + SIZE)))
+def test_the_answer_that_is_prepared_equals_the_answer_of_the_generic_path(requests: list[bytes]) -> None:
+    prepared = Device(holding_registers=list(range(SIZE)), input_registers=list(range(1000, 1000 + SIZE)))
     plain = Device(holding_registers=list(range(SIZE)), input_registers=list(range(1000, 1000 + SIZE)))
     for table in ("holding_registers", "input_registers"):
         plain.on_read(table, lambda access: None)  # a hook keeps a table off the fast path
-    session = session_of(DeviceResponder({1: planned}))
+    session = session_of(DeviceResponder({1: prepared}))
     expected = ask(session_of(DeviceResponder({1: plain})), *requests)
     assert ask(session, *requests) == expected
     assert ask(session, *requests) == expected
 
 
-def test_a_plan_shows_what_is_written_after_it_was_made() -> None:
+def test_a_prepared_answer_shows_what_is_written_after_it_was_made() -> None:
     device = Device(holding_registers=10)
     session = session_of(DeviceResponder({1: device}))
     ask(session, read(3, 2, 1))
@@ -73,7 +73,7 @@ def test_a_plan_shows_what_is_written_after_it_was_made() -> None:
     assert ask(session, bytes.fromhex("06 0002 0009"), read(3, 2, 1))[1] == bytes.fromhex("03 02 00 09")
 
 
-def test_a_hook_that_is_added_later_ends_the_plans() -> None:
+def test_a_hook_that_is_added_later_ends_the_prepared_answers() -> None:
     device = Device(holding_registers=10)
     session = session_of(DeviceResponder({1: device}))
     ask(session, read(3, 2, 1), read(3, 2, 1))
@@ -85,7 +85,7 @@ def test_a_hook_that_is_added_later_ends_the_plans() -> None:
     assert ask(session, read(3, 2, 1)) == [bytes.fromhex("83 06")]
 
 
-def test_plans_count_as_exchanges() -> None:
+def test_prepared_answers_count_as_exchanges() -> None:
     device = Device(holding_registers=10)
     handler = DeviceResponder({1: device})
     diagnostics = LineDiagnostics()
@@ -108,9 +108,9 @@ def test_units_of_a_connection_count_their_own_by_every_path() -> None:
     )
     write, longer, refused = (bytes.fromhex(one) for one in ("06 0000 0007", "10 0000 0001 02 0007", "03 0046 0001"))
     sent = [(1, read(3, 0, 1)), (3, read(3, 0, 1)), (3, write), (3, longer), (1, refused), (3, bytes.fromhex("07"))]
-    for _ in range(3):  # the first time by the fast path, then by plans
+    for _ in range(3):  # the first time by the fast path, then by prepared answers
         ask_units(session, *sent)
-        ask_units(session, *sent[:2])  # nothing but planned reads
+        ask_units(session, *sent[:2])  # nothing but prepared reads
         ask_units(session, *sent[:1])
     first, third = diagnostics.of(1), diagnostics.of(3)
     assert (first.counters.server_message_count, first.counters.bus_exception_error_count) == (12, 3)
@@ -140,7 +140,7 @@ def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_listener_alone
     assert ask_units(session, (3, bytes.fromhex("08 0001 0000")), *asked) == answers[:2]
 
 
-def test_a_request_of_another_unit_is_not_answered_by_a_plan() -> None:
+def test_a_request_of_another_unit_is_not_answered_by_a_prepared_answer() -> None:
     one, two = Device(holding_registers=[1]), Device(holding_registers=[2])
     session = session_of(DeviceResponder({1: one, 2: two}))
     assert ask(session, read(3, 0, 1), read(3, 0, 1)) == [bytes.fromhex("03 02 00 01")] * 2
@@ -153,7 +153,7 @@ few_reads = st.builds(read, st.just(3), st.integers(0, 12), st.integers(0, 4))
 
 
 @given(st.lists(st.one_of(few_reads, few_reads, writes, longer), min_size=1, max_size=12), st.data())
-def test_reads_that_are_planned_and_whatever_stands_between_them_are_answered_in_order(
+def test_reads_that_are_prepared_and_what_stands_between_them_are_answered_in_order(
     requests: list[bytes], data: st.DataObject
 ) -> None:
     quick, plain = Device(holding_registers=10), Device(holding_registers=10)
@@ -180,7 +180,7 @@ def test_what_lies_behind_the_bytes_that_came_is_not_looked_at() -> None:
     buffer.extend(b"!")  # nobody holds on to the buffer either
 
 
-def test_a_planned_read_gets_no_answer_from_a_listener_that_only_listens() -> None:
+def test_a_prepared_read_gets_no_answer_from_a_listener_that_only_listens() -> None:
     diagnostics = LineDiagnostics(changes_allowed=True)
     handler = DeviceResponder({1: Device(holding_registers=10)})
     session = TcpServerSession(
