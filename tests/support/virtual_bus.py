@@ -256,7 +256,7 @@ class MasterEnd:
 
 
 class ServerEnd:
-    """The servers of one port, driven as `busway.server.line` does it."""
+    """The servers of one port, driven as `busway.server.serial_listener` does it."""
 
     def __init__(self, port: VirtualPort, responder: Responder, units: Container[int], framing: LineFraming) -> None:
         self.port = port

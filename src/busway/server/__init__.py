@@ -15,7 +15,6 @@
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
 `identity`               Checks of a device's identification: what functions 07, 17 and 43/14 answer
 `items`                  Converts items of a table between wire order and the values that applications see
-`line`                   A serial port as a listener: the asyncio driver between a port and the session of its line
 `listener`               A listener as it is declared: an endpoint to listen on, with options that hold for it alone
 `listener_context`       What all connections of a network listener, TCP or UDP, share: access list, sessions
 `listener_settings`      Settings of a listener, read from its URL, whichever scheme it has
@@ -27,7 +26,8 @@
 `peers`                  Texts for socket addresses of clients: the host alone, or host and port
 `records`                Files of records and queues of registers
 `responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
-`rtu_over_tcp`           Server sessions for RTU or ASCII frames over TCP or UDP
+`serial_listener`        A serial port as a listener: the asyncio driver between a port and the session of its line
+`serial_over_network`    Server sessions for RTU or ASCII frames over TCP or UDP
 `server`                 The server: listeners with one pipeline for requests; start, stop, reset, status
 `server_counters`        The counters of a server: connections, requests, refusals and bytes
 `server_options`         Applies the preset of a server, such as `strict`, to its options and listeners
@@ -48,8 +48,9 @@
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one:
 `connection_pools`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:
 `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
-`connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `line`. Late answers
-and failing responders: `responder_failures`. The way of a request, its policy and its audit: `busway.session.pipeline`
-and `busway.access`. Rules of unit identifiers: `local`. Memory of a device: `device`, `stores`, `blocks`; its hooks:
-`hooks`. Counters and status: `server_counters`, `status`. Open files of the process: `open_files`.
+`connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `serial_listener`. Late
+answers and failing responders: `responder_failures`. The way of a request, its policy and its audit:
+`busway.session.pipeline` and `busway.access`. Rules of unit identifiers: `local`. Memory of a device: `device`,
+`stores`, `blocks`; its hooks: `hooks`. Counters and status: `server_counters`, `status`. Open files of the process:
+`open_files`.
 """

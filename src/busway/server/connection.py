@@ -26,7 +26,7 @@ from .responder_failures import begin_late_answers
 from .status import ServedConnectionState
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import Session
+    from .serial_over_network import Session
 
 _USUAL_REQUEST: Final = 12
 """Bytes of a read request."""

@@ -31,7 +31,7 @@ from .status_indicators import Diagnosis
 from .turns import Turns
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import Session
+    from .serial_over_network import Session
 
 _log = logging.getLogger("busway.server")
 

@@ -32,7 +32,7 @@ from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .status_indicators import Diagnosis
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import FramedSession, Session
+    from .serial_over_network import SerialOverNetworkSession, Session
     from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
@@ -315,11 +315,11 @@ class ListenerContext:
         )
 
 
-def _framed_session() -> "type[FramedSession]":
+def _framed_session() -> "type[SerialOverNetworkSession]":
     """Return the class of sessions for RTU and ASCII frames, imported before the first client needs it."""
-    from .rtu_over_tcp import FramedSession
+    from .serial_over_network import SerialOverNetworkSession
 
-    return FramedSession
+    return SerialOverNetworkSession
 
 
 def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: "Session") -> None:

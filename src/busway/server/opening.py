@@ -29,7 +29,7 @@ from .tcp import TcpListener
 from .turns import Turns
 
 if TYPE_CHECKING:
-    from .line import SerialListener
+    from .serial_listener import SerialListener
     from .udp import UdpListener
 
 _log = logging.getLogger("busway.server")
@@ -115,7 +115,7 @@ class Opening:
 
         Raises `LinkDown` and `ConfigError` as `SerialListener.open` does.
         """
-        from .line import SerialListener
+        from .serial_listener import SerialListener
 
         line = SerialListener(
             self.loop,

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..access.authorizer import PolicyAuthorizer
     from ..access.rules import Policy
     from ..options.tls import TlsParameters
-    from .line import SerialListener
+    from .serial_listener import SerialListener
     from .udp import UdpListener
 
 _STOP_SECONDS: Final = 0.5

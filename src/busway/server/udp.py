@@ -30,7 +30,7 @@ from .connection_pools import Pool, PoolLimits, Pools
 from .listener_context import ListenerContext, add_living
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
-from .rtu_over_tcp import Session
+from .serial_over_network import Session
 from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
