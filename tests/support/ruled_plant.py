@@ -17,7 +17,7 @@ from typing import Any
 from busway.access.audit_log import AuditLog
 from busway.apps.collector.command_targets import CollectedTargets
 from busway.apps.collector.commands.command import CommandResult
-from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandReceiver, InputMessage, InputRights
 from busway.apps.collector.commands.journal import CommandJournal
 from busway.apps.collector.commands.runner import CommandRunner
 from busway.apps.collector.commands.sparkplug import PLACE

@@ -13,7 +13,7 @@ import pytest
 from fleet_devices import METER, FleetDevice, devices_of, plant
 from waiting import until
 
-from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandReceiver, InputMessage, InputRights
 from busway.apps.collector.commands.mqtt import MqttCommands
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown

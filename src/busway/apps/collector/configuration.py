@@ -36,8 +36,8 @@ from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
 from .admission import LinkLoad, admit
+from .commands.command_messages import CommandInput
 from .commands.input_options import make_input
-from .commands.inputs import CommandInput
 from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .held_values import hold_limits
 from .knowledge import DeviceKnowledge, Knowledge
