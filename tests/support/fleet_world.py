@@ -317,7 +317,7 @@ class World:
         owned = driver.member.owned.get(shard)
         if owned is None or owned.epoch != epoch or owned.has_left:
             return
-        if owned.leaving is None and driver.member.may_begin(shard, driver.local(self.now), self.worst):
+        if owned.leaving is None and driver.member.permits(shard, driver.local(self.now), self.worst):
             self._judge(driver.member.name, shard, epoch)
         self._poll_soon(driver, shard, epoch)
 

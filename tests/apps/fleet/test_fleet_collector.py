@@ -332,7 +332,7 @@ async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has
             waiting = asyncio.create_task(asked())  # the unit owes a reply: what was permitted waits on the line
             await asyncio.sleep(0.05)
             assert one._permitted["line"] > frames[-1]
-            monkeypatch.setattr(one.member, "may_begin", lambda *_: False)
+            monkeypatch.setattr(one.member, "permits", lambda *_: False)
             sent = len(frames)
             assert isinstance(await waiting, LinkDown)
             await asyncio.sleep(1.0)

@@ -92,7 +92,7 @@ async def test_a_server_that_is_away_for_longer_than_a_lease_ends_all_ownership_
             await until(lambda: not one.member.owned)
             assert one.driver is not None
             assert one.driver.error is not None
-            assert not one.member.may_begin("0000", boot_time(), 0.0)
+            assert not one.member.permits("0000", boot_time(), 0.0)
             server.start()
             await until(lambda: len(one.member.owned) == 8)
             assert all(each.epoch > first[shard] for shard, each in one.member.owned.items())

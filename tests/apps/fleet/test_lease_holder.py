@@ -191,8 +191,8 @@ def test_a_transaction_that_would_end_exactly_at_the_deadline_does_not_begin() -
     world = settled(1)
     member = world.drivers["c0"].member
     deadline = member.deadline("0000")
-    assert not member.may_begin("0000", deadline - 1.0, 1.0)
-    assert member.may_begin("0000", deadline - 1.0, 0.999)
+    assert not member.permits("0000", deadline - 1.0, 1.0)
+    assert member.permits("0000", deadline - 1.0, 0.999)
 
 
 def test_shards_that_no_link_belongs_to_are_handed_back() -> None:

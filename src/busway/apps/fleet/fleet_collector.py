@@ -7,7 +7,7 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    request that was not answered (``gateway_wait``), the release waits for that long, and so does the confirmation of a
    newer configuration without the link.
 2. Right before each transaction it is checked that even the longest one ends before the lease
-   (`LeaseHolder.may_begin`); and again when each of its frames is sent, on a line perhaps seconds later. So a lease
+   (`LeaseHolder.permits`); and again when each of its frames is sent, on a line perhaps seconds later. So a lease
    that lapses ends polling at once, even if no task of this program gets to run.
 3. Changes of ownership are applied one after the other; several that have come together are applied as one. While the
    disk does not take what was sampled before, they wait, and so does a newer configuration: samples would get the
@@ -436,7 +436,7 @@ class FleetCollector:
 
         If no error is raised, the present time is kept as the begin of the link's last transaction, for `_end_of`.
         """
-        if link not in self._active or not self.member.may_begin(
+        if link not in self._active or not self.member.permits(
             self._shard_of[link], self._now(), self._times_of[link].transaction
         ):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
@@ -449,7 +449,7 @@ class FleetCollector:
         """
         times = self._times_of.get(link)
         worst = math.inf if times is None else times.after_sending
-        return self.member.may_begin(self.shard_of(link), self._now(), worst)
+        return self.member.permits(self.shard_of(link), self._now(), worst)
 
     def _note_unanswered(self, link: str) -> None:
         """Note that a gateway behind a link may now hold a request, and until when (rule 1).

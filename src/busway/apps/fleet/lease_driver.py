@@ -2,7 +2,7 @@
 
 Knows tasks and the clock; which changes are proposed, and what follows from an answer, is decided by `lease_holder`.
 
-1. The fence of a transaction is `LeaseHolder.may_begin`, asked with `boot_time` right before bytes are sent. No task
+1. A transaction is permitted by `LeaseHolder.permits`, asked with `boot_time` right before bytes are sent. No task
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
 2. After an error of the coordinator the outcome of a change counts as unknown, and the driver goes on.
 3. If following a shared table ends by an unexpected error, such as a defect of a client library, the error is logged,

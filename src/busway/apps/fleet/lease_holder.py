@@ -2,8 +2,8 @@
 
 Pure, without IO: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock.
 The driver (`lease_driver`) makes each proposed change once, and passes the answer to `LeaseHolder.outcome`. The
-collector stops the links of a shard, then calls `LeaseHolder.left`. `LeaseHolder.may_begin` is the fence: it is asked
-before each transaction on a link.
+collector stops the links of a shard, then calls `LeaseHolder.left`. `LeaseHolder.permits` is asked before each
+transaction on a link.
 
 1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
    renewal was sent, plus the time to live, less the guard. A renewal without an answer does not count.
@@ -336,8 +336,8 @@ class LeaseHolder:
             return float("-inf")
         return self.times.deadline(owned.asked)
 
-    def may_begin(self, shard: str, now: float, worst: float) -> bool:
-        """Whether a transaction on a link of a shard may begin now: True if it would end before the shard's `deadline`.
+    def permits(self, shard: str, now: float, worst: float) -> bool:
+        """Whether a transaction on a link of a shard is permitted now: whether it ends before the shard's `deadline`.
 
         To be asked right before each transaction.
 
