@@ -322,7 +322,7 @@ async def test_client_that_takes_no_replies_is_closed_in_time_unless_it_is_marke
                     slow.writer.write(b"\0")
                     assert await slow.is_closed()
                     await slow.close()
-                assert server.status().connections[0].state is ServedConnectionState.HELD
+                assert server.status().connections[0].state is ServedConnectionState.PAUSED
                 assert server.counters.write_timeouts == 0
             else:
                 await until(lambda: server.counters.closed == 1)
@@ -343,7 +343,7 @@ async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_othe
             await client.reader.readexactly(35 * len(ANSWER))
         clients[1].writer.write(QUESTION)  # not read before the debt of both is paid: (70 - 50) / 50 s
         await until(lambda: server.counters.rate_limited == 1)
-        assert ServedConnectionState.HELD in [one.state for one in server.status().connections]
+        assert ServedConnectionState.PAUSED in [one.state for one in server.status().connections]
         await other.ask()
         for _ in range(60):
             await marked.ask()

@@ -57,7 +57,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
 
     charged: int
 
-    def hold(self) -> None:
+    def pause_reading(self) -> None:
         """Stop reading from the client until `go_on` is called."""
 
     def go_on(self) -> None:
@@ -291,16 +291,16 @@ class ConnectionManagement:
             self.listener_context.say(
                 logging.INFO,
                 connection.host,
-                "%s: held back, %g requests a second are its rate",
+                "%s: reading is paused, its rate is %g requests a second",
                 connection.peer,
                 self.rates.rate,
             )
-            connection.hold()
-            self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
+            connection.pause_reading()
+            self._set_timer_by(self._deadlines.pause(connection, now + wait), now)
 
-    def is_held(self, connection: ManagedConnection) -> bool:
+    def is_paused(self, connection: ManagedConnection) -> bool:
         """Whether reading from a connection is paused: its host is above its rate, or `pause_all` was called."""
-        return self._is_draining or self._deadlines.is_held(connection)
+        return self._is_draining or self._deadlines.is_paused(connection)
 
     def _set_timer(self, now: float) -> None:
         self._set_timer_by(self._deadlines.next_due(now, has_connections=bool(self._connections)), now)
@@ -323,7 +323,7 @@ class ConnectionManagement:
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
-            if what is Overdue.HELD:
+            if what is Overdue.PAUSE:
                 connection.go_on()
             elif connection.session is not None:
                 self._close_overdue(connection, what)
@@ -368,7 +368,7 @@ class ConnectionManagement:
         """Stop reading from all connections, for good; requests in progress are still answered."""
         self._is_draining = True
         for connection in self._connections:
-            connection.hold()
+            connection.pause_reading()
 
     async def wait_until_empty(self) -> None:
         """Wait until all connections of the listener have ended."""

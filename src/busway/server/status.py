@@ -18,14 +18,14 @@ class ServedConnectionState(Enum):
         IDLE: no request is in progress.
         RECEIVING: a request is received in part.
         BUSY: a request is in progress or waits for its turn, or a reply is unsent.
-        HELD: reading is paused: the host is above its rate, or does not read its replies, or the server stops.
+        PAUSED: nothing is read: the host is above its rate, or does not read its replies, or the server stops.
         CLOSING: the connection is closed as soon as the written replies are sent.
     """
 
     IDLE = "idle"
     RECEIVING = "receiving"
     BUSY = "busy"
-    HELD = "held"
+    PAUSED = "paused"
     CLOSING = "closing"
 
 
