@@ -626,13 +626,13 @@ class LinkPoller:
         alone: bool,
         code: int = 0,
     ) -> None:
-        if turn.kind is TurnKind.QUESTION:
+        if turn.kind is TurnKind.TEST_READ:
             device.book.answered(read, outcome, seconds, code)
         elif outcome is not ReadOutcome.SUCCESS:
             device.book.failed(read, outcome, code)
         elif alone:
             device.book.succeeded(read, seconds)
-        if turn.kind is TurnKind.QUESTION or outcome is not ReadOutcome.SUCCESS:
+        if turn.kind is TurnKind.TEST_READ or outcome is not ReadOutcome.SUCCESS:
             self._tell_unread(device)
 
     def _tell_unread(self, device: PolledDevice) -> None:
