@@ -26,7 +26,7 @@ from offline.wire import NUMBERS, Device, MemoryLoop, Wire
 
 import busway
 from busway.options.client import ClientParameters
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostic_counters import LineDiagnostics

@@ -12,7 +12,7 @@ import pytest
 
 PACKAGE = "busway"
 SOURCES = Path(__file__).parents[1] / "src" / PACKAGE
-CORE = ("codes", "errors", "pdu", "points", "values", "framing", "session", "options")
+CORE = ("codes", "errors", "log_limiter", "pdu", "points", "values", "framing", "session", "options")
 
 PURE_MODULES = {
     "__future__",

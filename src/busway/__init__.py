@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     from .options.endpoints import Endpoint, parse_endpoint
     from .options.server import ListenerParameters
     from .options.tls import TlsParameters
+    from .pdu.device_interface import Refusal
     from .pdu.diagnostics import (
         GetCommEventCounter,
         GetCommEventLog,
@@ -65,9 +66,7 @@ if TYPE_CHECKING:
     from .pdu.fields import repeated, rest, rest_length, u8, u16
     from .pdu.file_records import FileReference, ReadFileRecord, WriteFileRecord
     from .pdu.functions import STANDARD, FunctionTable
-    from .pdu.general import OpaqueRequest
     from .pdu.message import Message, ReplyMessage, Request, Touch
-    from .pdu.model import Refusal
     from .pdu.read_items import (
         ReadCoils,
         ReadDiscreteInputs,
@@ -76,6 +75,7 @@ if TYPE_CHECKING:
         ReadInputRegisters,
     )
     from .pdu.server_id import ServerId
+    from .pdu.unknown_functions import OpaqueRequest
     from .pdu.write_items import (
         MaskWriteRegister,
         ReadWriteMultipleRegisters,
@@ -156,9 +156,9 @@ _HOME = {
     "pdu.fields": ("repeated", "rest", "rest_length", "u8", "u16"),
     "pdu.file_records": ("FileReference", "ReadFileRecord", "WriteFileRecord"),
     "pdu.functions": ("STANDARD", "FunctionTable"),
-    "pdu.general": ("OpaqueRequest",),
+    "pdu.unknown_functions": ("OpaqueRequest",),
     "pdu.message": ("Message", "ReplyMessage", "Request", "Touch"),
-    "pdu.model": ("Refusal",),
+    "pdu.device_interface": ("Refusal",),
     "pdu.read_items": (
         "ReadCoils",
         "ReadDiscreteInputs",

@@ -9,9 +9,9 @@ from message_strategies import any_request
 
 from busway.access.audit_line import audit_line, outcome_of
 from busway.access.audit_log import WallClock
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
 from busway.pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,

@@ -12,13 +12,13 @@ from busway.access.audit_log import AuditLog
 from busway.access.rules import Policy, Rule
 from busway.framing.mbap import encode_mbap
 from busway.options.server import UnitPolicy
+from busway.pdu.device_interface import Refusal
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.server.responder_failures import answer_later
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit

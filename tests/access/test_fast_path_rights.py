@@ -13,8 +13,8 @@ from busway.access.rules import Action, Policy, Rule
 from busway.codes import Table
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import OpaqueReply
 from busway.pdu.message import Request, Span, Touch
+from busway.pdu.unknown_functions import OpaqueReply
 from busway.server.device import Device
 from busway.session.responder import ClientIdentity, ServedUnit
 

@@ -11,9 +11,9 @@ from authorizing import AuthorizedPipeline
 
 from busway.access.audit_log import AuditLog
 from busway.access.rules import Policy, Rule
-from busway.pdu.general import ExceptionResponse
+from busway.pdu.exception_response import ExceptionResponse
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.responder import ClientIdentity, RequestContext, ServedUnit
 from busway.session.server import TcpServerSession

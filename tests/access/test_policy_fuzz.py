@@ -16,11 +16,13 @@ from busway.access.audit_log import AuditLog
 from busway.access.rules import AccessKind, Action, Limits, Policy, Rule
 from busway.codes import Table
 from busway.errors import ConfigError
+from busway.pdu.device_interface import Refusal
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD, AnyRequest
-from busway.pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Message
-from busway.pdu.model import Refusal
+from busway.pdu.unknown_functions import OpaqueRequest
 from busway.pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,
@@ -28,7 +30,7 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext

@@ -16,7 +16,7 @@ import pytest
 import busway
 from busway.config.devices import build_device
 from busway.config.files.device import parse_device_file
-from busway.pdu.model import Refusal
+from busway.pdu.device_interface import Refusal
 
 PLANT = """
 [[unit]]

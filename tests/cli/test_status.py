@@ -17,7 +17,7 @@ from program import Busway
 from prometheus_client.parser import text_string_to_metric_families
 
 import busway
-from busway.apps.collector.running import find_collectors, noted
+from busway.apps.collector.running_notes import find_collectors, noted
 from busway.apps.control import Control, ask, control_directories, find_running
 
 
@@ -312,7 +312,7 @@ def test_paths_of_a_running_collector_are_whole_as_status_is_asked_from_elsewher
     home: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(home)
-    monkeypatch.setattr("busway.apps.collector.running.holder_of", lambda folder: os.getpid())
+    monkeypatch.setattr("busway.apps.collector.running_notes.holder_of", lambda folder: os.getpid())
     Path("plant.toml").touch()
     for file, told in (("plant.toml", str(home / "plant.toml")), ("zone hall", "zone hall")):
         with noted(file, "samples", "", is_in_fleet=False):

@@ -10,7 +10,7 @@ from handlers import ScriptedHandler
 
 import busway
 from busway.framing.rtu import encode_rtu
-from busway.pdu.general import ExceptionResponse
+from busway.pdu.exception_response import ExceptionResponse
 
 ANY_PORT = "tcp://127.0.0.1:0"
 WORDS = "unit 255 was assumed because none was named"

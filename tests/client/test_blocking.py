@@ -198,7 +198,7 @@ def test_interrupt_while_waiting_leaves_the_link_usable(monkeypatch: pytest.Monk
     with faulty_server(known_device()) as server, busway.connect(server.endpoint, timeout=AMPLE) as link:
         link.unit(1).read_holding_registers(0, count=1)
         with monkeypatch.context() as patch:
-            patch.setattr("busway.client.blocking_link.Poll.wait", _interrupted)
+            patch.setattr("busway.client.blocking_link.SocketReadiness.wait", _interrupted)
             with pytest.raises(KeyboardInterrupt):
                 link.unit(1).read_holding_registers(1, count=1)
         assert link.unit(1).read_holding_registers(2, count=1) == [2]

@@ -238,7 +238,7 @@ def test_interrupted_read_of_a_silent_peer_keeps_no_slot_of_other_links(monkeypa
         options: Any = {"scope": "client", "shared": False, "timeout": 60.0}
         with busway.connect(silent.endpoint, **options) as dead, busway.connect(alive.endpoint, **options) as link:
             with monkeypatch.context() as patch:
-                patch.setattr("busway.client.blocking_link.Poll.wait", interrupt_wait)
+                patch.setattr("busway.client.blocking_link.SocketReadiness.wait", interrupt_wait)
                 with pytest.raises(Interrupt):
                     dead.unit(1).read_holding_registers(0, count=1)
             assert link.unit(1).read_holding_registers(7, count=1, deadline=AMPLE) == [7]

@@ -25,7 +25,7 @@ from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.connection_pools import Pool, PoolLimits, Pools
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
 from busway.session.client import TcpClientSession
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
@@ -160,7 +160,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
             {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"},
         ),
         ("busway.access.rates", {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"}),
-        ("busway.server.local", {"busway.client", "busway.server.connection_management", "socket"}),
+        ("busway.server.device_responder", {"busway.client", "busway.server.connection_management", "socket"}),
         ("busway.transport.tcp", {"busway.client", "busway.server", "busway.session", "asyncio"}),
         ("busway.client.aio", {"busway.server"}),
         ("busway.server.server", {"busway.client"}),

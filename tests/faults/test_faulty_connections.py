@@ -17,7 +17,7 @@ from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.server.server import Server
 from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
 from busway.testing import FakeClock, Schedule, known_device

@@ -8,9 +8,9 @@ import busway
 from busway.framing.ascii import encode_ascii
 from busway.framing.rtu import encode_rtu
 from busway.options.server import UnitPolicy
-from busway.pdu.general import ExceptionResponse
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 from busway.testing import (

@@ -26,7 +26,7 @@ from busway.errors import ConfigError, LinkDown
 from busway.observe.metrics import MetricsEndpoint, MetricsObserver, PeerClass, RequestTally, start_metrics
 from busway.observe.metrics.observer import ClassifyByPriority
 from busway.observe.metrics.request_tally import Unanswered
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity

@@ -18,9 +18,9 @@ from busway.options.presets import PASSIVE_SETTINGS, Preset, preset_of, strict_s
 from busway.options.server import ListenerParameters, Scope, UnitPolicy, UnlistedUnit
 from busway.options.tls import TlsParameters
 from busway.server.device import Device
+from busway.server.device_responder import DeviceResponder
 from busway.server.listener import Listener
 from busway.server.listener_settings import listener_settings
-from busway.server.local import DeviceResponder
 
 ROOT = Path(__file__).resolve().parents[2]
 DATA: dict[str, Any] = tomllib.loads((ROOT / "docs" / "conformance.toml").read_text(encoding="utf-8"))

@@ -6,7 +6,7 @@ from hypothesis import strategies as st
 
 from busway.pdu.describe import Description, Part, describe_reply, describe_request
 from busway.pdu.diagnostics import ReportServerId
-from busway.pdu.general import ExceptionResponse
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.read_items import ReadCoils
 
 

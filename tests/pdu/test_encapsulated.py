@@ -4,6 +4,7 @@ import pytest
 from recording_device import FakeContext, RecordingModel
 
 from busway.errors import InvalidRequest
+from busway.pdu.device_interface import Refusal
 from busway.pdu.encapsulated import (
     BASIC,
     EXTENDED,
@@ -16,9 +17,8 @@ from busway.pdu.encapsulated import (
     ReadDeviceIdentification,
 )
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import MalformedRequest
 from busway.pdu.malformed import MalformedPdu
-from busway.pdu.model import Refusal
+from busway.pdu.malformed_request import MalformedRequest
 
 Reply = ReadDeviceIdentification.Reply
 

@@ -16,10 +16,12 @@ from spec_frames import EXCHANGES, Exchange
 
 from busway.codes import PDU_LIMIT
 from busway.pdu.encapsulated import CanopenGeneralReference, ReadDeviceIdentification
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse, MalformedRequest, OpaqueReply, OpaqueRequest
 from busway.pdu.malformed import MalformedPdu
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import NEED_MORE, UNKNOWN_LENGTH, Message
+from busway.pdu.unknown_functions import OpaqueReply, OpaqueRequest
 
 FRAMES = [
     pytest.param(kind, bytes.fromhex(text), id=f"{kind.__qualname__} {text}")

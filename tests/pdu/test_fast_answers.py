@@ -12,10 +12,11 @@ from recording_device import FakeContext
 
 from busway.codes import Table
 from busway.pdu.bits import slice_bits, splice_bits
+from busway.pdu.device_interface import Refusal
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse, MalformedRequest
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (
     MaskWriteRegister,
@@ -126,15 +127,14 @@ def expect_same(first: int, count: int, pdu: bytes) -> None:
     assert kind is not None
     answer = kind.direct(shorter)
     assert answer is not None
-    # The PDU stands somewhere in a buffer that is used again.
-    buffer = bytearray(b"\xee" * 7 + pdu + b"\xdd" * 5)
+    # The PDU stands somewhere among other bytes.
+    buffer = b"\xee" * 7 + pdu + b"\xdd" * 5
     said = answer(buffer, 7, 7 + len(pdu), ClientIdentity())
     expected = generic_path(longer, pdu)
     if said is None:
         assert shorter.content == before, "what is left to the generic path has changed nothing"
         return
-    buffer[:] = bytes(len(buffer))
-    assert bytes(said) == expected
+    assert said == expected
     assert shorter.content == longer.content
 
 

@@ -4,11 +4,11 @@ import pytest
 from recording_device import FakeContext, RecordingModel
 
 from busway.errors import InvalidRequest
+from busway.pdu.device_interface import Refusal
 from busway.pdu.file_records import FileContent, FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import MalformedRequest
 from busway.pdu.malformed import MalformedPdu
-from busway.pdu.model import Refusal
+from busway.pdu.malformed_request import MalformedRequest
 
 
 def model_with_files() -> RecordingModel:

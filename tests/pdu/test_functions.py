@@ -6,12 +6,14 @@ from hypothesis import strategies as st
 
 from busway.codes import DiagnosticCode, FunctionCode, MeiType
 from busway.pdu.diagnostics import ReturnQueryData
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.fields import rest, u8
 from busway.pdu.functions import STANDARD, FunctionTable
-from busway.pdu.general import ExceptionResponse, MalformedRequest, OpaqueReply, OpaqueRequest
 from busway.pdu.malformed import MalformedPdu
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import NEED_MORE, UNKNOWN_LENGTH, ReplyMessage, Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
+from busway.pdu.unknown_functions import OpaqueReply, OpaqueRequest
 
 
 @pytest.mark.clause("A22")

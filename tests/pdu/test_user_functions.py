@@ -5,12 +5,12 @@ from recording_device import FakeContext, RecordingModel
 
 from busway.codes import Table
 from busway.errors import InvalidRequest
+from busway.pdu.device_interface import Context, DataModel
 from busway.pdu.fields import rest, rest_length, u8, u16
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import MalformedRequest
 from busway.pdu.malformed import MalformedPdu
+from busway.pdu.malformed_request import MalformedRequest
 from busway.pdu.message import Message, ReplyMessage, Request, Touch
-from busway.pdu.model import Context, DataModel
 
 
 class ReadPressure(Request):

@@ -9,12 +9,12 @@ from hypothesis import strategies as st
 
 from busway.codes import ExceptionCode, Table
 from busway.errors import ConfigError
+from busway.pdu.device_interface import Refusal
 from busway.pdu.diagnostics import ReadExceptionStatus, ReportServerId
 from busway.pdu.encapsulated import CanopenGeneralReference, ReadDeviceIdentification
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message, Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (
     MaskWriteRegister,
@@ -280,7 +280,7 @@ def test_the_fast_path_answers_as_the_generic_path_does(requests: list[bytes]) -
         answer = answers[pdu[0]]
         assert answer is not None
         # The PDU stands somewhere in a receive buffer.
-        got = answer(bytearray(b"\xaa\xaa" + pdu + b"\xaa"), 2, 2 + len(pdu), ClientIdentity())
+        got = answer(b"\xaa\xaa" + pdu + b"\xaa", 2, 2 + len(pdu), ClientIdentity())
         if got is None:
             # What the fast path leaves is refused, or is a form that only the generic path judges.
             assert generic_path(by_fast_path, pdu) == expected

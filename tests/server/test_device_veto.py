@@ -2,12 +2,12 @@
 
 import pytest
 
+from busway.pdu.device_interface import Refusal
 from busway.pdu.functions import STANDARD
-from busway.pdu.model import Refusal
 from busway.pdu.write_items import ReadWriteMultipleRegisters
 from busway.server.device import Device
+from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
-from busway.server.local import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 

@@ -7,8 +7,8 @@ import pytest
 
 from busway.codes import ExceptionCode, Table
 from busway.errors import ConfigError
+from busway.pdu.device_interface import Refusal
 from busway.pdu.message import Message, Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import (
     MaskWriteRegister,

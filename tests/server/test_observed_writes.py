@@ -5,8 +5,8 @@ from collections.abc import Callable
 import pytest
 
 from busway.codes import Table
+from busway.pdu.device_interface import Refusal
 from busway.pdu.file_records import FileData, WriteFileRecord
-from busway.pdu.model import Refusal
 from busway.pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,
@@ -15,7 +15,7 @@ from busway.pdu.write_items import (
     WriteSingleRegister,
 )
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import Judged, Replaced, RequestContext
 

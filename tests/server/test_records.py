@@ -6,9 +6,9 @@ import pytest
 
 from busway.codes import ExceptionCode
 from busway.errors import ConfigError, InvalidRequest
+from busway.pdu.device_interface import Refusal
 from busway.pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from busway.pdu.message import Message, Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadFifoQueue
 from busway.server.cells import Cells
 from busway.server.device import Device

@@ -6,8 +6,8 @@ import pytest
 
 from busway.codes import Table
 from busway.errors import ConfigError
+from busway.pdu.device_interface import Refusal
 from busway.pdu.message import Message, Request
-from busway.pdu.model import Refusal
 from busway.pdu.read_items import ReadCoils, ReadDiscreteInputs, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters, WriteSingleCoil, WriteSingleRegister
 from busway.server.cells import Cells

@@ -3,8 +3,8 @@
 import pytest
 
 import busway
+from busway.pdu.device_interface import Context, DataModel
 from busway.pdu.fields import u16
-from busway.pdu.model import Context, DataModel
 
 
 class AddRegisters(busway.Request):

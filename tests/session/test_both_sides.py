@@ -10,12 +10,12 @@ from message_strategies import any_request
 
 from busway.codes import Table
 from busway.errors import ExceptionReply, ModbusError
+from busway.pdu.device_interface import Context, DataModel
 from busway.pdu.fields import rest, rest_length, u8
 from busway.pdu.functions import STANDARD, FunctionTable
 from busway.pdu.message import Message, ReplyMessage, Request
-from busway.pdu.model import Context, DataModel
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession

@@ -17,8 +17,8 @@ from busway.errors import (
 from busway.framing.mbap import encode_mbap
 from busway.options.client import MismatchPolicy
 from busway.pdu.encapsulated import ReadDeviceIdentification
-from busway.pdu.general import OpaqueRequest
 from busway.pdu.read_items import ReadFifoQueue, ReadHoldingRegisters
+from busway.pdu.unknown_functions import OpaqueRequest
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.session.call import Call
 

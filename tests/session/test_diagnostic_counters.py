@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 
 from busway.codes import DiagnosticCode
-from busway.pdu.model import Refusal
+from busway.pdu.device_interface import Refusal
 from busway.session.diagnostic_counters import (
     EVENT_LOG_SIZE,
     CommunicationState,

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from busway.framing.mbap import MbapReceiver, encode_mbap
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD, AnyRequest
-from busway.pdu.general import ExceptionResponse
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ForwardedReads, PreparedForward, PreparedForwards, ReadForwarder
 from busway.session.pipeline import RequestPipeline

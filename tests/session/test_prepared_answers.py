@@ -6,10 +6,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.pdu.model import Refusal
+from busway.pdu.device_interface import Refusal
 from busway.server.device import Device
+from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
-from busway.server.local import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession

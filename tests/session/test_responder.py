@@ -1,6 +1,6 @@
 """The way of a late reply: once, to whoever asked."""
 
-from busway.pdu.general import ExceptionResponse
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import SILENCE, Deferral, RequestContext

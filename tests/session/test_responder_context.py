@@ -1,8 +1,8 @@
 """What a handler learns of a client that goes away before its late reply."""
 
 from busway.codes import FunctionCode
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD, AnyRequest
-from busway.pdu.general import ExceptionResponse
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit

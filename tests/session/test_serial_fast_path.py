@@ -8,10 +8,10 @@ from hypothesis import strategies as st
 from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.pdu.model import Refusal
+from busway.pdu.device_interface import Refusal
 from busway.server.device import Device
+from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
-from busway.server.local import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import line_framing
 from busway.session.pipeline import RequestPipeline

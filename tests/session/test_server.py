@@ -14,13 +14,14 @@ from message_strategies import any_request
 
 from busway.codes import ExceptionCode
 from busway.framing.mbap import MbapFrame, MbapReceiver, encode_mbap
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD, AnyRequest
-from busway.pdu.general import ExceptionResponse, OpaqueReply
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
+from busway.pdu.unknown_functions import OpaqueReply
 from busway.server.cells import Cells
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (

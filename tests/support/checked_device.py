@@ -19,7 +19,7 @@ from busway.framing.lrc import lrc
 from busway.framing.mbap import FrameKind, MbapReceiver
 from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import STANDARD
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext

@@ -12,10 +12,10 @@ from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
 from busway.faults.applied_faults import AppliedFault, Faults, Selection
 from busway.faults.faulty_connections import FaultyTap
+from busway.faults.faulty_responder import FaultyResponder
 from busway.faults.profiles import FAULT_PROFILES
-from busway.faults.responder import FaultyResponder
+from busway.server.device_responder import DeviceResponder
 from busway.server.listener import Listener
-from busway.server.local import DeviceResponder
 from busway.server.server import Server
 
 ANY_PORT = "tcp://127.0.0.1:0"

@@ -11,12 +11,13 @@ from hypothesis import strategies as st
 from busway.codes import MAX_FIFO_REGISTERS, PDU_LIMIT, TABLE_SIZE
 from busway.pdu.diagnostics import Diagnostic
 from busway.pdu.encapsulated import IdentificationObject, ReadDeviceIdentification
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.fields import Field, FixedField, RepeatedField, RestField, RestLength
 from busway.pdu.file_records import FileContent, FileData, FileReference
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse, OpaqueReply, OpaqueRequest
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadFifoQueue
+from busway.pdu.unknown_functions import OpaqueReply, OpaqueRequest
 
 REQUESTS: tuple[type[Request], ...] = tuple(STANDARD)
 REPLIES: tuple[type[Message], ...] = tuple(one.Reply for one in STANDARD)

@@ -20,7 +20,7 @@ from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
 from busway.server.device import Device
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import LineFraming, line_framing

@@ -16,12 +16,12 @@ from busway.framing.lrc import lrc
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.framing.received import SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import FileData
 from busway.pdu.functions import STANDARD
-from busway.pdu.general import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.cells import Cells
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.server import TcpServerSession

@@ -1,6 +1,6 @@
 """Access control: which hosts may connect, which requests a policy permits, and the audit log (clauses M6, T15).
 
-==================  ====================================================================================================
+==================  ==================================================================================================
 `addresses`         Address lists: which hosts may connect; allow and deny lists, and secure mode
 `audit_line`        One line of the audit log: a request and its outcome as JSON
 `audit_log`         The audit log: an append-only file with one JSON object per line
@@ -11,10 +11,9 @@
 `question`          What an access policy needs to know of one request: client, unit, function, items and values
 `rates`             Limits of requests per second by client host: a token bucket for each host
 `repeated_denials`  Counts repeated denials of one client by one rule: the audit log gets the first at once
-`repeats`           Limiter for repeated log messages: the first is logged at once
 `rule_evaluation`   Which rule decides about a request where several apply (the first), compiled once per rights
 `rules`             A rule: which clients and requests it applies to, and what it does; a policy: rules in their order
-==================  ====================================================================================================
+==================  ==================================================================================================
 
 Where it is decided: which of two rules wins: `rule_evaluation` (the first that applies). What a rule applies to:
 `rules`. Which exception code refuses a request, requests above a rate, and from which request on a replaced policy

@@ -32,12 +32,14 @@ from collections.abc import Callable, Sequence
 from json.encoder import encode_basestring_ascii as quoted
 from typing import Any, Final
 
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import Requester
 from ..pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
-from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ..pdu.malformed_request import MalformedRequest
 from ..pdu.message import Message, Request
 from ..pdu.read_items import unpack_registers
+from ..pdu.unknown_functions import OpaqueRequest
 from ..pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,

@@ -24,17 +24,17 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from ..codes import BROADCAST_UNIT, ExceptionCode
+from ..log_limiter import LogLimiter, suppressed_note
 from ..options.networks import host_of_peer
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import FastAnswer
 from ..pdu.functions import AnyRequest
-from ..pdu.general import ExceptionResponse
 from ..pdu.message import Request
 from ..session.responder import ClientIdentity, Judged, Refusal, Replaced, RequestContext, ServedUnit
 from ..values.printable import printable
 from .fast_path_rights import bind
 from .question import Asker, Question
 from .rates import Rates
-from .repeats import Repeats, so_often
 from .rule_evaluation import Decision, Rights
 from .rules import Policy, Rule
 
@@ -130,7 +130,7 @@ class PolicyAuthorizer:
         self._lock = threading.Lock()
         self._clock = clock
         self._rates: dict[str, Rates] = {} if rates is None else rates
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     @property
     def policy(self) -> Policy:
@@ -255,7 +255,7 @@ class PolicyAuthorizer:
         rule = decision.rule_name
         context.judged = Judged(rule, is_denied=True)
         self.refusals[rule] += 1
-        repeated = self._repeats.again(f"{rule} {asker.host}", self._clock())
+        repeated = self._log_limiter.admit(f"{rule} {asker.host}", self._clock())
         if repeated is not None:
             _log.warning(
                 "%s: function %d of unit %d refused with %d by %s: %s%s",
@@ -265,7 +265,7 @@ class PolicyAuthorizer:
                 decision.code,
                 rule,
                 printable(decision.reason),
-                so_often(repeated),
+                suppressed_note(repeated),
             )
         return ExceptionResponse(context.function, decision.code)
 

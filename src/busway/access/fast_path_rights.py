@@ -124,7 +124,7 @@ def _is_plain(kind: type[Request], touch: Touch) -> bool:
 def _within_range(answer: FastAnswer, permitted: NumberRange) -> FastAnswer:
     first, last = permitted
 
-    def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def within(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         try:  # what is cut off reaches into the next frame, or beyond the buffer; the answer judges the length
             address, count = _unpack_two(buffer, at + 1)
         except struct.error:
@@ -137,7 +137,7 @@ def _within_range(answer: FastAnswer, permitted: NumberRange) -> FastAnswer:
 def _within_ranges(answer: FastAnswer, permitted: Sequence[NumberRange]) -> FastAnswer:
     firsts, ends = zip(*permitted, strict=True)
 
-    def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def within(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         try:
             address, count = _unpack_two(buffer, at + 1)
         except struct.error:
@@ -155,7 +155,7 @@ def _within_single(answer: FastAnswer, permitted: Sequence[NumberRange]) -> Fast
     """
     firsts, ends = zip(*permitted, strict=True)
 
-    def within(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def within(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         try:
             (address,) = _unpack_address(buffer, at + 1)
         except struct.error:
@@ -285,7 +285,7 @@ def _audited(
     lines = [done_line(unit, kind.code, zone.rule_name) for zone in zones]
     append, now, text_of = audit.append, audit.timestamp, DONE[kind]
 
-    def audited(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def audited(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         reply = answer(buffer, at, end, client)
         if reply is not None:
             index, address, count, old, new = done

@@ -21,7 +21,7 @@ from typing import Final
 from ..codes import TABLE_SIZE, DiagnosticCode, FunctionCode, MeiType, Table
 from ..errors import ConfigError, InvalidRequest
 from ..values import Address, parse_address
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 NumberRange = tuple[int, int]
 """A range of numbers: the first number, and the number after the last."""

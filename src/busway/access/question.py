@@ -18,9 +18,10 @@ from ..codes import FunctionCode, Table
 from ..options.networks import host_of_peer
 from ..pdu.file_records import ReadFileRecord, WriteFileRecord
 from ..pdu.functions import AnyRequest
-from ..pdu.general import MalformedRequest, OpaqueRequest
+from ..pdu.malformed_request import MalformedRequest
 from ..pdu.message import Request
 from ..pdu.read_items import unpack_registers
+from ..pdu.unknown_functions import OpaqueRequest
 from ..pdu.write_items import MaskWriteRegister, ReadWriteMultipleRegisters, WriteMultipleRegisters, WriteSingleRegister
 
 FILES: Final = "files"

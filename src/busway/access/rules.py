@@ -24,7 +24,7 @@ from ..errors import ConfigError
 from ..options import declaration
 from ..options.endpoints import SCHEMES, parse_endpoint
 from ..options.networks import NetworkIndex, Networks
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .addresses import AddressList
 from .notation import Function, NumberRange, parse_files, parse_functions, parse_items, parse_table, parse_units
 from .question import END, FILES, Asker, Space

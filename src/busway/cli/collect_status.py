@@ -58,7 +58,7 @@ def _announce(
     stack: AsyncExitStack, collector: "Collector", page: "CollectorPage | None", *, is_in_fleet: bool
 ) -> None:
     """Note the collector for `busway status` until ``stack`` closes, and print the address of its page, if any."""
-    from ..apps.collector.running import noted
+    from ..apps.collector.running_notes import noted
 
     configuration, url = collector.configuration, "" if page is None else page.url
     stack.enter_context(noted(configuration.name, configuration.store, url, is_in_fleet=is_in_fleet))

@@ -64,7 +64,7 @@ def _ask(where: str | None) -> list[dict[str, Any]]:
         NoReply, BadReply: the only program does not answer in time, or not as a control service.
         ConfigError: ``where`` is invalid.
     """
-    from ..apps.collector.running import find_collectors
+    from ..apps.collector.running_notes import find_collectors
     from ..apps.control.addresses import control_directories
     from ..apps.control.client import ask, find_one, find_running
 

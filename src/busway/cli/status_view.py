@@ -199,7 +199,7 @@ def collector_sections(told: Sequence[JsonObject]) -> list[StatusSection]:
     """Return the sections that list running collectors with their pages; an empty list without collectors.
 
     Args:
-        told: the fields of `busway.apps.collector.running.RunningCollector` for each collector.
+        told: the fields of `busway.apps.collector.running_notes.RunningCollector` for each collector.
     """
     if not told:
         return []

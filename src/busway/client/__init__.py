@@ -15,7 +15,7 @@
 `operations`           Operations of a unit, such as reading values, as generators of requests, without IO
 `option_types`         The options of `busway.connect` and `busway.open`, for type checkers
 `permitted_sending`    Connections that send only while a function permits it
-`polling`              Waits of a blocking link at its socket or serial port
+`readiness`            Waits of a blocking link at its socket or serial port
 `pool`                 The links of an event loop: one shared connection for all users of an endpoint
 `read_many`            Reads values from several addresses with as few requests as possible
 `registry`             The client connections of this process: shows their status and limits their number

@@ -14,7 +14,7 @@ from collections.abc import Callable
 
 from ..transport.tcp import discard_on_close
 from .channel import Channel
-from .polling import ExactPoll, Poll
+from .readiness import PortReadiness, SocketReadiness
 
 
 class BlockingConnection:
@@ -27,13 +27,13 @@ class BlockingConnection:
             for other connections.
     """
 
-    __slots__ = ("_poll", "channel", "frame_leaves", "unsent")
+    __slots__ = ("_readiness", "channel", "frame_leaves", "unsent")
 
-    def __init__(self, channel: Channel, poll: Poll | ExactPoll) -> None:
+    def __init__(self, channel: Channel, readiness: SocketReadiness | PortReadiness) -> None:
         self.channel: Channel = channel
         self.unsent: deque[bytes] = deque()
         self.frame_leaves: Callable[[], None] | None = getattr(channel, "still_sending", None)
-        self._poll = poll
+        self._readiness = readiness
 
     def send(self, frame: bytes) -> None:
         """Send a frame; bytes that the system does not accept now are sent later by `flush`.
@@ -72,7 +72,7 @@ class BlockingConnection:
         Returns False if ``seconds`` were over first, or if another thread closed the connection. Call it without the
         lock of the link. At a serial port it can return False earlier.
         """
-        return self._poll.wait(self.channel, seconds, bool(self.unsent))
+        return self._readiness.wait(self.channel, seconds, bool(self.unsent))
 
     def close(self) -> None:
         """Close the socket or port and drop unsent frames."""

@@ -41,7 +41,7 @@ from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
 from .connector import Connector
 from .kept_late_replies import KEPT
-from .polling import ExactPoll, Poll
+from .readiness import PortReadiness, SocketReadiness
 from .registry import LOCAL, LocalConnectionStatus, status_of
 from .scope import ClientScope, LinkLock
 from .sessions import ClientSession, reconnect_for
@@ -847,7 +847,9 @@ class BlockingLinkDriver:
     def _new_connection(self) -> BlockingConnection:
         channel = self._connector.dial()
         try:
-            return BlockingConnection(channel, ExactPoll(self._spin) if self._line is not None else Poll(channel))
+            return BlockingConnection(
+                channel, PortReadiness(self._spin) if self._line is not None else SocketReadiness(channel)
+            )
         except BaseException:
             channel.close()
             raise

@@ -4,7 +4,7 @@ Knows when to connect, send and check timeouts; knows no functions or values.
 
 1. The driver connects at the first request, and reconnects at the next request after the connection was lost.
 2. It has one timer, set to the earliest time at which something is due. Over TCP it is moved only to an earlier time.
-   On a serial port it is an `Alarm`, because the silence before a frame is shorter than the delay of the loop's timers.
+   On a serial port it is an `ExactTimer`: the silence before a frame is shorter than the delay of the loop's timers.
 3. Received bytes are processed at once; then the callers of completed calls are woken.
 4. A connection whose hold time is limited is closed by that timer, or as soon as no request needs it.
 5. On a line every frame is followed by a silence, so the timer is set anew after each step. Times on a line are those
@@ -40,7 +40,7 @@ from .settings import LinkSettings
 from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:
-    from ..transport.serial.alarm import Alarm
+    from ..transport.serial.exact_timer import ExactTimer
 
 _log = logging.getLogger("busway.client")
 
@@ -112,10 +112,10 @@ class AsyncLinkDriver:
 
     __slots__ = (
         "__weakref__",
-        "_alarm",
         "_clock",
         "_connecting",
         "_connector",
+        "_exact_timer",
         "_flush_planned",
         "_frame_leaves",
         "_framing",
@@ -187,12 +187,12 @@ class AsyncLinkDriver:
         self._scope = scope
         self._minds = scope is not None or self._hold < math.inf  # whether `_after_use` has something to do
         self._spin = 0.0
-        self._alarm: Alarm | None = None  # where a silence before each frame is kept: on a serial port
+        self._exact_timer: ExactTimer | None = None  # where a silence before each frame is kept: on a serial port
         if settings.line is not None and settings.line.port is not None:
             opening = settings.line.opening
-            self._alarm = _new_alarm(self._on_timer)
+            self._exact_timer = _new_exact_timer(self._on_timer)
             if opening.precise_timing:
-                self._spin = SPIN if self._alarm.exact else COARSE_SPIN
+                self._spin = SPIN if self._exact_timer.exact else COARSE_SPIN
         self._protocol: _LinkProtocol | None = None
         self._transport: Any = None  # an asyncio.Transport, or a connector's own transport
         self._connecting: asyncio.Task[None] | None = None
@@ -200,7 +200,7 @@ class AsyncLinkDriver:
         self._held: Callable[[], int] | None = None  # how many bytes the transport has that have not left
         self._writes_late = not isinstance(self._loop, asyncio.SelectorEventLoop)  # in the same turn, but not at once
         self._paused = False
-        self._timer: asyncio.TimerHandle | Alarm | None = None
+        self._timer: asyncio.TimerHandle | ExactTimer | None = None
         self._timer_at = 0.0
         self._flush_planned = False
         self._outgoing: list[bytes] = []
@@ -247,7 +247,8 @@ class AsyncLinkDriver:
             self.sent_bytes += len(adu)
             if self._joins:
                 self._outgoing.append(adu)
-                self._plan_flush()
+                if not self._flush_planned:
+                    self._plan_flush()
             else:
                 self._transport.write(adu)
             if TRACE.level:
@@ -258,10 +259,10 @@ class AsyncLinkDriver:
             if call.caller is None:
                 call.caller = asyncio.current_task()
             self.session.submit(call, now)
-            if self._joins:
-                self._plan_flush()
-            else:
+            if not self._joins:
                 self._pump(now)
+            elif not self._flush_planned:
+                self._plan_flush()
         if self._line is not None:
             self._rearm()
             return
@@ -286,9 +287,8 @@ class AsyncLinkDriver:
             self._after_use(now)
 
     def _plan_flush(self) -> None:
-        if not self._flush_planned:
-            self._flush_planned = True
-            self._loop.call_soon(self._flush)
+        self._flush_planned = True
+        self._loop.call_soon(self._flush)
 
     async def close(self) -> None:
         """Close the link for good. Calls that wait or are under way fail with `LinkDown`.
@@ -319,8 +319,8 @@ class AsyncLinkDriver:
         if wait_closed is not None:
             with contextlib.suppress(TimeoutError):  # a driver that is stuck holds its port as long as it likes
                 await asyncio.wait_for(wait_closed(), CLOSING_SECONDS)
-        if self._alarm is not None:
-            self._alarm.close()
+        if self._exact_timer is not None:
+            self._exact_timer.close()
         self._connector.release()
         if self._line is not None:
             KEPT.keep(self.name, self._line.doubts)
@@ -678,9 +678,9 @@ class AsyncLinkDriver:
 
     def _arm(self, when: float) -> None:
         self._timer_at = when
-        if self._alarm is not None:
-            self._alarm.set(when - self._spin)
-            self._timer = self._alarm
+        if self._exact_timer is not None:
+            self._exact_timer.set(when - self._spin)
+            self._timer = self._exact_timer
             return
         if self._timer is not None:
             self._timer.cancel()
@@ -749,7 +749,7 @@ def _clock_of(loop: asyncio.AbstractEventLoop) -> Callable[[], float]:
     return time.monotonic if is_plain else loop.time
 
 
-def _new_alarm(ring: Callable[[], None]) -> "Alarm":
-    from ..transport.serial.alarm import Alarm  # here: links to networks do without it
+def _new_exact_timer(ring: Callable[[], None]) -> "ExactTimer":
+    from ..transport.serial.exact_timer import ExactTimer  # here: links to networks do without it
 
-    return Alarm(ring)
+    return ExactTimer(ring)

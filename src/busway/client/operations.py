@@ -16,7 +16,7 @@ from ..pdu.bits import as_state, as_states, is_several, listed
 from ..pdu.compiler import as_integer
 from ..pdu.encapsulated import EXTENDED, INDIVIDUAL, ReadDeviceIdentification
 from ..pdu.functions import STANDARD
-from ..pdu.general import MalformedRequest, OpaqueReply
+from ..pdu.malformed_request import MalformedRequest
 from ..pdu.message import Message, Request
 from ..pdu.read_items import (
     ReadBits,
@@ -26,6 +26,7 @@ from ..pdu.read_items import (
     ReadInputRegisters,
     ReadRegisters,
 )
+from ..pdu.unknown_functions import OpaqueReply
 from ..pdu.wide_registers import MAX_DATA, NARROW, wide
 from ..pdu.write_items import (
     MaskWriteRegister,

@@ -15,7 +15,7 @@ from itertools import accumulate
 
 from ..codes import Table
 from ..errors import BadReply, InvalidRequest
-from ..pdu.model import Refusal
+from ..pdu.device_interface import Refusal
 from ..pdu.write_items import pack_registers
 from ..points.conversion import LARGEST_EXPONENT
 from ..server.device import Device

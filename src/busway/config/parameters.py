@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from ..errors import ConfigError
 from ..points.expression import WHOLE_BITS, parse_expression
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .files.file_error import FileError
 from .files.lines import KeyPath
 from .files.schema import Source

@@ -7,10 +7,10 @@
 `fault`                A fault: what it changes in the requests and replies of a connection
 `faulty_connections`   Carries out faults on a server's connections: sends delayed and changed replies
 `faulty_conversation`  One connection of a faulty device, without IO: which bytes answer its requests, and when
+`faulty_responder`     A responder that wraps another one and applies faults to its replies
 `profile`              The class of fault profiles, and the check of their parameters: refuses unknown ones
-`responder`            A responder that wraps another one and applies faults to its replies
-`switchboard`          The faults of a server by name: added, switched and removed while it runs
 `profiles`             The table of all fault profiles of devices; the profiles are defined in the files beside this one
+`switchboard`          The faults of a server by name: added, switched and removed while it runs
 =====================  =================================================================================================
 
 Where it is decided: whether a fault applies to a request: `applied_faults` (`Faults.strike`). What a fault can change:

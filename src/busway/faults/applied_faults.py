@@ -20,7 +20,7 @@ from random import Random
 from ..codes import Table
 from ..errors import ConfigError
 from ..pdu.message import Span
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .fault import Contact, Exchange, Fault
 
 SAME_MOMENT = 1e-6

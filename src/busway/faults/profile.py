@@ -16,7 +16,7 @@ from typing import Any, Final
 
 from ..errors import ConfigError
 from ..options.declaration import Option, Range, option_of
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .fault import EVERYWHERE, Carrier, Fault
 
 _TYPE_WORDS: Final = {float: "a number", int: "a whole number", bool: "true or false"}

@@ -24,9 +24,9 @@ from .applied_faults import AppliedFault, Faults, Schedule, Selection
 from .clock import Clock
 from .fault import EVERYWHERE, Carrier
 from .faulty_connections import FaultyTap
+from .faulty_responder import FaultyResponder
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES
-from .responder import FaultyResponder
 
 
 @dataclass(frozen=True, slots=True)

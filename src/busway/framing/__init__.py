@@ -16,7 +16,6 @@
 `rtu`              RTU receiver that tolerates gaps inside frames: finds their ends by length and CRC
 `rtu_search`       Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line
 `rtu_strict`       Strict RTU receiver, of the option `strict_timing`: a gap above t1.5 spoils a frame
-`word`             Base of options whose values are words, such as `even`
 =================  =====================================================================================================
 
 A receiver takes bytes with the time at which they were read, and returns the frames that they complete

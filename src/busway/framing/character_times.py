@@ -11,7 +11,7 @@ Knows bits and seconds; knows no port.
 from dataclasses import dataclass
 from typing import Final, Self
 
-from .word import Word
+from ..values.caseless_enum import CaselessEnum
 
 FIXED_ABOVE_BAUD: Final = 19_200
 """Rate in bit/s above which t1.5 and t3.5 are fixed."""
@@ -21,7 +21,7 @@ NETWORK_SILENCE: Final = 0.020
 """Seconds used as t3.5 for RTU over a network: longer than the delay between two segments on a LAN."""
 
 
-class Parity(Word):
+class Parity(CaselessEnum):
     """The parity bit of characters: ``Parity("even")``; the first letter is accepted too, as on data sheets: ``E``."""
 
     EVEN = "even"

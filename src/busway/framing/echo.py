@@ -13,13 +13,13 @@ Knows bytes and times; knows no frame.
 
 from typing import Final
 
-from .word import Word
+from ..values.caseless_enum import CaselessEnum
 
 ECHO_WINDOW: Final = 0.050
 """Seconds after the end of a frame within which its echo begins, adapters and system included."""
 
 
-class Echo(Word):
+class Echo(CaselessEnum):
     """Values of the option ``echo``: whether this station receives the bytes that it sends itself.
 
     AUTOMATIC: not known in advance; the first frames that this station sends show it.

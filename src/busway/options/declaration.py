@@ -25,7 +25,7 @@ from types import MappingProxyType, NoneType, UnionType
 from typing import Annotated, Any, ClassVar, Final, Literal, Union, get_args, get_origin, get_type_hints
 
 from ..errors import ConfigError
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 REQUIRED: Final = object()
 """The default of an option that has none, and so must be given."""

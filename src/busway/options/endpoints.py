@@ -22,7 +22,7 @@ from urllib.parse import parse_qsl, quote, unquote, urlsplit
 
 from ..codes import DEFAULT_TCP_PORT, DEFAULT_TLS_PORT
 from ..errors import ConfigError
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 
 @dataclass(frozen=True, slots=True)

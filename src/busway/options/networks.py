@@ -12,7 +12,7 @@ from collections.abc import Iterable, Iterator
 from typing import Final
 
 from ..errors import ConfigError
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 _MEMO_LIMIT: Final = 1024
 _MAPPED: Final = 0xFFFF << 32

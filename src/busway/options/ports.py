@@ -14,7 +14,7 @@ from typing import Annotated, ClassVar, Self
 from ..errors import ConfigError
 from ..framing.character_times import Parity, SerialTiming, stop_bits_for
 from ..framing.echo import Echo
-from ..framing.word import Word
+from ..values.caseless_enum import CaselessEnum
 from .declaration import Alias, ByFraming, On, OneOf, Range, Strict, check
 from .text import build_parameters
 
@@ -27,7 +27,7 @@ LONGEST_DIRECTION_DELAY = 1
 _DIRECTION_DELAY = Range(0, LONGEST_DIRECTION_DELAY, "seconds")
 
 
-class Rs485(Word):
+class Rs485(CaselessEnum):
     """Values of the option ``rs485``: what switches the direction of an RS-485 driver.
 
     Attributes:

@@ -20,7 +20,7 @@ from typing import Any, Final
 
 from ..errors import ConfigError
 from ..framing.character_times import Parity, stop_bits_for
-from ..framing.word import Word
+from ..values.caseless_enum import CaselessEnum
 from .declaration import Option, Strict
 from .text import converted
 
@@ -28,7 +28,7 @@ OPTION: Final = "preset"
 """The name of the option that chooses a preset."""
 
 
-class Preset(Word):
+class Preset(CaselessEnum):
     """Values of the option ``preset``, which sets several options at once.
 
     Attributes:

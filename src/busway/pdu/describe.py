@@ -19,8 +19,8 @@ from .bits import unpack_bits
 from .encapsulated import OBJECT_NAMES, IdentificationObject
 from .fields import FixedField, RepeatedField, RestLength
 from .functions import STANDARD, FunctionTable
-from .general import MalformedRequest
 from .malformed import MalformedPdu
+from .malformed_request import MalformedRequest
 from .message import Message, Request
 from .read_items import ReadFifoQueue, unpack_registers
 from .write_items import WriteSingleCoil

@@ -6,9 +6,9 @@ Function 08 has sub-functions, with a class for each (Application Protocol V1.1b
 from typing import TYPE_CHECKING, ClassVar
 
 from ..codes import DiagnosticCode, FunctionCode
+from .device_interface import Context, DataModel
 from .fields import RestLength, rest, rest_length, u8, u16
 from .message import UNKNOWN_LENGTH, Message, ReplyMessage, Request
-from .model import Context, DataModel
 
 
 class ReadExceptionStatus(Request):

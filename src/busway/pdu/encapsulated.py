@@ -9,9 +9,9 @@ from typing import Any, ClassVar, Self
 from ..codes import PDU_LIMIT, ExceptionCode, FunctionCode, MeiType
 from ..errors import InvalidRequest
 from .compiler import as_integer
+from .device_interface import Context, DataModel, Refusal
 from .fields import repeated, rest, u8
 from .message import NEED_MORE, UNKNOWN_LENGTH, Message, ReplyMessage, Request
-from .model import Context, DataModel, Refusal
 
 BASIC, REGULAR, EXTENDED, INDIVIDUAL = 1, 2, 3, 4
 _LAST_OBJECT_OF_LEVEL = {BASIC: 0x02, REGULAR: 0x7F, EXTENDED: 0xFF}

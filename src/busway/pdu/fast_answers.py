@@ -36,7 +36,7 @@ class Requester(Protocol):
     audit_text: str
 
 
-FastAnswer = Callable[[bytes | bytearray, int, int, Requester], bytes | None]
+FastAnswer = Callable[[bytes, int, int, Requester], bytes | None]
 """Function that answers a request from its bytes.
 
 It gets a buffer, the start and the end of the request PDU in it, and the client. It returns the reply PDU, or None if
@@ -177,7 +177,7 @@ def read_registers(code: int, limit: int, block: Block) -> FastAnswer:
     heads: list[bytes] = [bytes((code, 2 * count)) for count in range(limit + 1)]
     first, size = block.first, block.count
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -201,7 +201,7 @@ def read_bits(code: int, limit: int, block: Block) -> FastAnswer:
     heads: list[bytes] = [bytes((code, length)) for length in range((limit + 7) // 8 + 1)]
     first, size = block.first, block.count
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -225,10 +225,10 @@ def write_register(code: int, block: Block) -> FastAnswer:
     """
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
-        request = bytes(buffer[at:end])
+        request = buffer[at:end]
         address = (request[1] << 8 | request[2]) - first
         if not 0 <= address < size:
             return None
@@ -247,7 +247,7 @@ def write_registers(code: int, limit: int, block: Block) -> FastAnswer:
     """
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at < 8:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -260,7 +260,7 @@ def write_registers(code: int, limit: int, block: Block) -> FastAnswer:
             or address + count > size
         ):
             return None
-        return None if put(address, count, bytes(buffer[at + 6 : end])) else bytes(buffer[at : at + 5])
+        return None if put(address, count, buffer[at + 6 : end]) else buffer[at : at + 5]
 
     return answer
 
@@ -277,10 +277,10 @@ def write_coil(code: int, block: Block) -> FastAnswer:
     """
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 5:
             return None
-        request = bytes(buffer[at:end])
+        request = buffer[at:end]
         address = (request[1] << 8 | request[2]) - first
         if not 0 <= address < size:
             return None
@@ -300,7 +300,7 @@ def write_coils(code: int, limit: int, block: Block) -> FastAnswer:
     """
     first, size, put = block.first, block.count, block.put
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at < 7:
             return None
         address, count = _unpack_two(buffer, at + 1)
@@ -314,7 +314,7 @@ def write_coils(code: int, limit: int, block: Block) -> FastAnswer:
             or address + count > size
         ):
             return None
-        return None if put(address, count, bytes(buffer[at + 6 : end])) else bytes(buffer[at : at + 5])
+        return None if put(address, count, buffer[at + 6 : end]) else buffer[at : at + 5]
 
     return answer
 
@@ -332,7 +332,7 @@ def mask_write_register(code: int, block: RegisterBlock) -> FastAnswer:
     """
     first, size, mask = block.first, block.count, block.mask
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at != 7:
             return None
         address, and_mask, or_mask = _unpack_mask(buffer, at + 1)
@@ -340,7 +340,7 @@ def mask_write_register(code: int, block: RegisterBlock) -> FastAnswer:
         if not 0 <= address < size:
             return None
         mask(address, and_mask, or_mask)
-        return bytes(buffer[at:end])
+        return buffer[at:end]
 
     return answer
 
@@ -356,7 +356,7 @@ def read_write_registers(code: int, most_read: int, most_written: int, block: Re
     heads: list[bytes] = [bytes((code, 2 * count)) for count in range(most_read + 1)]
     first, size, put_then_get = block.first, block.count, block.put_then_get
 
-    def answer(buffer: bytes | bytearray, at: int, end: int, client: Requester) -> bytes | None:
+    def answer(buffer: bytes, at: int, end: int, client: Requester) -> bytes | None:
         if end - at < 12:
             return None
         start, wanted, address, count, length = _unpack_four(buffer, at + 1)
@@ -373,7 +373,7 @@ def read_write_registers(code: int, most_read: int, most_written: int, block: Re
             or start + wanted > size
         ):
             return None
-        reply: bytes = heads[wanted] + put_then_get(address, count, bytes(buffer[at + 10 : end]), start, wanted)
+        reply: bytes = heads[wanted] + put_then_get(address, count, buffer[at + 10 : end], start, wanted)
         return reply
 
     return answer

@@ -12,10 +12,10 @@ from ..codes import MAX_FILE_RECORD_NUMBER, PDU_LIMIT, ExceptionCode, FunctionCo
 from ..errors import InvalidRequest
 from ..values.counts import counted
 from .compiler import as_integer
+from .device_interface import Context, DataModel, Refusal
 from .fields import RestLength, repeated, rest_length
 from .malformed import MalformedPdu
 from .message import Message, ReplyMessage, Request
-from .model import Context, DataModel, Refusal
 from .read_items import unpack_registers
 from .write_items import pack_registers
 

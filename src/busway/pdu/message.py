@@ -21,8 +21,8 @@ from .fields import Field, RestField, RestLength, repeated, rest, u8, u16
 from .malformed import MalformedPdu
 
 if TYPE_CHECKING:
+    from .device_interface import Context, DataModel
     from .fast_answers import DirectModel, FastAnswer, PreparedAnswer
-    from .model import Context, DataModel
 
 UNKNOWN_LENGTH = -1
 """Result of the length rules: the content of the message does not tell its length; the frame around it does."""

@@ -7,10 +7,17 @@ from typing import Any, ClassVar
 
 from ..codes import MAX_FIFO_REGISTERS, MAX_READ_BITS, MAX_READ_REGISTERS, ExceptionCode, FunctionCode, Table
 from .bits import unpack_bits
-from .fast_answers import DirectModel, FastAnswer, PreparedAnswer, prepare_answer, read_bits, read_registers
+from .device_interface import Context, DataModel, Refusal
+from .fast_answers import (
+    DirectModel,
+    FastAnswer,
+    PreparedAnswer,
+    prepare_answer,
+    read_bits,
+    read_registers,
+)
 from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
-from .model import Context, DataModel, Refusal
 
 
 class ReadBits(Request):

@@ -18,6 +18,7 @@ from ..errors import InvalidRequest
 from ..values.counts import counted
 from .bits import as_state, as_states, listed, pack_bits
 from .compiler import as_integer
+from .device_interface import Context, DataModel
 from .fast_answers import (
     DirectModel,
     FastAnswer,
@@ -31,7 +32,6 @@ from .fast_answers import (
 )
 from .fields import RestLength, rest, rest_length, u16
 from .message import Message, ReplyMessage, Request, Touch
-from .model import Context, DataModel
 from .read_items import unpack_registers
 
 COIL_ON = 0xFF00

@@ -18,7 +18,7 @@ from fractions import Fraction
 from typing import Final
 
 from ..errors import InvalidRequest
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 _MOST_STEPS_OFF: Final = Fraction(1, 1_000_000)
 """How far a value may always be from a whole number of steps to count as one, in steps."""

@@ -22,7 +22,7 @@ from dataclasses import dataclass, field
 from typing import Any, Final
 
 from ..errors import ConfigError
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 Number = float | int | bool
 Compute = Callable[[float], Any]  # of the time; a number, of whatever type Python makes it

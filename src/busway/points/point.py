@@ -12,7 +12,7 @@ from ..codes import Table
 from ..errors import InvalidRequest
 from ..values import Address, ValueType
 from ..values.orders import BytesLike
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .conversion import Conversion, value_of
 from .point_rules import AlarmRule, ReportRule, WriteRule
 

@@ -13,7 +13,7 @@ from typing import Final, Literal
 from ..codes import MAX_READ_BITS, MAX_READ_REGISTERS, Table
 from ..errors import InvalidRequest
 from ..values import Address
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .conversion import ROUNDING, exact, is_whole
 
 _ROUNDING: Final = float(ROUNDING)

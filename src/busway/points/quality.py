@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from ..codes import exception_meaning
 from ..errors import InvalidRequest
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 _EXCEPTIONS: Final = 256
 """The reason for a device's exception code is this number plus the code."""

@@ -10,6 +10,7 @@
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
+`device_responder`       The responder of a server with devices in its own process
 `exposure`               Warnings in the log for listeners that other hosts can reach
 `groups`                 Groups of changes that an application makes to a device and that become visible together
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
@@ -18,7 +19,6 @@
 `listener`               A listener as it is declared: an endpoint to listen on, with options that hold for it alone
 `listener_context`       What all connections of a network listener, TCP or UDP, share: access list, sessions
 `listener_settings`      Settings of a listener, read from its URL, whichever scheme it has
-`local`                  The responder of a server with devices in its own process
 `loops`                  Runs the event loops that this library starts itself: uvloop's if it is installed
 `open_files`             The system's limit of open files, which limits connections: each needs one
 `opening`                Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial
@@ -50,7 +50,7 @@ Where it is decided: how many connections there may be, also per host, and which
 `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
 `connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `serial_listener`. Late
 answers and failing responders: `responder_failures`. The way of a request, its policy and its audit:
-`busway.session.pipeline` and `busway.access`. Rules of unit identifiers: `local`. Memory of a device: `device`,
-`stores`, `blocks`; its hooks: `hooks`. Counters and status: `server_counters`, `status`. Open files of the process:
-`open_files`.
+`busway.session.pipeline` and `busway.access`. Rules of unit identifiers: `device_responder`. Memory of a device:
+`device`, `stores`, `blocks`; its hooks: `hooks`. Counters and status: `server_counters`, `status`. Open files of the
+process: `open_files`.
 """

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from ..codes import TABLE_SIZE
 from ..errors import ConfigError
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 CellValues = Sequence[int] | Mapping[int, int | Sequence[int]]
 Ranges = Iterable[tuple[int, int]]

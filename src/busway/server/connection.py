@@ -423,7 +423,7 @@ class ServerConnection(asyncio.BufferedProtocol):
                 self._transport.write(reply)
                 self.sent += len(reply)
         else:
-            data = replies[0] if len(replies) == 1 else b"".join(replies)
+            data = b"".join(replies)  # of one reply it is that object itself
             self._transport.write(data)
             self.sent += len(data)
         if TRACE.level:

@@ -20,12 +20,12 @@ from weakref import WeakMethod
 
 from ..codes import TABLE_SIZE, ExceptionCode, Table
 from ..errors import ConfigError
+from ..pdu.device_interface import Context, Refusal
 from ..pdu.fast_answers import Block
-from ..pdu.model import Context, Refusal
 from ..pdu.write_items import pack_registers
 from ..values import Address, ValueType
 from ..values.names import Order, TableName, WritableTableName
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .blocks import BitRun, RegisterRun, Run
 from .cells import TableLike, lay_out
 from .groups import Groups

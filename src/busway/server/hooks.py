@@ -13,7 +13,7 @@ from enum import Enum
 from typing import Literal, TypeAlias
 
 from ..codes import Table
-from ..pdu.model import Context
+from ..pdu.device_interface import Context
 
 
 class When(Enum):

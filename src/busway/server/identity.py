@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping
 from typing import Final
 
 from ..errors import ConfigError
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from ..version import __version__
 
 OBJECT_LIMIT: Final = 244

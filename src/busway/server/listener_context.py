@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from ..access.addresses import HostAuthorizer, allow_all
 from ..access.rates import Rates
-from ..access.repeats import Repeats, so_often
+from ..log_limiter import LogLimiter, suppressed_note
 from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
@@ -138,7 +138,7 @@ class ListenerContext:
             self._slots = ServerTransactionSlots(session_parameters.max_transactions, of_each_connection=True)
         self._framed_session = None if self.framing == "mbap" else _framed_session()
         self._authorize = authorize
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
         self._tap = tap
         self._tapped_connections: dict[ConnectedPeer, TappedConnection] = {}
 
@@ -266,9 +266,9 @@ class ListenerContext:
             about: what the message is about, such as a host.
             message, arguments: the message with its ``%`` arguments.
         """
-        repeated = self._repeats.again(f"{about} {message}", time.monotonic())
+        repeated = self._log_limiter.admit(f"{about} {message}", time.monotonic())
         if repeated is not None:
-            _log.log(level, f"{message}%s", *arguments, so_often(repeated))
+            _log.log(level, f"{message}%s", *arguments, suppressed_note(repeated))
 
     # What is shown.
 

@@ -10,9 +10,9 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 from ..codes import MAX_FILE_RECORD_NUMBER, TABLE_SIZE, ExceptionCode
 from ..errors import ConfigError, InvalidRequest
-from ..pdu.model import Refusal
+from ..pdu.device_interface import Refusal
 from ..pdu.write_items import pack_registers
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .blocks import Run
 from .cells import TableLike, lay_out
 from .groups import Groups

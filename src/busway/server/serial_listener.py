@@ -24,8 +24,8 @@ from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
-from ..transport.serial.alarm import Alarm
 from ..transport.serial.connection import SerialConnection
+from ..transport.serial.exact_timer import ExactTimer
 from ..transport.serial.overruns import Overruns
 from ..transport.serial.port_claims import PortClaim
 from ..transport.serial.reopen import ReopenPolicy, open_when_there
@@ -93,7 +93,7 @@ class SerialListener:
         self._opening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._pending: FrameToSend | None = None
-        self._emission_alarm: Alarm | None = None
+        self._emission_timer: ExactTimer | None = None
         self._silence_timer: asyncio.TimerHandle | None = None
         self._spin = 0.0
         self._overruns: Overruns | None = None
@@ -109,9 +109,9 @@ class SerialListener:
             ConfigError: it is no serial port, does not support the settings, or is in use in this process.
         """
         self._claim = PortClaim(self._settings.endpoint.path, "busway.serve")
-        self._emission_alarm = Alarm(self._emit)
+        self._emission_timer = ExactTimer(self._emit)
         if self._settings.opening.precise_timing:
-            self._spin = SPIN if self._emission_alarm.exact else COARSE_SPIN
+            self._spin = SPIN if self._emission_timer.exact else COARSE_SPIN
         try:
             await self._open_once()
         except LinkDown as error:
@@ -135,7 +135,7 @@ class SerialListener:
         """
         if self._pending is not None:
             await asyncio.sleep(max(self._pending.not_before - time.monotonic(), 0.0))
-            if self._pending is not None:  # or the alarm was sooner, or another station has spoken
+            if self._pending is not None:  # or the timer was sooner, or another station has spoken
                 self._emit()
         if self._opening is not None:
             self._opening.cancel()
@@ -151,9 +151,9 @@ class SerialListener:
         self._release()
 
     def _release(self) -> None:
-        if self._emission_alarm is not None:
-            self._emission_alarm.close()
-            self._emission_alarm = None
+        if self._emission_timer is not None:
+            self._emission_timer.close()
+            self._emission_timer = None
         if self._claim is not None:
             self._claim.release()
             self._claim = None
@@ -216,8 +216,8 @@ class SerialListener:
         if self._tap is not None and self.diagnosis.is_open:
             self._tap.connection_closed(self._tapped)
         self.diagnosis.is_open = False
-        if self._emission_alarm is not None:
-            self._emission_alarm.cancel()
+        if self._emission_timer is not None:
+            self._emission_timer.cancel()
         if self._silence_timer is not None:
             self._silence_timer.cancel()
             self._silence_timer = None
@@ -295,16 +295,16 @@ class SerialListener:
     def _schedule(self, emission: FrameToSend) -> None:
         self._pending = emission
         leaves = emission.not_before - self._spin
-        if self._emission_alarm is not None and leaves > time.monotonic():
-            self._emission_alarm.set(leaves)
+        if self._emission_timer is not None and leaves > time.monotonic():
+            self._emission_timer.set(leaves)
         else:
             self._emit()
 
     def _drop_pending(self) -> None:
         """Discard a reply that waits to be sent, because another station has sent something; the session counts it."""
         self._pending = None
-        if self._emission_alarm is not None:
-            self._emission_alarm.cancel()
+        if self._emission_timer is not None:
+            self._emission_timer.cancel()
 
     def _emit(self) -> None:
         emission, self._pending = self._pending, None

@@ -14,8 +14,8 @@ from ..options.sockets import SocketParameters
 from ..pdu.functions import STANDARD, FunctionTable
 from ..session.responder import Responder
 from .device import Device
+from .device_responder import DeviceResponder
 from .listener import Listener
-from .local import DeviceResponder
 from .loops import run as run_on_new_loop
 from .server import Server, ServerStatus
 from .server_options import with_server_preset

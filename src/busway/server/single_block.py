@@ -16,7 +16,7 @@ from ..codes import TABLE_SIZE, Table
 from ..errors import ConfigError
 from ..values.counts import counted
 from ..values.names import TableName
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .blocks import RegisterBits, RegisterRun
 from .cells import TableLike, lay_out
 from .stores import ItemStore, register_store

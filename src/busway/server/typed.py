@@ -11,7 +11,7 @@ from ..codes import Table
 from ..errors import InvalidRequest
 from ..pdu.bits import as_state
 from ..values import Address, ValueType, parse_address, value_type
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .views import TableView
 
 

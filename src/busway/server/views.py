@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 from typing import overload
 
 from ..errors import InvalidRequest
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 from .blocks import Run
 from .groups import Groups
 from .items import packed, unpacked

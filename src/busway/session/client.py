@@ -31,7 +31,7 @@ from ..codes import TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import BadReply, BadReplyKind, ExceptionReply, LinkDown, ModbusError, NoReply
 from ..framing.mbap import HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
 from ..options.client import ClientParameters, MismatchPolicy
-from ..pdu.general import decode_exception
+from ..pdu.exception_response import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Request
 from ..values.counts import counted
@@ -322,7 +322,7 @@ class TcpClientSession:
 
         Otherwise return None: nothing was sent, and the call has to be queued with `submit`.
         """
-        count = len(call.requests)
+        count = call.open
         if (
             self._queue.size
             or len(self._free) < count

@@ -22,7 +22,7 @@ from dataclasses import dataclass, fields, replace
 from enum import IntFlag
 
 from ..codes import DiagnosticCode, ExceptionCode
-from ..pdu.model import Refusal
+from ..pdu.device_interface import Refusal
 
 EVENT_LOG_SIZE = 64
 
@@ -248,7 +248,7 @@ class LineDiagnostics:
 
 
 class CommunicationState:
-    """Diagnostic counters, event log and mode of one unit; has the methods of `busway.pdu.model.Diagnostics`.
+    """Counters, event log and mode of one unit, with the methods of `busway.pdu.device_interface.Diagnostics`.
 
     Args:
         line: the line or listener that the unit is on; if left out, the unit gets a line of its own.

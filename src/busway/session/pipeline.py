@@ -18,9 +18,9 @@ from functools import partial
 from typing import Final, Protocol
 
 from ..codes import ExceptionCode, FunctionCode
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import FastAnswer, PreparedAnswer
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
-from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message, Request
 from .forwarded_reads import PreparedForward, PreparedForwards, ReadForwarder, is_read
 from .responder import (

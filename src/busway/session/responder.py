@@ -15,11 +15,11 @@ from enum import Enum
 from typing import Any, Final, Protocol
 
 from ..codes import LAST_SERIAL_UNIT
+from ..pdu.device_interface import Refusal
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import DirectModel
 from ..pdu.functions import AnyRequest, FunctionTable
-from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
-from ..pdu.model import Refusal
 from .diagnostic_counters import CommunicationState
 
 

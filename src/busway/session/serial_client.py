@@ -39,7 +39,7 @@ from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..options.client import ClientParameters
 from ..options.lines import BreakerParameters, SerialClientParameters
 from ..pdu.diagnostics import RestartCommunications
-from ..pdu.general import decode_exception
+from ..pdu.exception_response import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call

@@ -27,7 +27,7 @@ from ..codes import BROADCAST_UNIT, LAST_SERIAL_UNIT, ExceptionCode, FunctionCod
 from ..framing.crc import crc_bytes
 from ..framing.mbap import HEAD
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
-from ..pdu.general import ExceptionResponse
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
 from .diagnostic_counters import LineDiagnostics

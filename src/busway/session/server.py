@@ -25,7 +25,7 @@ from struct import Struct
 
 from ..codes import ExceptionCode, FunctionCode
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
-from ..pdu.general import ExceptionResponse
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from .diagnostic_counters import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
@@ -199,10 +199,11 @@ class TcpServerSession:
                 if prepared is None:
                     break
                 out.append(transaction + prepared.head + prepared.block.data[prepared.part])
-            at = READ_SIZE * len(out)
+            answered = len(out)
+            at = READ_SIZE * answered
             if at == size:
                 if size:
-                    self._count(buffer[_UNIT:size:READ_SIZE])
+                    self._count(buffer[_UNIT:size:READ_SIZE], answered)
                 if began is not None:
                     pipeline.answered(self._client, out, began)
                 return out
@@ -258,8 +259,9 @@ class TcpServerSession:
                     at = end
                     continue
                 # Count the answers of the fast path so far: the generic path may read the counters.
-                if len(out) > counted:
-                    self._count(bytes(map(_unit_of, out[counted:])))
+                answered = len(out) - counted
+                if answered:
+                    self._count(bytes(map(_unit_of, out[counted:])), answered)
                     if began is not None:
                         pipeline.answered(client, out[counted:], began)
                     counted = len(out)
@@ -283,11 +285,12 @@ class TcpServerSession:
             else:
                 self.discarded += 1
             at = end
-        if len(out) > counted:
-            if at == READ_SIZE * (len(out) - counted):  # nothing but requests of twelve bytes: units by one step
-                self._count(buffer[_UNIT:at:READ_SIZE])
+        answered = len(out) - counted
+        if answered:
+            if at == READ_SIZE * answered:  # nothing but requests of twelve bytes: units by one step
+                self._count(buffer[_UNIT:at:READ_SIZE], answered)
             else:
-                self._count(bytes(map(_unit_of, out[counted:])))
+                self._count(bytes(map(_unit_of, out[counted:])), answered)
             if began is not None:
                 pipeline.answered(client, out[counted:], began)
         self.spent = self._share - left
@@ -350,14 +353,13 @@ class TcpServerSession:
         for adu in adus:
             self._deliver(adu)
 
-    def _count(self, units: bytes | bytearray) -> None:
-        """Count, for each unit, the requests that were answered on the fast path (from bytes to bytes)."""
-        direct = len(units)
-        self.requests += direct
+    def _count(self, units: bytes | bytearray, answered: int) -> None:
+        """Count, for each unit, the requests that were answered on the fast path; ``units`` has one byte for each."""
+        self.requests += answered
         exchanged = self._diagnostics.exchanged
         first = units[0]
-        if direct == 1 or units.count(first) == direct:
-            exchanged[first] += direct
+        if units.count(first) == answered:
+            exchanged[first] += answered
         else:
             for unit in units:
                 exchanged[unit] += 1

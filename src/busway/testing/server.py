@@ -26,12 +26,12 @@ from ..faults.applied_faults import AppliedFault, Faults, Schedule, Selection
 from ..faults.clock import Clock, LoopClock
 from ..faults.fault import Exchange, Fault
 from ..faults.faulty_connections import FaultyTap
+from ..faults.faulty_responder import FaultyResponder
 from ..faults.profiles import FAULT_PROFILES
-from ..faults.responder import FaultyResponder
 from ..options.server import UnitPolicy
 from ..pdu.functions import STANDARD, FunctionTable
 from ..server.device import Device
-from ..server.local import DeviceResponder
+from ..server.device_responder import DeviceResponder
 from ..server.server import Server
 
 REMEMBERED_REQUESTS = 10_000

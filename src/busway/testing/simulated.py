@@ -26,7 +26,7 @@ from typing import TYPE_CHECKING, Any, Final
 from ..codes import Table
 from ..errors import ConfigError, InvalidRequest
 from ..values import Address, format_address, parse_address, value_type
-from ..values.refusal import shown
+from ..values.unfit_values import shown
 
 if TYPE_CHECKING:
     from ..apps.simulator.includes import SimulationDeclaration

@@ -39,7 +39,7 @@ from typing import Final, Literal
 
 from ..codes import TABLE_SIZE, Table
 from ..errors import InvalidRequest
-from .refusal import shown
+from .unfit_values import shown
 
 _PREFIX_OF: Final[dict[Table, str]] = {
     Table.COILS: "0",

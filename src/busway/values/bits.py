@@ -9,7 +9,7 @@ from typing import Any, Final
 from ..errors import InvalidRequest
 from .numbers import whole_number
 from .orders import ByteOrder, BytesLike, swapped
-from .refusal import shown, unfit
+from .unfit_values import shown, unfit
 
 _STATES: Final = {"on": True, "true": True, "1": True, "off": False, "false": False, "0": False}
 

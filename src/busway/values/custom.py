@@ -10,7 +10,7 @@ from typing import Any, Final
 from ..errors import InvalidRequest
 from .numbers import real_number, whole_number
 from .orders import ByteOrder, BytesLike, swapped
-from .refusal import shown, unfit
+from .unfit_values import shown, unfit
 
 _FORMAT: Final = re.compile(r"([<>])((?:[0-9]{0,3}[bBhHiIlLqQefdx?])+)")
 _MOST_BYTES: Final = 250

@@ -8,7 +8,7 @@ import re
 from typing import Any, Final
 
 from .orders import ByteOrder, BytesLike, swapped
-from .refusal import unfit
+from .unfit_values import unfit
 
 _SIZES: Final = {"ipv4": 4, "ipv6": 16, "eui48": 6, "eui64": 8}
 _EXPECTS: Final = {

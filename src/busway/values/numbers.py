@@ -22,7 +22,7 @@ from typing import Any, Final, SupportsFloat, SupportsIndex
 
 from ..errors import BadReply
 from .orders import ByteOrder, BytesLike, swapped
-from .refusal import unfit
+from .unfit_values import unfit
 
 _WHOLE: Final = re.compile(r"([+-]?)(0[xX][0-9a-fA-F]{1,16}|0[bB][01]{1,64}|[0-9]{1,40})", re.ASCII)
 

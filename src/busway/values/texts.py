@@ -15,7 +15,7 @@ from typing import Any
 
 from ..errors import BadReply, InvalidRequest
 from .orders import ByteOrder, BytesLike, swapped
-from .refusal import shown, unfit
+from .unfit_values import shown, unfit
 
 
 class StringCodec:

@@ -49,8 +49,8 @@ from .names import FloatName, IntegerName, Order
 from .network import NETWORK_TYPES, NetworkCodec, network_size
 from .numbers import BcdCodec, FloatCodec, IntegerCodec, ThreeRegisterCodec
 from .orders import ByteOrder, BytesLike, byte_order
-from .refusal import shown
 from .texts import StringCodec
+from .unfit_values import shown
 
 _LONGEST_STRING: Final = MAX_READ_REGISTERS * 2
 _ENCODINGS: Final = ("ascii", "latin-1", "utf-8")

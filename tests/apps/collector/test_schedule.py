@@ -257,6 +257,13 @@ def test_silent_devices_use_a_twentieth_of_the_time_of_a_link_at_most() -> None:
     assert link.schedule.probing >= 0.5 * DEAD_SHARE * 3000  # and it is used
 
 
+def test_where_all_devices_answer_no_time_counts_as_that_of_probes() -> None:
+    link = link_with({f"d{at}": book({"c": 5}) for at in range(20)}, {"c": 2.0})
+    link.run(20)
+    assert link.schedule.busy > 0.0
+    assert link.schedule.probing == 0.0
+
+
 @pytest.mark.parametrize("seconds", [10.0, 60.0])
 def test_in_a_short_time_probes_may_use_two_timeouts_more_than_their_share(seconds: float) -> None:
     """Wherever the time begins: one that was saved up, and one of the probe that began with the last of it."""

@@ -15,7 +15,7 @@ from busway.apps.gateway.router import ListenerRouter
 from busway.apps.gateway.routes import ListenerRoutes, Route
 from busway.apps.gateway.upstream import Upstream
 from busway.options.client import ClientParameters
-from busway.pdu.general import ExceptionResponse
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.call import Call
 from busway.session.diagnostic_counters import CommunicationState

@@ -21,7 +21,7 @@ from busway.errors import ConfigError
 from busway.framing.mbap import MbapFrame
 from busway.framing.rtu import encode_rtu
 from busway.options.server import ServerParameters
-from busway.pdu.general import OpaqueRequest
+from busway.pdu.unknown_functions import OpaqueRequest
 from busway.server.listener import Listener
 from busway.server.tcp import settle
 from busway.testing.certificates import CertificateStore

@@ -11,7 +11,7 @@ import busway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
-from busway.pdu.general import OpaqueRequest
+from busway.pdu.unknown_functions import OpaqueRequest
 from busway.server.listener import Listener
 from busway.testing.certificates import CertificateFiles, CertificateStore
 

@@ -12,10 +12,11 @@ import busway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
+from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.fields import u16
 from busway.pdu.functions import STANDARD, AnyRequest, FunctionTable
-from busway.pdu.general import ExceptionResponse, OpaqueRequest
 from busway.pdu.message import ReplyMessage, Request
+from busway.pdu.unknown_functions import OpaqueRequest
 from busway.server.listener import Listener
 from busway.session.responder import Responder, ResponderAnswer, ServedUnit
 

@@ -272,6 +272,15 @@ def test_a_deadline_out_of_range_is_refused() -> None:
     assert sentence.startswith("4: listener[0].client_deadline: ")
 
 
+def test_the_delay_after_connecting_is_a_part_of_the_worst_case() -> None:
+    link = SERVER + "connect_delay = 2.0\nretries = 0\n"
+    (sentence,) = warned(LISTENER, link)
+    assert "3 s = (1 + 0 retries) × (1 s timeout) + 2 s connect_delay" in sentence
+    (sentence,) = refused(LISTENER + "client_deadline = 2.9\n", link)
+    assert "client_deadline: 2.9 s is less than link" in sentence
+    assert warned(LISTENER + "client_deadline = 3.0\n", link) == []
+
+
 def test_the_worst_case_of_a_write_has_no_retries_and_the_longest_frame() -> None:
     line = UpstreamSettings.of("x", "rtu:///dev/x?baud=1200", timeout=1.0, retries=0)
     case = worst_case(line, Route(upstream="x"))

@@ -16,7 +16,7 @@ from busway.apps.gateway.routes import (
 )
 from busway.codes import Table
 from busway.errors import ConfigError
-from busway.pdu.general import OpaqueRequest
+from busway.pdu.unknown_functions import OpaqueRequest
 
 HOLDING = Table.HOLDING_REGISTERS
 

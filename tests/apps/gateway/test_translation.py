@@ -9,7 +9,7 @@ from busway.apps.gateway.routes import Route
 from busway.apps.gateway.translation import Translated
 from busway.codes import Table
 from busway.errors import InvalidRequest
-from busway.pdu.general import OpaqueRequest
+from busway.pdu.unknown_functions import OpaqueRequest
 
 SHIFTED = Route(upstream="a", shift=100)
 

@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 from ...errors import InvalidRequest
 from ...points.quality import Quality, Reason, exception_code_of, exception_reason, quality_of, reason_text
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .sample_clock import NANOSECONDS, ClockCorrection
 
 __all__ = [

@@ -187,7 +187,7 @@ class LinkSchedule:
         devices: the devices of the link, by name.
         refused_writes: number of writes refused because too many waited.
         busy: seconds that all turns together took so far.
-        probing: the part of ``busy`` that probes took, in seconds.
+        probing: the part of ``busy`` that probes of silent devices took, in seconds.
     """
 
     def __init__(self, timeout: float, *, batch: int = 1, share: float = DEAD_SHARE) -> None:
@@ -440,8 +440,9 @@ class LinkSchedule:
         if device is None:
             return
         if turn.kind is TurnKind.PROBE:
-            self.probing += now - began
             self._credit -= now - began
+            if device.lives is False or outcome is not TurnOutcome.ANSWERED:  # not the first read of one that answers
+                self.probing += now - began
         if outcome is TurnOutcome.ANSWERED:
             self._answered(device, turn, now)
             if turn.round is not None:

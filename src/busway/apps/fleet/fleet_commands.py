@@ -27,7 +27,7 @@ from types import TracebackType
 from typing import Any, Final, Self
 
 from ...errors import ConfigError, InvalidRequest, LinkDown, WriteOutcomeUnknown
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from ..collector.commands.audit import command_line
 from ..collector.commands.command import USUAL_SECONDS, CommandResult, CommandState, PointCommand
 from ..collector.commands.message_tasks import MessageTasks

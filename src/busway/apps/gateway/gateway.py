@@ -29,7 +29,7 @@ from ...options.gateway import GatewayParameters
 from ...options.server import ListenerParameters
 from ...pdu.functions import FunctionTable
 from ...server.bound_sockets import is_loopback
-from ...server.local import DeviceResponder
+from ...server.device_responder import DeviceResponder
 from ...server.server import Server
 from ...session.pipeline import RequestObserver
 from ...session.responder import Responder

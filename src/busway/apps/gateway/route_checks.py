@@ -38,11 +38,13 @@ _MOST_BITS = 2000
 
 @dataclass(frozen=True, slots=True)
 class WorstCase:
-    """The longest time that an upstream may need for one request, from sending it until the last attempt has failed.
+    """The longest time that an upstream may need for one request, until the last attempt has failed.
+
+    It begins when the request is sent; or, with the option ``connect_delay``, when the link has connected for it.
 
     Attributes:
         seconds: the time in seconds.
-        sum: how the time adds up from attempts, timeouts, frames and pieces, as text for messages.
+        sum: how the time adds up from attempts, timeouts, frames, pieces and the delay, as text for messages.
     """
 
     seconds: float
@@ -311,7 +313,9 @@ def worst_case(upstream: UpstreamSettings, route: Route, gap: float = 0.0) -> Wo
     pieces = max(_pieces(_MOST_REGISTERS, route.max_registers), _pieces(_MOST_BITS, route.max_bits))
     read = _attempts(parameters.retries, timeout, reading, pieces)
     write = _attempts(parameters.write_retries, timeout, writing, pieces if route.split_writes else 1)
-    return max(read, write, key=lambda each: each.seconds)
+    longest = max(read, write, key=lambda each: each.seconds)
+    delay = parameters.connect_delay
+    return WorstCase(longest.seconds + delay, f"{longest.sum} + {delay:g} s connect_delay") if delay else longest
 
 
 def _pieces(most: int, limit: int | None) -> int:

@@ -18,8 +18,9 @@ from typing import Any, Final
 
 from ...codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ...errors import InvalidRequest
+from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import AnyRequest, FunctionTable
-from ...pdu.general import ExceptionResponse, MalformedRequest
+from ...pdu.malformed_request import MalformedRequest
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...pdu.wide_registers import MAX_DATA, NARROW

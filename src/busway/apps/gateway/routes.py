@@ -17,8 +17,8 @@ from ...codes import LAST_SERIAL_UNIT, TABLE_SIZE, ExceptionCode, Table
 from ...errors import ConfigError
 from ...options.declaration import declared
 from ...options.gateway import RouteParameters
-from ...pdu.general import OpaqueRequest
 from ...pdu.message import Request, Span
+from ...pdu.unknown_functions import OpaqueRequest
 from .address_index import AddressIndex
 
 _FEW = 3

@@ -11,9 +11,9 @@ from typing import Any
 from ...codes import Table
 from ...errors import InvalidRequest
 from ...pdu.bits import slice_bits
-from ...pdu.general import OpaqueRequest
 from ...pdu.message import Message, Request
 from ...pdu.read_items import ReadBits, ReadRegisters
+from ...pdu.unknown_functions import OpaqueRequest
 from ...pdu.wide_registers import NARROW, wide
 from ...pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters
 from .routes import Route

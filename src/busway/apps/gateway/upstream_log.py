@@ -14,7 +14,7 @@ import math
 from collections.abc import Callable
 from typing import Final
 
-from ...access.repeats import Repeats, so_often
+from ...log_limiter import LogLimiter, suppressed_note
 
 _log = logging.getLogger("busway.apps.gateway")
 
@@ -56,7 +56,7 @@ class UpstreamLog:
         self._then = WAITING if is_waited_for else AT_NEED
         self._clock = clock
         self._reason = ""
-        self._silent = Repeats(SILENT_AGAIN_AFTER)
+        self._silent = LogLimiter(SILENT_AGAIN_AFTER)
         self._no_path = 0
         self._no_path_reason = ""
         self._told_at = -math.inf
@@ -96,10 +96,10 @@ class UpstreamLog:
             unit: unit identifier on the upstream; None if it is not known.
             reason: the error, in words.
         """
-        repeated = self._silent.again(str(unit), self._clock())
+        repeated = self._silent.admit(str(unit), self._clock())
         if repeated is not None:
             text = "line %s: a request to unit %s was answered 0B: %s%s"
-            _log.warning(text, self._name, unit, reason, so_often(repeated))
+            _log.warning(text, self._name, unit, reason, suppressed_note(repeated))
 
     def _tell_count(self) -> None:
         """Log how many requests were answered 0A since the last such line; log nothing if there were none."""

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from ...codes import MAX_READ_BITS, MAX_READ_REGISTERS
 from ...config.files.lines import KeyPath
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .imported import ImportedDevice, others_of, tables_in
 from .plain_yaml import YamlDocument, parse_yaml
 

@@ -13,7 +13,7 @@ import re
 from collections.abc import Sequence
 from typing import Final
 
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .imported import ImportedDevice
 
 _TABLES: Final = {

@@ -13,7 +13,7 @@ from typing import Any, Final
 from ...config.files.lines import KeyPath
 from ...errors import ConfigError
 from ...extras import require
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 
 LONGEST: Final = 1_000_000
 MOST_NODES: Final = 100_000

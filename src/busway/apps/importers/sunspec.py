@@ -15,7 +15,7 @@ from typing import Any, Final
 
 from ...errors import ConfigError
 from ...points.conversion import LARGEST_EXPONENT
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .imported import WRONG_VALUE, ImportedDevice
 
 FIRST_MODEL: Final = 40002

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from ...config.files.schema import Source, read_source
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .imported import ImportedDevice, others_of, tables_in
 
 _TABLES: Final = {

@@ -31,9 +31,10 @@ from ...observe.capture_files.frame_extraction import (
     TrafficFault,
 )
 from ...observe.pairing import Heard, Kind, Pairing
+from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import STANDARD, AnyRequest
-from ...pdu.general import ExceptionResponse, MalformedRequest
 from ...pdu.malformed import MalformedPdu
+from ...pdu.malformed_request import MalformedRequest
 from ...pdu.message import Message, Request
 from ...values import Address, format_address
 

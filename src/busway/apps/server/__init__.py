@@ -4,6 +4,7 @@
 `access_in_force`  The access policy and address lists that a running service applies, and their replacement by a reload
 `configuration`    The configuration of a server and its clients from one file: every parameter, checked together
 `effective`        Shows the configuration in force, defaults included, as TOML
+`gc_pauses`        Keeps the garbage collector from pausing the event loop while a reload creates or frees many objects
 `interfaces`       Interfaces of what a service runs (a server, a gateway or a simulation)
 `overrides`        Command-line overrides of a configuration: other listeners, a policy file, an audit log
 `overview`         An overview of a configuration as rows of text: listeners, rights, links and units

@@ -17,9 +17,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from ...access.rules import AccessRules, Rule
 from ...config.certificates import tls_of, try_certificates
-from ...config.gc_pauses import collecting_paused, keep_uncollected, let_go
 from ...errors import ConfigError
 from .access_in_force import AccessInForce
+from .gc_pauses import collecting_paused, keep_uncollected, let_go
 from .interfaces import DeclaredServer, RunningServer
 from .overrides import Overrides
 

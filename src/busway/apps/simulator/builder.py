@@ -23,7 +23,7 @@ from ...config.paths import within
 from ...config.reading import read_named_text
 from ...errors import ConfigError
 from ...points.expression import Expression, Number, parse_expression
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .behaviours.behaviour import Behaviour
 from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording

@@ -11,7 +11,7 @@ from ...config.devices import put_value
 from ...config.files.points import PointSection
 from ...errors import InvalidRequest
 from ...server.device import Device
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 
 
 class Points:

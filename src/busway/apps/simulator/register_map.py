@@ -37,7 +37,7 @@ from ...config.files.schema import Source, in_order
 from ...config.files.simulation import SimulatedPointSection, SimulatedUnitSection
 from ...errors import ConfigError, InvalidRequest
 from ...values import Address, format_address, parse_address, value_type
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 
 _ENCODINGS: Final = ((b"\xef\xbb\xbf", "utf-8-sig"), (b"\xff\xfe", "utf-16"), (b"\xfe\xff", "utf-16"))
 _DELIMITERS: Final = (",", ";", "\t")

@@ -20,7 +20,7 @@ from ...errors import BadReply, InvalidRequest
 from ...server.blocks import BitRun, RegisterRun
 from ...server.device import Device
 from ...values import format_address
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .registers import PointForm, place_of
 
 SIMULATION: Final = "simulation"

@@ -30,7 +30,7 @@ from ...faults.switchboard import FaultSwitchboard
 from ...pdu.functions import STANDARD, FunctionTable
 from ...server.listener import Listener
 from ...session.pipeline import RequestObserver
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .added_faults import put_on
 from .builder import build_simulation
 from .engine import Engine

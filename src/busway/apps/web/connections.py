@@ -26,7 +26,7 @@ from typing import Any, Final
 import h11
 from uvicorn.protocols.http.h11_impl import H11Protocol
 
-from ...access.repeats import Repeats, so_often
+from ...log_limiter import LogLimiter, suppressed_note
 from ...transport.descriptors import is_reserved
 from .request_guard import CERTIFICATE_SUBJECT
 
@@ -47,7 +47,7 @@ class Throttle(logging.Filter):
 
     def __init__(self) -> None:
         super().__init__()
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     def filter(self, record: logging.LogRecord) -> bool:
         """Return True if a log message is to be written, False if it is dropped as a repetition.
@@ -55,10 +55,10 @@ class Throttle(logging.Filter):
         Appends to the message how many equal messages were dropped before.
         """
         sentence = record.getMessage()
-        repeated = self._repeats.again(sentence, time.monotonic())
+        repeated = self._log_limiter.admit(sentence, time.monotonic())
         if repeated is None:
             return False
-        record.msg, record.args = sentence + so_often(repeated), ()
+        record.msg, record.args = sentence + suppressed_note(repeated), ()
         return True
 
 
@@ -76,7 +76,7 @@ class SharedConnections:
 
     def __init__(self) -> None:
         self.waiting: dict[PageConnection | SecuringConnection, None] = {}
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     def protocols(self, tls: Callable[[], ssl.SSLContext] | None = None) -> Callable[..., asyncio.Protocol]:
         """Return the factory that uvicorn calls for each accepted connection of the page.
@@ -118,9 +118,9 @@ class SharedConnections:
             sentence: format of the message; events with the same format count as the same event.
             arguments: values for the format.
         """
-        repeated = self._repeats.again(sentence, time.monotonic())
+        repeated = self._log_limiter.admit(sentence, time.monotonic())
         if repeated is not None:
-            _log.warning(f"{sentence}%s", *arguments, so_often(repeated))
+            _log.warning(f"{sentence}%s", *arguments, suppressed_note(repeated))
 
 
 class PageConnection(H11Protocol):

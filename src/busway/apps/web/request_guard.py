@@ -35,7 +35,7 @@ from starlette.exceptions import HTTPException
 from starlette.requests import HTTPConnection
 from starlette.responses import JSONResponse
 
-from ...access.repeats import Repeats, so_often
+from ...log_limiter import LogLimiter, suppressed_note
 from ..control.addresses import is_loopback
 
 AsgiScope = MutableMapping[str, Any]  # Any: as ASGI has them
@@ -201,7 +201,7 @@ class PageAccess:
         self._inner = inner
         self._rules = rules
         self._is_open = is_open
-        self._wrong_tokens = Repeats()
+        self._wrong_tokens = LogLimiter()
 
     async def __call__(self, scope: AsgiScope, receive: AsgiReceive, send: AsgiSend) -> None:
         """Check one HTTP request or WebSocket; pass it on to the application, or answer that it is refused."""
@@ -252,9 +252,9 @@ class PageAccess:
         if digest is None:
             raise Refused(401, "a token is needed")
         host = (scope.get("client") or ("",))[0]
-        repeated = self._wrong_tokens.again(host, time.monotonic())
+        repeated = self._wrong_tokens.admit(host, time.monotonic())
         if repeated is not None:
-            _log.warning("a wrong token was shown to the page from %s%s", host, so_often(repeated))
+            _log.warning("a wrong token was shown to the page from %s%s", host, suppressed_note(repeated))
         raise Refused(401, "the token is wrong")
 
     def _find(self, digest: bytes | None, subject: str) -> Caller | None:

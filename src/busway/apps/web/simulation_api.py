@@ -16,7 +16,7 @@ from fastapi import Depends, FastAPI, Query
 from starlette.exceptions import HTTPException
 
 from ...errors import ModbusError
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from ...version import __version__
 from ..control.json_status import plain
 from .messages import Failure, plain_value

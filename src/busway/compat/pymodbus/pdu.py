@@ -20,7 +20,6 @@ from ...pdu.bits import as_state, unpack_bits
 from ...pdu.diagnostics import GetCommEventCounter, GetCommEventLog, ReadExceptionStatus, ReportServerId
 from ...pdu.encapsulated import ReadDeviceIdentification
 from ...pdu.file_records import FileData, FileReference, ReadFileRecord, WriteFileRecord
-from ...pdu.general import OpaqueRequest
 from ...pdu.message import Request
 from ...pdu.read_items import (
     ReadCoils,
@@ -29,6 +28,7 @@ from ...pdu.read_items import (
     ReadHoldingRegisters,
     ReadInputRegisters,
 )
+from ...pdu.unknown_functions import OpaqueRequest
 from ...pdu.write_items import (
     MaskWriteRegister,
     ReadWriteMultipleRegisters,

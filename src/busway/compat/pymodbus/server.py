@@ -20,10 +20,12 @@ from ...codes import ExceptionCode, Table
 from ...options.endpoints import Endpoint
 from ...options.tls import TlsParameters
 from ...pdu.bits import pack_bits, unpack_bits
+from ...pdu.device_interface import Context, Refusal
+from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import STANDARD, AnyRequest, FunctionTable
-from ...pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ...pdu.malformed_request import MalformedRequest
 from ...pdu.message import Message
-from ...pdu.model import Context, Refusal
+from ...pdu.unknown_functions import OpaqueRequest
 from ...server.server import Server
 from ...server.serving import serve
 from ...session.responder import SILENCE, RequestContext, ResponderAnswer, ServedUnit
@@ -61,7 +63,7 @@ IGNORED = frozenset(
 
 
 class ContextModel:
-    """Adapter that lets requests read and write the context of one unit, as a data model of `busway.pdu.model`.
+    """Lets requests read and write the context of one unit as a data model of `busway.pdu.device_interface`.
 
     Args:
         store: the context.

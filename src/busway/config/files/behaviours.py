@@ -16,7 +16,7 @@ from typing import Annotated, Any, ClassVar, Final, Literal
 from pydantic import BeforeValidator, Field, model_validator
 
 from ...options.declaration import Name, Range
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .schema import FileProblems, Section, read_section
 
 FASTEST: Final = 0.01

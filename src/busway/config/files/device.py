@@ -30,7 +30,7 @@ from ...options.text import build_parameters
 from ...points import ItemRange, Point, ReadRules
 from ...values import Address, parse_address
 from ...values.counts import counted
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .file_error import FileError
 from .lines import KeyPath
 from .listeners import Url

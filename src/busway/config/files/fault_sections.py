@@ -16,7 +16,7 @@ from ...access.notation import NumberRange, merged, parse_items, parse_units, pa
 from ...codes import Table
 from ...errors import ConfigError
 from ...options.declaration import Name, Range
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .lines import KeyPath
 from .policy import NumbersField
 from .schema import NO_TABLE, FileProblems, Section, Source, keys_of

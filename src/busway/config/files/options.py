@@ -18,7 +18,7 @@ from ...errors import ConfigError
 from ...options.declaration import NONE, REQUIRED, Option, declared
 from ...options.offer import Offer
 from ...options.text import build_parameters
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .schema import FileProblems, Section
 
 SectionKind = TypeVar("SectionKind", bound="OptionSection")

@@ -13,7 +13,7 @@ from ...access.addresses import AddressList
 from ...access.rules import RATES, AccessRules, Action, Limits, Policy, Rule
 from ...errors import ConfigError
 from ...options.declaration import Name
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .lines import KeyPath
 from .schema import NO_LIST, FileProblems, Section, parse_file
 

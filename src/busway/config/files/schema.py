@@ -26,7 +26,7 @@ from pydantic_core import PydanticUndefined
 
 from ...errors import ConfigError
 from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_of
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .file_error import FileError
 from .lines import KeyPath, key_lines, line_of
 

@@ -28,7 +28,7 @@ from ...codes import Table
 from ...errors import InvalidRequest
 from ...options.declaration import Name, Range
 from ...points.expression import parse_expression
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .behaviours import ConstantSection, DeclaredBehaviour
 from .device import OF_GROUP, GroupSection, UnitSection, Whole
 from .fault_sections import FaultSection

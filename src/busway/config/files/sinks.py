@@ -15,7 +15,7 @@ from pydantic import AfterValidator, BeforeValidator
 
 from ...options import sinks
 from ...options.declaration import Name, Range
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from .options import OptionSection, with_options_of
 from .points import Report
 from .schema import FileProblems, Section, read_section

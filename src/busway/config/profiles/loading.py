@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import replace
 
 from ...errors import ConfigError
-from ...values.refusal import shown
+from ...values.unfit_values import shown
 from ..files.schema import read_source
 from ..files.simulation import Parameter, ProfileFile, SimulatedUnitSection
 from ..parameters import FilledSource, declared_parameters

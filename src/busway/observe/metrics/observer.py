@@ -10,8 +10,8 @@ Knows outcomes; knows nothing of the content of requests, nor of how counts are 
 from collections.abc import Callable, Sequence
 from typing import Final
 
+from ...pdu.exception_response import ExceptionResponse
 from ...pdu.functions import AnyRequest
-from ...pdu.general import ExceptionResponse
 from ...pdu.message import Message
 from ...session.responder import ClientIdentity, Deferral, RequestContext
 from .request_tally import Durations, PeerClass, RequestTally, Series, Unanswered

@@ -1,13 +1,13 @@
 """Serial ports: bytes in, bytes out, over a UART, a USB adapter or a pseudo-terminal. Knows no Modbus.
 
 =================  =====================================================================================================
-`alarm`            A timer of an event loop that is exact to less than a millisecond
 `blocking`         A serial port for blocking programs: read, write, drain, close
 `connection`       A serial port under asyncio: received bytes are passed to a function
 `device`           An open serial port, but reading and writing: settings, damage marks, counters, RS-485 direction
 `driver_counters`  Error counters that a port's driver keeps since the system started (`struct serial_icounter_struct`)
 `emission`         Computes when the last character written to a serial port has left it
 `errors`           Translates errors of serial ports into the errors of busway
+`exact_timer`      A timer of an event loop that is exact to less than a millisecond
 `ioctl`            All ioctl calls to the driver of a serial port, in one place so that a test can replace the driver
 `lock`             Lock of a serial port against other programs, and the name of the program that holds it
 `marks`            Removes the marks that the system puts before characters that arrived damaged (`PARMRK`)

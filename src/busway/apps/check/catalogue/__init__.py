@@ -1,6 +1,6 @@
 """The checks: made for a target, in the order in which they run.
 
-=============  =====================================================================================
+=============  ==========================================================================
 `basics`       The basic checks: what every reply has to be, one facet each
 `reads`        Checks of the functions that read: 01 to 04, 07, 11, 12, 17, 20, 24 and 43
 `diagnostics`  Checks of diagnostics (08) and of functions that do not exist
@@ -8,8 +8,8 @@
 `streams`      Checks of the stream of Modbus on TCP/IP and of connections
 `handshakes`   Checks of Modbus/TCP Security: connections that must not lead to an answer
 `lines`        Checks of serial lines: damaged frames, other units, broadcasts
-`words`        Short ways to write checks: what is accepted, and PDUs from numbers
-=============  =====================================================================================
+`shorthand`    Short ways to write checks: what is accepted, and PDUs from numbers
+=============  ==========================================================================
 
 Where it is decided: what is sent and what is accepted: the file of the subject, such as `reads`. In which order checks
 run: here. What is a basic check: `basics`.

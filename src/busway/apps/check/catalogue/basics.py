@@ -4,7 +4,7 @@ Knows the target's probe. Basic checks run first; all other checks rely on their
 """
 
 from ..check import Accepts, Ask, Check, Facet, Target
-from .words import REPLY, check
+from .shorthand import REPLY, check
 
 _ANY = Accepts(reply=True, exceptions=frozenset(range(256)))
 

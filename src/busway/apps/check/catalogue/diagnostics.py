@@ -6,7 +6,7 @@ Knows PDUs. The check that clears the counters of a device is of the level disru
 from typing import Final
 
 from ..check import Accepts, Ask, Check, Level, Target
-from .words import MUST, SHOULD, check, pdu, refused, refused_or_silent, reply_or
+from .shorthand import MUST, SHOULD, check, pdu, refused, refused_or_silent, reply_or
 
 _COUNTERS: Final = {
     0x0B: "messages on the bus",

@@ -7,7 +7,7 @@ certificate authority of the device can issue, such as an expired one, come from
 from typing import Final
 
 from ..check import Accepts, Ask, BesideIt, Check, Level, TlsChange
-from .words import check
+from .shorthand import check
 
 _NO_ANSWER: Final = Accepts(silence=True, closed=True)
 _ACCEPTED: Final = {

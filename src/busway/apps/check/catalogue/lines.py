@@ -7,7 +7,7 @@ items, and the read of the probe after it for one: so a late reply to the first 
 from ....codes import BROADCAST_UNIT
 from ..check import Accepts, Ask, Check, FrameDamage, Level, Strength, Target
 from ..frames import damages_of
-from .words import REPLY, SHOULD, SILENCE, check
+from .shorthand import REPLY, SHOULD, SILENCE, check
 
 _DAMAGES = {
     FrameDamage.CHECK_FLIPPED: ("check-flipped", "S9", Strength.MUST),

@@ -9,7 +9,7 @@ from typing import Final
 
 from ....codes import Table
 from ..check import Accepts, Ask, Check, Target
-from .words import MUST, SHOULD, check, pdu, refused, refused_or_silent, reply_or
+from .shorthand import MUST, SHOULD, check, pdu, refused, refused_or_silent, reply_or
 
 _BEYOND: Final = 0xFFFF
 

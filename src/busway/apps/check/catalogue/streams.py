@@ -6,7 +6,7 @@ Knows headers and connections; the requests inside are reads of the probe.
 from typing import Final
 
 from ..check import Accepts, Ask, BesideIt, Check, CutOff, FrameDamage, Idle, Level, Reopen, Target, Together
-from .words import REPLY, SHOULD, check
+from .shorthand import REPLY, SHOULD, check
 
 _CLOSED_OR_SILENT: Final = Accepts(silence=True, closed=True)
 

@@ -8,7 +8,7 @@ from typing import Final, Protocol
 
 from ....codes import BROADCAST_UNIT, Table
 from ..check import Accepts, Ask, Check, Items, Level, Target
-from .words import MUST, SHOULD, SILENCE, check, pdu, refused, refused_or_silent, reply_or, word
+from .shorthand import MUST, SHOULD, SILENCE, check, pdu, refused, refused_or_silent, reply_or, word
 
 _REFUSED: Final = refused(3)
 _READ: Final = {Table.COILS: 1, Table.HOLDING_REGISTERS: 3}

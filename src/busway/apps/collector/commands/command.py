@@ -18,7 +18,7 @@ from enum import StrEnum
 from typing import Any, Final
 
 from ....errors import InvalidRequest
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from ..samples import SampleValue
 
 MADE: Final = "busway-"

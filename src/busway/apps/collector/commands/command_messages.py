@@ -27,12 +27,12 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, Final, Protocol
 
-from ....access.repeats import Repeats, so_often
 from ....errors import InvalidRequest, ModbusError, Overloaded
+from ....log_limiter import LogLimiter, suppressed_note
 from ....points.name_patterns import is_meant
 from ....points.point import Point
 from ....points.point_rules import WriteRule
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from .command import CommandResult, CommandState, PointCommand, new_key
 from .other_owners import OtherOwners
 from .rights import WriterRights
@@ -211,7 +211,7 @@ class CommandReceiver:
         self._places: tuple[DescribedPlant, dict[str, tuple[str, str] | None]] | None = None
         self._taken = self._refused = 0
         self._error: str | None = "not connected yet"
-        self._repeats = Repeats()
+        self._log_limiter = LogLimiter()
 
     def status(self) -> InputStatus:
         """Return the status of the server that commands come from: its connection, and counts of messages."""
@@ -410,9 +410,11 @@ class CommandReceiver:
 
     def _refuse(self, where: str, reason: str) -> bytes:
         self._refused += 1
-        repeated = self._repeats.again(where[:_LONGEST_NAME], time.monotonic())
+        repeated = self._log_limiter.admit(where[:_LONGEST_NAME], time.monotonic())
         if repeated is not None:
-            _log.warning("commands of %s: %s is refused: %s%s", self._name, shown(where), reason, so_often(repeated))
+            _log.warning(
+                "commands of %s: %s is refused: %s%s", self._name, shown(where), reason, suppressed_note(repeated)
+            )
         return _encoded({"state": CommandState.REFUSED.value, "reason": reason})
 
 

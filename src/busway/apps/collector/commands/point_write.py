@@ -38,7 +38,7 @@ from ....points.point import Point
 from ....points.point_rules import ReadRules
 from ....points.quality import Quality, Reading
 from ....values import Address, value_type
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from .command import CommandState, CommandValue
 from .point_read import PointRead, point_read
 

@@ -37,7 +37,7 @@ from ....pdu.message import Request
 from ....points.point import Point
 from ....points.point_rules import ReadRules
 from ....points.quality import Quality
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from ..poller import LinkPoller
 from .audit import command_line
 from .claims import KeyClaims, KeysUnavailable

@@ -10,7 +10,7 @@ from typing import Final
 from ....errors import InvalidRequest
 from ....points.name_patterns import is_meant, point_pattern
 from ....values.durations import duration
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 from ..samples import NANOSECONDS
 from .manifest import StoredPoint
 

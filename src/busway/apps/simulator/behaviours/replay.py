@@ -15,7 +15,7 @@ from typing import Final, Literal
 
 from ....config.files.file_error import FileError
 from ....errors import ConfigError
-from ....values.refusal import shown
+from ....values.unfit_values import shown
 
 _MOST_PROBLEMS: Final = 20
 _STATES: Final = {"on": 1.0, "true": 1.0, "off": 0.0, "false": 0.0}

@@ -1,4 +1,4 @@
-"""Words of options."""
+"""Enums of options whose values are words: capitals are accepted too."""
 
 import pytest
 

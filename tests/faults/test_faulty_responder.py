@@ -11,7 +11,7 @@ from busway.access.audit_log import AuditLog
 from busway.faults.switchboard import FaultSwitchboard
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
-from busway.server.local import DeviceResponder
+from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, SerialUnits, ServedUnit

@@ -21,7 +21,7 @@ class _Said:
     since: int = 0
 
 
-class Repeats:
+class LogLimiter:
     """Decides whether a repeated log message is written now, and counts those that are not.
 
     ``pause``: least seconds between two messages about the same name.
@@ -31,7 +31,7 @@ class Repeats:
         self._pause = pause
         self._said: OrderedDict[str, _Said] = OrderedDict()
 
-    def again(self, name: str, now: float) -> int | None:
+    def admit(self, name: str, now: float) -> int | None:
         """Decide about one more message: None means that the caller must not log it now, a number that it must.
 
         The number says how many messages about ``name`` were suppressed since the last one that was logged, 0 or more.
@@ -51,6 +51,6 @@ class Repeats:
         return 0 if said is None else said.since
 
 
-def so_often(repeated: int) -> str:
+def suppressed_note(repeated: int) -> str:
     """Return a suffix for a log line that says how many equal messages were suppressed; empty if none were."""
     return f" ({repeated} more since the last line)" if repeated else ""

@@ -4,7 +4,7 @@ from enum import Enum
 from typing import Self
 
 
-class Word(Enum):
+class CaselessEnum(Enum):
     """Base of enums for options whose values are words: ``Parity("even")`` and ``Parity("EVEN")`` are the same member.
 
     The value of a member is the text of the option in lower case.

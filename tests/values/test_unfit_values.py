@@ -1,7 +1,7 @@
 """The sentence with which a value is refused."""
 
 from busway.errors import InvalidRequest
-from busway.values.refusal import shown, unfit
+from busway.values.unfit_values import shown, unfit
 
 
 def test_a_value_is_shown_in_a_few_characters() -> None:

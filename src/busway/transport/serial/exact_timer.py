@@ -32,7 +32,7 @@ it was earlier, the lead falls at once.
 """
 
 
-class Alarm:
+class ExactTimer:
     """A timer of the running event loop, exact to less than a millisecond where the system allows; it can be set again.
 
     Attributes:
@@ -85,7 +85,7 @@ class Alarm:
             os.close(descriptor)
 
     def __del__(self) -> None:
-        # An alarm that was never closed, because its loop was closed first, keeps no descriptor.
+        # A timer that was never closed, because its loop was closed first, keeps no descriptor.
         if getattr(self, "_descriptor", None) is not None:
             self.close()
 

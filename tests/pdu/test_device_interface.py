@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.pdu.model import Refusal
+from busway.pdu.device_interface import Refusal
 
 
 @pytest.mark.clause("A20")

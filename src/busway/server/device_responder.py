@@ -17,10 +17,12 @@ from collections.abc import Mapping
 from ..codes import BROADCAST_UNIT, TCP_DEVICE_UNIT, ExceptionCode
 from ..errors import ConfigError
 from ..options.server import UnitPolicy, UnlistedUnit
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.file_records import WriteFileRecord
 from ..pdu.functions import STANDARD, AnyRequest, FunctionTable
-from ..pdu.general import ExceptionResponse, MalformedRequest, OpaqueRequest
+from ..pdu.malformed_request import MalformedRequest
 from ..pdu.message import Request
+from ..pdu.unknown_functions import OpaqueRequest
 from ..session.responder import SILENCE, Replaced, RequestContext, ResponderAnswer, ServedUnit
 from .device import Device
 

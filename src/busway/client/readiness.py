@@ -13,7 +13,7 @@ _LONGEST_WAIT: Final = 0.25
 """Longest single wait at a serial port, in seconds: closing the port does not wake up a thread that waits at it."""
 
 
-class ExactPoll:
+class PortReadiness:
     """Waits until a serial port is ready, for a caller that needs exact timing.
 
     A wait for a time ends ``spin`` seconds early; the caller waits for the rest in a busy loop.
@@ -38,7 +38,7 @@ class ExactPoll:
             return False  # another thread closed the port while this one was about to wait
 
 
-class Poll:
+class SocketReadiness:
     """Waits until one socket is ready: by ``poll``, or by ``select`` on systems that lack it.
 
     ``poll`` is preferred because it works with any number of open descriptors.

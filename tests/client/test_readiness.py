@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from busway.client.polling import Poll
+from busway.client.readiness import SocketReadiness
 
 
 @pytest.fixture
@@ -26,7 +26,7 @@ def system(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> N
 @pytest.mark.usefixtures("system")
 def test_a_wait_ends_when_bytes_are_there_or_can_be_sent(pair: tuple[socket.socket, socket.socket]) -> None:
     one, other = pair
-    poll = Poll(one)
+    poll = SocketReadiness(one)
     assert not poll.wait(one, 0.0, False)
     assert poll.wait(one, 60.0, True)
     other.send(b"x")
@@ -39,6 +39,6 @@ def test_without_poll_a_wait_at_a_socket_that_another_thread_has_closed_is_over(
 ) -> None:
     monkeypatch.delattr(select, "poll", raising=False)
     one, _ = pair
-    poll = Poll(one)
+    poll = SocketReadiness(one)
     one.close()
     assert not poll.wait(one, 0.0, writes)

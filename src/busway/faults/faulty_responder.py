@@ -13,8 +13,8 @@ Knows requests, faults and faulty connections; knows no socket.
 from collections.abc import Awaitable, Callable
 from dataclasses import replace
 
+from ..pdu.exception_response import ExceptionResponse
 from ..pdu.functions import AnyRequest, FunctionTable
-from ..pdu.general import ExceptionResponse
 from ..pdu.message import Message
 from ..session.responder import (
     ALONE,

@@ -1,4 +1,4 @@
-"""The alarm rings once, when it was set to, and leaves nothing behind."""
+"""The timer rings once, when it was set to, and leaves nothing behind."""
 
 import asyncio
 import os
@@ -9,8 +9,8 @@ from dataclasses import dataclass, field
 
 import pytest
 
-from busway.transport.serial import alarm as module
-from busway.transport.serial.alarm import LONGEST_LEAD, Alarm
+from busway.transport.serial import exact_timer as module
+from busway.transport.serial.exact_timer import LONGEST_LEAD, ExactTimer
 
 
 @pytest.fixture(params=["exact", "loop"])
@@ -40,12 +40,12 @@ async def turns(count: int = 5) -> None:
 
 async def test_it_rings_once_and_not_before_its_time(kind: str) -> None:
     bell = Bell()
-    alarm = Alarm(bell)
+    exact_timer = ExactTimer(bell)
     when = time.monotonic() + 0.01
-    alarm.set(when)
+    exact_timer.set(when)
     await asyncio.wait_for(bell.rung.wait(), 60)
     await asyncio.sleep(0.01)
-    alarm.close()
+    exact_timer.close()
     assert len(bell.times) == 1
     assert bell.times[0] >= when - 0.001  # the clock of a loop may be another one
 
@@ -63,24 +63,24 @@ async def test_what_the_one_who_is_rung_raises_is_reported(kind: str) -> None:
 
     error = BlockingIOError("a port that takes nothing")
     asyncio.get_running_loop().set_exception_handler(report)
-    alarm = Alarm(ring)
-    alarm.set(time.monotonic())
+    exact_timer = ExactTimer(ring)
+    exact_timer.set(time.monotonic())
     await asyncio.wait_for(reported.wait(), 60)
-    alarm.close()
+    exact_timer.close()
     assert told == [error]
 
 
 async def test_setting_it_again_moves_it(kind: str) -> None:
     bell = Bell()
-    alarm = Alarm(bell)
-    alarm.set(time.monotonic() + 3600)
-    alarm.set(time.monotonic() + 0.001)
+    exact_timer = ExactTimer(bell)
+    exact_timer.set(time.monotonic() + 3600)
+    exact_timer.set(time.monotonic() + 0.001)
     await asyncio.wait_for(bell.rung.wait(), 60)
     bell.rung.clear()
-    alarm.set(time.monotonic() + 0.001)
-    alarm.set(later := time.monotonic() + 0.01)
+    exact_timer.set(time.monotonic() + 0.001)
+    exact_timer.set(later := time.monotonic() + 0.01)
     await asyncio.wait_for(bell.rung.wait(), 60)
-    alarm.close()
+    exact_timer.close()
     assert bell.times[1] >= later - 0.001
     assert len(bell.times) == 2
 
@@ -88,41 +88,41 @@ async def test_setting_it_again_moves_it(kind: str) -> None:
 @pytest.mark.parametrize("when", [0.0, -1.0])
 async def test_a_time_that_has_passed_rings_in_the_next_turns(kind: str, when: float) -> None:
     bell = Bell()
-    alarm = Alarm(bell)
-    alarm.set(when)
+    exact_timer = ExactTimer(bell)
+    exact_timer.set(when)
     assert bell.times == []
     await asyncio.wait_for(bell.rung.wait(), 60)
-    alarm.close()
+    exact_timer.close()
 
 
-@pytest.mark.parametrize("stop", [Alarm.cancel, Alarm.close])
-async def test_it_does_not_ring_after_it_was_stopped(kind: str, stop: Callable[[Alarm], None]) -> None:
+@pytest.mark.parametrize("stop", [ExactTimer.cancel, ExactTimer.close])
+async def test_it_does_not_ring_after_it_was_stopped(kind: str, stop: Callable[[ExactTimer], None]) -> None:
     bell = Bell()
-    alarm = Alarm(bell)
-    alarm.set(time.monotonic())
-    stop(alarm)
+    exact_timer = ExactTimer(bell)
+    exact_timer.set(time.monotonic())
+    stop(exact_timer)
     await turns()
-    alarm.close()
+    exact_timer.close()
     assert bell.times == []
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="descriptors are listed by Linux")
-async def test_a_closed_alarm_has_given_its_descriptor_back(kind: str) -> None:
+async def test_a_closed_exact_timer_has_given_its_descriptor_back(kind: str) -> None:
     before = len(os.listdir("/proc/self/fd"))
-    alarm = Alarm(Bell())
-    alarm.close()
-    alarm.close()
+    exact_timer = ExactTimer(Bell())
+    exact_timer.close()
+    exact_timer.close()
     assert len(os.listdir("/proc/self/fd")) == before
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="descriptors are listed by Linux")
-def test_an_alarm_whose_loop_was_closed_under_it_gives_its_descriptor_back_when_it_is_forgotten() -> None:
-    async def forget() -> Alarm:
-        return Alarm(lambda: None)
+def test_an_exact_timer_whose_loop_was_closed_under_it_gives_its_descriptor_back_when_it_is_forgotten() -> None:
+    async def forget() -> ExactTimer:
+        return ExactTimer(lambda: None)
 
     before = len(os.listdir("/proc/self/fd"))
-    alarm = asyncio.run(forget())
-    del alarm
+    exact_timer = asyncio.run(forget())
+    del exact_timer
     assert len(os.listdir("/proc/self/fd")) == before
 
 
@@ -154,52 +154,52 @@ def timer(monkeypatch: pytest.MonkeyPatch) -> Iterator[LateTimer]:
     monkeypatch.setattr(module, "_new_timer", lambda: late_timer.ends[0])
     monkeypatch.setattr(module, "_set_timer", late_timer.set)
     yield late_timer
-    os.close(late_timer.ends[1])  # the other end is the alarm's
+    os.close(late_timer.ends[1])  # the other end is the timer's
 
 
 needs_selectors = pytest.mark.skipif(sys.platform == "win32", reason="its loop watches no pipes")
 
 
-async def lead_after(timer: LateTimer, alarm: Alarm, late: float, times: int) -> float:
+async def lead_after(timer: LateTimer, exact_timer: ExactTimer, late: float, times: int) -> float:
     """How much earlier the timer is set once it was so late so many times."""
     for _ in range(times):
-        alarm.set(timer.now + 1)
+        exact_timer.set(timer.now + 1)
         await timer.wake(late)
-    alarm.set(2000.0)
+    exact_timer.set(2000.0)
     return 2000.0 - timer.set_to
 
 
 @needs_selectors
 async def test_the_timer_is_set_as_much_earlier_as_it_was_late_lately(timer: LateTimer) -> None:
-    alarm = Alarm(lambda: None)
-    assert await lead_after(timer, alarm, 60e-6, 0) == pytest.approx(0, abs=1e-6)
-    assert 0 < await lead_after(timer, alarm, 60e-6, 1) < 10e-6
-    assert await lead_after(timer, alarm, 60e-6, 200) == pytest.approx(60e-6, abs=2e-6)
-    assert await lead_after(timer, alarm, 20e-6, 1) == pytest.approx(20e-6, abs=2e-6)
-    assert await lead_after(timer, alarm, 0.5, 200) == pytest.approx(LONGEST_LEAD, abs=1e-6)
-    alarm.close()
+    exact_timer = ExactTimer(lambda: None)
+    assert await lead_after(timer, exact_timer, 60e-6, 0) == pytest.approx(0, abs=1e-6)
+    assert 0 < await lead_after(timer, exact_timer, 60e-6, 1) < 10e-6
+    assert await lead_after(timer, exact_timer, 60e-6, 200) == pytest.approx(60e-6, abs=2e-6)
+    assert await lead_after(timer, exact_timer, 20e-6, 1) == pytest.approx(20e-6, abs=2e-6)
+    assert await lead_after(timer, exact_timer, 0.5, 200) == pytest.approx(LONGEST_LEAD, abs=1e-6)
+    exact_timer.close()
 
 
 @needs_selectors
 async def test_it_does_not_ring_before_its_time_where_the_timer_is_quicker_than_it_was(timer: LateTimer) -> None:
     rung: list[float] = []
-    alarm = Alarm(lambda: rung.append(timer.now))
-    assert await lead_after(timer, alarm, 80e-6, 200) > 70e-6
+    exact_timer = ExactTimer(lambda: rung.append(timer.now))
+    assert await lead_after(timer, exact_timer, 80e-6, 200) > 70e-6
     assert timer.set_to < 2000.0 - 70e-6
     await timer.wake(1e-6)
     assert 2000.0 <= rung[-1] < 2000.0 + 5e-6
-    alarm.close()
+    exact_timer.close()
 
 
 @needs_selectors
-async def test_a_time_that_has_passed_makes_no_later_alarm_ring_early(timer: LateTimer) -> None:
+async def test_a_time_that_has_passed_makes_no_later_exact_timer_ring_early(timer: LateTimer) -> None:
     rung: list[float] = []
-    alarm = Alarm(lambda: rung.append(timer.now))
-    alarm.set(0.0)
+    exact_timer = ExactTimer(lambda: rung.append(timer.now))
+    exact_timer.set(0.0)
     timer.set_to = timer.now
     await timer.wake(0.0)
-    alarm.set(3000.0)
+    exact_timer.set(3000.0)
     assert timer.set_to >= 3000.0 - LONGEST_LEAD
     await timer.wake(0.0)
     assert rung[-1] >= 3000.0
-    alarm.close()
+    exact_timer.close()

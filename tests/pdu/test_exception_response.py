@@ -1,11 +1,10 @@
-"""Exceptions and what no table knows."""
+"""Exception replies: their bytes, and the longer form of function 43."""
 
 import pytest
 
 from busway.errors import InvalidRequest
-from busway.pdu.general import ExceptionResponse, OpaqueReply, OpaqueRequest, decode_exception
+from busway.pdu.exception_response import ExceptionResponse, decode_exception
 from busway.pdu.malformed import MalformedPdu
-from busway.pdu.message import UNKNOWN_LENGTH
 
 
 @pytest.mark.clause("A2")
@@ -36,21 +35,3 @@ def test_only_43_is_refused_with_its_mei_type_between() -> None:
     for pdu in (b"\xab\x0f\x01", b"\x83\x0e\x01", b"\xab\x0e\x01\x00"):
         with pytest.raises(MalformedPdu):
             decode_exception(pdu)
-
-
-def test_an_unknown_request_counts_as_a_write_and_takes_any_reply_of_its_function() -> None:
-    request = OpaqueRequest(0x41, b"\x01")
-    assert request.is_write
-    assert request.spans() == ()
-    assert request.reply_shape() == (UNKNOWN_LENGTH, b"\x41")
-    assert request.accept(b"\x41\x09\x08") == OpaqueReply(0x41, b"\x09\x08")
-    with pytest.raises(MalformedPdu, match="function 66 where 65 answers"):
-        request.accept(b"\x42")
-
-
-def test_an_unknown_request_has_at_most_253_bytes() -> None:
-    assert len(OpaqueRequest(0x41, bytes(252)).encode()) == 253
-    with pytest.raises(InvalidRequest, match="data must have 0…252 bytes, not 253"):
-        OpaqueRequest(0x41, bytes(253))
-    with pytest.raises(InvalidRequest, match="function must be 0…127, not 200"):
-        OpaqueRequest(200, b"")
