@@ -23,7 +23,7 @@ from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.server.connection_pools import Pool, PoolLimits, Pools
+from busway.server.connection_pools import ConnectionSlots, SlotLimits, SlotPool
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
@@ -95,7 +95,7 @@ class PoolMember:
 
     host: str
     is_priority: bool = False
-    pool: Pool = Pool.OTHER
+    pool: SlotPool = SlotPool.OTHER
     last_used: float = 0.0
     is_busy: bool = False
     received: int = 12
@@ -103,7 +103,7 @@ class PoolMember:
 
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:
-    places: Pools[PoolMember] = Pools(PoolLimits(priority=1, other=1, priority_per_host=1))
+    places: ConnectionSlots[PoolMember] = ConnectionSlots(SlotLimits(priority=1, other=1, priority_per_host=1))
     marked, old, new = (
         PoolMember("10.0.0.1", is_priority=True),
         PoolMember("10.0.0.2"),
@@ -112,7 +112,7 @@ def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -
     assert places.admit(marked).accepted
     assert places.admit(old).evicted is None
     assert places.admit(new).evicted is old
-    assert (marked.pool, places.count(Pool.OTHER)) == (Pool.PRIORITY, 1)
+    assert (marked.pool, places.count(SlotPool.OTHER)) == (SlotPool.PRIORITY, 1)
 
 
 def test_access_control_alone_says_who_may_connect_and_who_may_ask() -> None:

@@ -30,40 +30,40 @@ AMPLE = 5.0
 
 @pytest.mark.parametrize("scheme", SCHEMES)
 def test_faults_are_switched_on_and_off_over_every_transport(scheme: str) -> None:
-    board = FaultSwitchboard()
-    board.add("busy", functions={3}, items={busway.Table.HOLDING_REGISTERS: [(100, 200)]}, on=False)
-    board.add("late", units={2}, parameters={"delay": 0.02}, on=False)
-    board.add("wedged", functions={6}, on=False)
+    switchboard = FaultSwitchboard()
+    switchboard.add("busy", functions={3}, items={busway.Table.HOLDING_REGISTERS: [(100, 200)]}, on=False)
+    switchboard.add("late", units={2}, parameters={"delay": 0.02}, on=False)
+    switchboard.add("wedged", functions={6}, on=False)
     with (
-        played(board, f"{scheme}://127.0.0.1:0") as endpoint,
+        played(switchboard, f"{scheme}://127.0.0.1:0") as endpoint,
         busway.connect(endpoint, timeout=AMPLE, retries=0) as link,
     ):
         one, two = link.unit(1), link.unit(2)
         assert one.read_holding_registers(100, count=1) == [100]
-        board.switch("busy", on=True)
+        switchboard.switch("busy", on=True)
         with pytest.raises(busway.ExceptionReply):
             one.read_holding_registers(99, count=2)
         assert one.read_holding_registers(99, count=1) == [99]
         assert one.read_input_registers(150, count=1) == [10_150]
-        board.switch("late", on=True)
+        switchboard.switch("late", on=True)
         assert two.read_holding_registers(7, count=2) == [7, 8]
-        board.switch("wedged", on=True)
+        switchboard.switch("wedged", on=True)
         with pytest.raises(busway.WriteOutcomeUnknown):
             one.write_single_register(1, 1, timeout=TIMEOUT)
         for name in ("busy", "late", "wedged"):
-            board.switch(name, on=False)
+            switchboard.switch(name, on=False)
         assert one.read_holding_registers(100, count=1) == [100]
         one.write_single_register(1, 1)
-        assert [fault.struck for fault in board] == [1, 1, 1]
+        assert [fault.struck for fault in switchboard] == [1, 1, 1]
 
 
 def test_connections_over_tls_misbehave_like_others(tmp_path: Path) -> None:
     store = CertificateStore(tmp_path)
-    board = FaultSwitchboard()
-    board.add("execute-then-drop")
-    board.add("dribble", parameters={"piece": 3})
+    switchboard = FaultSwitchboard()
+    switchboard.add("execute-then-drop")
+    switchboard.add("dribble", parameters={"piece": 3})
     with (
-        played(board, f"tls://127.0.0.1:0?{store.server().query()}") as endpoint,
+        played(switchboard, f"tls://127.0.0.1:0?{store.server().query()}") as endpoint,
         busway.connect(endpoint, timeout=AMPLE, retries=0, **store.client().options()) as link,
     ):
         unit = link.unit(1)
@@ -71,7 +71,7 @@ def test_connections_over_tls_misbehave_like_others(tmp_path: Path) -> None:
         with pytest.raises(busway.WriteOutcomeUnknown):
             unit.write_single_register(1, 99)
         assert unit.read_holding_registers(1, count=1) == [99]
-    assert board.status("execute-then-drop").struck == 1
+    assert switchboard.status("execute-then-drop").struck == 1
 
 
 def _socket(endpoint: str) -> socket.socket:
@@ -95,14 +95,14 @@ PDU, ANSWER = bytes.fromhex("03 0005 0002"), bytes.fromhex("03 04 0005 0006")
 
 
 def test_replies_leave_in_the_order_of_their_requests_even_when_only_some_are_late() -> None:
-    board = FaultSwitchboard()
-    board.add("late", units={2}, parameters={"delay": 0.05})
-    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+    switchboard = FaultSwitchboard()
+    switchboard.add("late", units={2}, parameters={"delay": 0.05})
+    with played(switchboard, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         asked = [encode_mbap(number, unit, PDU) for number, unit in ((1, 1), (2, 2), (3, 1), (4, 2), (5, 1))]
         expected = [encode_mbap(number, unit, ANSWER) for number, unit in ((1, 1), (2, 2), (3, 1), (4, 2), (5, 1))]
         client.sendall(b"".join(asked))
         assert _received(client, sum(map(len, expected))) == b"".join(expected)
-        board.switch("late", on=False)
+        switchboard.switch("late", on=False)
         client.sendall(b"".join(asked))
         assert _received(client, sum(map(len, expected))) == b"".join(expected)
 
@@ -110,10 +110,10 @@ def test_replies_leave_in_the_order_of_their_requests_even_when_only_some_are_la
 @pytest.mark.parametrize(("scheme", "encode"), [("rtu+tcp", encode_rtu), ("ascii+tcp", encode_ascii)])
 def test_echo_and_noise_are_bytes_around_good_frames(scheme: str, encode: object) -> None:
     assert callable(encode)
-    board = FaultSwitchboard()
-    board.add("leading-zero", parameters={"zeros": 3})
-    board.add("echo")
-    with played(board, f"{scheme}://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+    switchboard = FaultSwitchboard()
+    switchboard.add("leading-zero", parameters={"zeros": 3})
+    switchboard.add("echo")
+    with played(switchboard, f"{scheme}://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         client.sendall(encode(1, PDU))
         expected = encode(1, PDU) + bytes(3) + encode(1, ANSWER)
         assert _received(client, len(expected)) == expected
@@ -121,54 +121,54 @@ def test_echo_and_noise_are_bytes_around_good_frames(scheme: str, encode: object
 
 def test_silent_connection_is_closed_also_if_the_fault_was_switched_on_after_it_was_made() -> None:
     clock = FakeClock()
-    board = FaultSwitchboard(clock=clock)
-    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+    switchboard = FaultSwitchboard(clock=clock)
+    with played(switchboard, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         client.sendall(encode_mbap(1, 1, PDU))
         assert _received(client, 13) == encode_mbap(1, 1, ANSWER)
-        board.add("close-if-silent", parameters={"seconds": 10})
-        board.add("idle-close", parameters={"seconds": 3600})
+        switchboard.add("close-if-silent", parameters={"seconds": 10})
+        switchboard.add("idle-close", parameters={"seconds": 3600})
         clock.advance(1000.0)
         client.sendall(encode_mbap(2, 1, PDU))
         assert _received(client, 13) == encode_mbap(2, 1, ANSWER)  # it had spoken already
         clock.advance(3600.0)
         assert _received(client, 1) == b""
         with _socket(endpoint) as silent:
-            # Its place on the board is there as soon as another one, which came later, is answered.
+            # Its place on the switchboard is there as soon as another one, which came later, is answered.
             with _socket(endpoint) as other:
                 other.sendall(encode_mbap(1, 1, PDU))
                 assert _received(other, 13) == encode_mbap(1, 1, ANSWER)
             clock.advance(10.0)
             assert _received(silent, 1) == b""
-    assert [fault.struck for fault in board] == [1, 1]
+    assert [fault.struck for fault in switchboard] == [1, 1]
 
 
 def test_connection_in_use_is_not_idle_when_the_first_fault_is_switched_on_again() -> None:
     clock = FakeClock()
-    board = FaultSwitchboard(clock=clock)
-    name = board.add("idle-close", parameters={"seconds": 10})
-    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+    switchboard = FaultSwitchboard(clock=clock)
+    name = switchboard.add("idle-close", parameters={"seconds": 10})
+    with played(switchboard, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
 
         def ask() -> None:
             client.sendall(encode_mbap(1, 1, PDU))
             assert _received(client, 13) == encode_mbap(1, 1, ANSWER)
 
         ask()
-        board.switch(name, on=False)
+        switchboard.switch(name, on=False)
         for _ in range(4):
             clock.advance(8.0)
             ask()
-        board.switch(name, on=True)
+        switchboard.switch(name, on=True)
         ask()
         clock.advance(9.0)
         ask()
-    assert [fault.struck for fault in board] == [0]
+    assert [fault.struck for fault in switchboard] == [0]
 
 
 def test_idle_connection_is_closed_by_a_fault_that_begins_later() -> None:
     clock = FakeClock()
-    board = FaultSwitchboard(clock=clock)
-    board.add("idle-close", parameters={"seconds": 10}, schedule=Schedule(after=60.0))
-    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+    switchboard = FaultSwitchboard(clock=clock)
+    switchboard.add("idle-close", parameters={"seconds": 10}, schedule=Schedule(after=60.0))
+    with played(switchboard, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         client.sendall(encode_mbap(1, 1, PDU))
         assert _received(client, 13) == encode_mbap(1, 1, ANSWER)
         clock.advance(61.0)
@@ -177,11 +177,11 @@ def test_idle_connection_is_closed_by_a_fault_that_begins_later() -> None:
 
 def test_late_by_an_hour_of_a_clock_that_a_test_moves() -> None:
     clock = FakeClock()
-    board = FaultSwitchboard(clock=clock)
-    board.add("late", parameters={"delay": 3600})
-    with played(board, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
+    switchboard = FaultSwitchboard(clock=clock)
+    switchboard.add("late", parameters={"delay": 3600})
+    with played(switchboard, "tcp://127.0.0.1:0") as endpoint, _socket(endpoint) as client:
         client.sendall(encode_mbap(7, 1, PDU))
-        _until_heard(board)
+        _until_heard(switchboard)
         clock.advance(3599.0)
         client.setblocking(False)
         with pytest.raises(BlockingIOError):
@@ -191,11 +191,11 @@ def test_late_by_an_hour_of_a_clock_that_a_test_moves() -> None:
         assert _received(client, 13) == encode_mbap(7, 1, ANSWER)
 
 
-def _until_heard(board: FaultSwitchboard) -> None:
+def _until_heard(switchboard: FaultSwitchboard) -> None:
     """Wait until a request has been planned for."""
     pause = threading.Event()
     for _ in range(1000):
-        if board.tap.has_any_unsent:
+        if switchboard.tap.has_any_unsent:
             return
         pause.wait(0.005)
     raise AssertionError("the request did not come")
@@ -228,10 +228,10 @@ class Promising:
 
 
 async def test_answers_that_other_handlers_promise_come_later_and_misbehave_too() -> None:
-    board = FaultSwitchboard()
-    board.add("foreign-transaction", parameters={"distance": 1})
+    switchboard = FaultSwitchboard()
+    switchboard.add("foreign-transaction", parameters={"distance": 1})
     server = Server(["tcp://127.0.0.1:0"], Promising())
-    board.attach(server)
+    switchboard.attach(server)
     async with server:
         reader, writer = await asyncio.open_connection("127.0.0.1", urlsplit(server.endpoints[0]).port)
         for pdu, answer in (
@@ -249,11 +249,11 @@ async def test_answers_that_other_handlers_promise_come_later_and_misbehave_too(
 
 
 async def test_policy_of_the_server_is_asked_too() -> None:
-    board = FaultSwitchboard()
-    board.add("late", parameters={"delay": 0.0})
-    board.add("wrong-echo")
+    switchboard = FaultSwitchboard()
+    switchboard.add("late", parameters={"delay": 0.0})
+    switchboard.add("wrong-echo")
     server = busway.serve("tcp://127.0.0.1:0", units=known_device(), policy=busway.Policy.read_only())
-    board.attach(server)
+    switchboard.attach(server)
     async with server, busway.open(server.endpoints[0]) as link:
         unit = link.unit(1)
         assert await unit.read_holding_registers(7, count=1) == [7]
@@ -263,19 +263,19 @@ async def test_policy_of_the_server_is_asked_too() -> None:
 
 
 async def test_nothing_is_in_the_way_while_no_fault_is_on() -> None:
-    board = FaultSwitchboard()
-    name = board.add("late", parameters={"delay": 0.0}, on=False)
+    switchboard = FaultSwitchboard()
+    name = switchboard.add("late", parameters={"delay": 0.0}, on=False)
     server = busway.serve("tcp://127.0.0.1:0", units=known_device())
-    board.attach(server)
+    switchboard.attach(server)
     async with server, busway.open(server.endpoints[0]) as link:
         unit = link.unit(1)
         await unit.read_holding_registers(7, count=1)
-        (faulty,) = board.tap
+        (faulty,) = switchboard.tap
         assert faulty.conversation.contact.last_received is None  # nobody has looked at the request
-        board.switch(name, on=True)
+        switchboard.switch(name, on=True)
         await unit.read_holding_registers(7, count=1)
         assert faulty.conversation.contact.last_received is not None
-        board.switch(name, on=False)
+        switchboard.switch(name, on=False)
         seen = faulty.conversation.contact.last_received
         await unit.read_holding_registers(7, count=1)
         assert faulty.conversation.contact.last_received == seen
@@ -290,24 +290,24 @@ async def test_running_server_cannot_be_attached_to() -> None:
 
 
 async def test_ways_are_forgotten_with_their_connections() -> None:
-    board = FaultSwitchboard()
+    switchboard = FaultSwitchboard()
     server = busway.serve("tcp://127.0.0.1:0", "udp://127.0.0.1:0", units=known_device())
-    board.attach(server)
+    switchboard.attach(server)
     async with server:
         for endpoint in server.endpoints:
             async with busway.open(endpoint) as link:
                 await link.unit(1).read_holding_registers(7, count=1)
-        assert board.tap.accepted == 2
-    assert len(board.tap) == 0
+        assert switchboard.tap.accepted == 2
+    assert len(switchboard.tap) == 0
 
 
 async def test_rules_for_a_unit_hold_by_whatever_name_its_device_is_asked() -> None:
     policy = busway.Policy.of(
         busway.Rule.of(name="not here", action="deny", units="1", access="write"), default="allow"
     )
-    board = FaultSwitchboard()
+    switchboard = FaultSwitchboard()
     server = busway.serve("tcp://127.0.0.1:0", units={1: known_device()}, policy=policy)
-    board.attach(server)
+    switchboard.attach(server)
     async with server, busway.open(server.endpoints[0]) as link:
         for unit in (1, 0, 255):
             with pytest.raises(busway.ExceptionReply) as error:

@@ -8,7 +8,7 @@ from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.server.connection_pools import SECONDS_TO_SPEAK, Pool, PoolLimits, Pools
+from busway.server.connection_pools import SECONDS_TO_SPEAK, ConnectionSlots, SlotLimits, SlotPool
 
 
 @dataclass(eq=False)
@@ -19,15 +19,15 @@ class Connection:
     is_priority: bool = False
     last_used: float = 0.0
     is_busy: bool = False
-    pool: Pool = Pool.OTHER
+    pool: SlotPool = SlotPool.OTHER
     received: int = 12
     has_ended: bool = False
 
 
 def pools(
     priority: int = 2, other: int = 2, priority_per_host: int = 2, per_host: int | None = None
-) -> Pools[Connection]:
-    return Pools(PoolLimits(priority, other, priority_per_host, per_host))
+) -> ConnectionSlots[Connection]:
+    return ConnectionSlots(SlotLimits(priority, other, priority_per_host, per_host))
 
 
 @pytest.mark.clause("T13")
@@ -38,9 +38,9 @@ def test_marked_connections_take_priority_places_up_to_the_limit_of_their_device
         assert both.admit(one).accepted
     foreign = Connection("b", is_priority=True)
     both.admit(foreign)
-    assert [one.pool for one in own] == [Pool.PRIORITY, Pool.PRIORITY, Pool.OTHER]
-    assert foreign.pool is Pool.PRIORITY
-    assert (both.count(Pool.PRIORITY), both.count(Pool.OTHER), len(both)) == (3, 1, 4)
+    assert [one.pool for one in own] == [SlotPool.PRIORITY, SlotPool.PRIORITY, SlotPool.OTHER]
+    assert foreign.pool is SlotPool.PRIORITY
+    assert (both.count(SlotPool.PRIORITY), both.count(SlotPool.OTHER), len(both)) == (3, 1, 4)
 
 
 @pytest.mark.clause("T13", "T18")
@@ -79,7 +79,7 @@ def test_new_connection_whose_other_end_has_closed_takes_nobodys_place() -> None
     both = pools(other=1)
     both.admit(Connection("a"))
     assert not both.admit(Connection("x", last_used=9.0, received=0, has_ended=True)).accepted
-    assert both.count(Pool.OTHER) == 1
+    assert both.count(SlotPool.OTHER) == 1
 
 
 @pytest.mark.clause("T13")
@@ -90,7 +90,7 @@ def test_marked_new_connection_without_a_priority_place_pushes_out_one_that_is_n
     assert both.admit(Connection("a", is_priority=True)).evicted is None
     second = Connection("b", is_priority=True)
     assert both.admit(second).evicted is stranger
-    assert second.pool is Pool.OTHER
+    assert second.pool is SlotPool.OTHER
 
 
 @pytest.mark.clause("T13")
@@ -118,7 +118,7 @@ def test_marked_new_connection_among_marked_ones_replaces_the_oldest_of_its_own_
         both.admit(one)
     assert both.admit(Connection("a", is_priority=True)).evicted is own
     assert both.admit(Connection("c", is_priority=True)).evicted is foreign
-    assert first.pool is Pool.PRIORITY
+    assert first.pool is SlotPool.PRIORITY
 
 
 @pytest.mark.clause("T13")
@@ -133,10 +133,10 @@ def test_priority_place_that_becomes_free_goes_to_the_oldest_marked_one_that_may
     for one in (first, waiting, stranger, other):
         both.admit(one)
     both.leave(other)
-    assert waiting.pool is Pool.OTHER  # its device has its one place
+    assert waiting.pool is SlotPool.OTHER  # its device has its one place
     both.leave(first)
-    assert waiting.pool is Pool.PRIORITY
-    assert (both.count(Pool.PRIORITY), both.count(Pool.OTHER)) == (1, 1)
+    assert waiting.pool is SlotPool.PRIORITY
+    assert (both.count(SlotPool.PRIORITY), both.count(SlotPool.OTHER)) == (1, 1)
 
 
 @pytest.mark.clause("T12")
@@ -189,7 +189,7 @@ class Naive:
         self.here: list[Connection] = []
 
     def longest_unused(self) -> Connection | None:
-        strangers = [one for one in self.here if not one.is_priority and one.pool is Pool.OTHER]
+        strangers = [one for one in self.here if not one.is_priority and one.pool is SlotPool.OTHER]
         idle = [one for one in strangers if not one.is_busy]
         return min(idle, key=lambda one: one.last_used) if idle else next(iter(strangers), None)
 
@@ -201,7 +201,7 @@ EVENTS = st.lists(
     max_size=120,
 )
 LIMITS = st.builds(
-    PoolLimits,
+    SlotLimits,
     priority=st.integers(0, 4),
     other=st.integers(1, 5),
     priority_per_host=st.integers(1, 3),
@@ -214,9 +214,9 @@ LIMITS = st.builds(
 @settings(max_examples=examples(400), deadline=None)
 @given(LIMITS, EVENTS)
 def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
-    limits: PoolLimits, events: list[tuple[str, int, str]]
+    limits: SlotLimits, events: list[tuple[str, int, str]]
 ) -> None:
-    both: Pools[Connection] = Pools(limits)
+    both: ConnectionSlots[Connection] = ConnectionSlots(limits)
     naive = Naive()
     now = 0.0
     for what, number, host in events:
@@ -226,14 +226,14 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
             candidate = Connection(host, is_priority=host in "abc", last_used=now)
             own = [one for one in here if one.host == host and not one.is_priority]
             expected = naive.longest_unused()
-            was_full = both.count(Pool.OTHER) >= limits.other
+            was_full = both.count(SlotPool.OTHER) >= limits.other
             admission = both.admit(candidate)
             gone = admission.evicted
             if not admission.accepted:
                 assert not candidate.is_priority
                 assert all(one.is_priority for one in here)
                 continue
-            if candidate.is_priority and candidate.pool is Pool.PRIORITY:
+            if candidate.is_priority and candidate.pool is SlotPool.PRIORITY:
                 assert gone is None
             elif not candidate.is_priority and limits.per_host is not None and len(own) >= limits.per_host:
                 assert gone is own[0]
@@ -243,11 +243,11 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
                 assert candidate.is_priority
                 assert gone is not None
                 assert gone.is_priority
-                assert gone.pool is Pool.OTHER
+                assert gone.pool is SlotPool.OTHER
             else:
                 assert gone is None
             if gone is not None:
-                assert not (gone.is_priority and gone.pool is Pool.PRIORITY)
+                assert not (gone.is_priority and gone.pool is SlotPool.PRIORITY)
                 here.remove(gone)
             here.append(candidate)
         elif here:
@@ -259,10 +259,10 @@ def test_whatever_happens_the_limits_hold_and_marked_connections_stay(
                 one.last_used = now
             else:
                 one.is_busy = not one.is_busy
-        in_priority = [one for one in here if one.pool is Pool.PRIORITY]
+        in_priority = [one for one in here if one.pool is SlotPool.PRIORITY]
         assert all(one.is_priority for one in in_priority)
-        assert both.count(Pool.PRIORITY) == len(in_priority) <= limits.priority
-        assert both.count(Pool.OTHER) == len(here) - len(in_priority) <= limits.other
+        assert both.count(SlotPool.PRIORITY) == len(in_priority) <= limits.priority
+        assert both.count(SlotPool.OTHER) == len(here) - len(in_priority) <= limits.other
         assert max(Counter(one.host for one in in_priority).values(), default=0) <= limits.priority_per_host
         if limits.per_host is not None:
             strangers = Counter(one.host for one in here if not one.is_priority)

@@ -178,12 +178,12 @@ def _devices(plant: "Plant", url: str) -> "Server":
     from ..faults.switchboard import FaultSwitchboard
     from ..server.serving import serve
 
-    board = FaultSwitchboard()
-    board.add("late", units={METER}, parameters={"delay": METER_DELAY})
+    switchboard = FaultSwitchboard()
+    switchboard.add("late", units={METER}, parameters={"delay": METER_DELAY})
     death = Schedule(after=DEATH_AFTER, lasts=DEATH_LASTS, every=DEATH_EVERY)
-    board.add("wedged", units={THERMOMETER}, schedule=death)
+    switchboard.add("wedged", units={THERMOMETER}, schedule=death)
     server = serve(url, units=plant.devices)
-    board.attach(server)
+    switchboard.attach(server)
     return server
 
 

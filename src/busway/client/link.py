@@ -610,7 +610,7 @@ class AsyncLinkDriver:
         if self.told is not None:
             self.told(event, reason)
         if self.observers is not None:
-            self.observers.tell(self.reconnect.state, reason)
+            self.observers.notify(self.reconnect.state, reason)
 
     def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:
@@ -690,7 +690,7 @@ class AsyncLinkDriver:
 
     def _rearm(self) -> None:
         if self._line is not None and self._line.notes:
-            self._tell_notes(self._line.notes)
+            self._trace_notes(self._line.notes)
         deadline = self.session.deadline()
         if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_calls:
             deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
@@ -701,7 +701,7 @@ class AsyncLinkDriver:
             self._timer.cancel()
             self._timer = None
 
-    def _tell_notes(self, notes: list[str]) -> None:
+    def _trace_notes(self, notes: list[str]) -> None:
         if TRACE.level:
             for note in notes:
                 self._traced().note(note)

@@ -136,9 +136,9 @@ def refuse_busy_line(
     """
     if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
         return
-    from ..observe.sniffing import Listening, line_to_hear
+    from ..observe.sniffing import Listening, sniffed_line
 
-    with Listening(line_to_hear(replace(endpoint, options={}), _for_listening(endpoint, options or {}))) as listening:
+    with Listening(sniffed_line(replace(endpoint, options={}), _for_listening(endpoint, options or {}))) as listening:
         begun()
         until = time.monotonic() + listen
         while time.monotonic() < until and not listening.bytes_heard:

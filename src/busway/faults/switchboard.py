@@ -4,10 +4,10 @@ Knows fault profiles, names and the server's side of faults; knows no file and n
 
 ::
 
-    board = FaultSwitchboard(seed=7)
-    board.add("late", units={3}, parameters={"delay": 2.0})
-    board.attach(server)
-    board.switch("late", on=False)
+    switchboard = FaultSwitchboard(seed=7)
+    switchboard.add("late", units={3}, parameters={"delay": 2.0})
+    switchboard.attach(server)
+    switchboard.switch("late", on=False)
 
 1. A switchboard serves one server: its faults apply to the connections of that server.
 2. All methods may be called from any thread. Changes apply from the next request on.

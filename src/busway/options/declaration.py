@@ -266,6 +266,11 @@ class Option:
             said = _number(value) if isinstance(value, int | float) else shown(value)
             raise ConfigError(f"must be {self.expected}, not {said}", key=self.name)
 
+    def check_number(self, value: object) -> None:
+        """Raise `ConfigError` if a value is a number that is out of range; other values are not checked."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            self.check(value)
+
 
 def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base
     """Return the options that a parameter class declares, by name, in the order of the declaration.

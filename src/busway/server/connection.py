@@ -20,7 +20,7 @@ from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
 from .connection_management import ConnectionManagement
-from .connection_pools import Pool
+from .connection_pools import SlotPool
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .status import ServedConnectionState
@@ -113,7 +113,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.role: str | None = role
         self.subject: str = subject
         self.is_priority: bool = False
-        self.pool: Pool = Pool.OTHER
+        self.pool: SlotPool = SlotPool.OTHER
         self.is_greedy: bool = False
         self.opened: float = 0.0
         self.last_used: float = 0.0

@@ -21,7 +21,7 @@ from ..access.rates import Rates
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
-from .connection_pools import PoolMember, Pools
+from .connection_pools import ConnectionSlots, SlotHolder
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
@@ -48,7 +48,7 @@ expensive kind take a millisecond or two. Reads that the fast path knows by all 
 _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
 
-class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
+class ManagedConnection(ConnectedPeer, SlotHolder, Timed, Protocol):
     """Interface of a server connection that a listener's connection management admits and closes.
 
     Attributes:
@@ -94,7 +94,7 @@ class ConnectionManagement:
 
     Args:
         listener_context: access list, limits and counters of the listener.
-        pools: connection slots, its own or shared with other listeners.
+        connection_slots: connection slots, its own or shared with other listeners.
         sockets: parameters of the sockets of new connections.
         turns: queue of connections with more requests than one turn allows; None creates one for this listener alone.
 
@@ -105,12 +105,12 @@ class ConnectionManagement:
     def __init__(
         self,
         listener_context: ListenerContext,
-        pools: Pools[ManagedConnection],
+        connection_slots: ConnectionSlots[ManagedConnection],
         sockets: SocketParameters,
         turns: Turns | None = None,
     ) -> None:
         self.listener_context = listener_context
-        self.pools = pools
+        self.connection_slots = connection_slots
         self.turns: Turns = turns or Turns(listener_context.loop)
         self._sockets = sockets
         self._sockets_of_priority_hosts = replace(sockets, user_timeout=None)
@@ -185,7 +185,7 @@ class ConnectionManagement:
         """
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
-        admission = self.pools.admit(connection)
+        admission = self.connection_slots.admit(connection)
         if not admission.accepted:
             self.counters.refused_full += 1
             if connection.has_ended:
@@ -195,7 +195,7 @@ class ConnectionManagement:
                 connection.host,
                 "%s: refused: all %d connection slots are taken by priority hosts",
                 connection.peer,
-                len(self.pools),
+                len(self.connection_slots),
             )
             return None
         if admission.evicted is not None:
@@ -214,7 +214,7 @@ class ConnectionManagement:
             "",
             "%s: closed to make room for a new connection; there are %d now",
             connection.peer,
-            len(self.pools),
+            len(self.connection_slots),
         )
         self._connections.pop(connection, None)
         connection.abort()
@@ -224,7 +224,7 @@ class ConnectionManagement:
 
         ``error``: the error with which it ended, for the log; None for a normal end.
         """
-        self.pools.leave(connection)
+        self.connection_slots.leave(connection)
         self._connections.pop(connection, None)
         self._deadlines.forget(connection)
         if not self._connections:
@@ -352,9 +352,9 @@ class ConnectionManagement:
         """Return the status of the listener: indicators, counters, numbers of connections by pool, and TLS status."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
-        pools = [one.pool for one in self._connections]
+        connection_slots = [one.pool for one in self._connections]
         security = self.handshake_acceptor.status() if self.handshake_acceptor is not None else None
-        return self.listener_context.status(pools.count, security=security)
+        return self.listener_context.status(connection_slots.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
         """Add the counters of open connections to ``counters``, which already include closed connections."""

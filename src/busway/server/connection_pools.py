@@ -33,7 +33,7 @@ _LOOKS: Final = 64
 """Most silent connections that are checked, for one new connection, for whether their clients have closed them."""
 
 
-class Pool(Enum):
+class SlotPool(Enum):
     """The two pools of connection slots.
 
     PRIORITY is for priority hosts only, OTHER for all other hosts and for priority hosts beyond the limits of PRIORITY.
@@ -43,7 +43,7 @@ class Pool(Enum):
     OTHER = "other"
 
 
-class PoolMember(Protocol):
+class SlotHolder(Protocol):
     """Interface of a connection that occupies a connection slot of a listener.
 
     Attributes:
@@ -57,7 +57,7 @@ class PoolMember(Protocol):
 
     host: str
     is_priority: bool
-    pool: Pool
+    pool: SlotPool
     last_used: float
     received: int
 
@@ -70,11 +70,11 @@ class PoolMember(Protocol):
         """Whether the connection is closing, or the client is known to have closed it with nothing left to read."""
 
 
-One = TypeVar("One", bound=PoolMember)
+One = TypeVar("One", bound=SlotHolder)
 
 
 @dataclass(frozen=True, slots=True)
-class PoolLimits:
+class SlotLimits:
     """Limits of the two slot pools: numbers of slots in total and per host.
 
     Attributes:
@@ -90,7 +90,7 @@ class PoolLimits:
     per_host: int | None = None
 
     @classmethod
-    def of(cls, parameters: ListenerParameters) -> "PoolLimits":
+    def of(cls, parameters: ListenerParameters) -> "SlotLimits":
         """Return the limits of connection slots that a listener's options set.
 
         Without the option ``max_priority_per_host``, a host may use half of the priority slots, at least one.
@@ -116,13 +116,13 @@ class Admission(Generic[One]):
     evicted: One | None = None
 
 
-class Pools(Generic[One]):
+class ConnectionSlots(Generic[One]):
     """All connection slots of a listener, or of several listeners that share them: the two pools and their connections.
 
     ``len()`` is the number of connections in both pools.
     """
 
-    def __init__(self, limits: PoolLimits) -> None:
+    def __init__(self, limits: SlotLimits) -> None:
         self.limits = limits
         self._priority: dict[One, None] = {}
         self._priority_of: Counter[str] = Counter()
@@ -135,12 +135,12 @@ class Pools(Generic[One]):
     def __len__(self) -> int:
         return len(self._priority) + len(self._other)
 
-    def count(self, pool: Pool) -> int:
+    def count(self, pool: SlotPool) -> int:
         """Return how many connections have a slot of a pool.
 
         Those of priority hosts can be in the other pool too (rule 2).
         """
-        return len(self._priority if pool is Pool.PRIORITY else self._other)
+        return len(self._priority if pool is SlotPool.PRIORITY else self._other)
 
     def admit(self, candidate: One) -> Admission[One]:
         """Give a new connection a slot, if necessary that of another connection, or refuse it (rules 2 to 5).
@@ -254,12 +254,12 @@ class Pools(Generic[One]):
         return len(self._priority) < limits.priority and self._priority_of[host] < limits.priority_per_host
 
     def _prefer(self, connection: One) -> None:
-        connection.pool = Pool.PRIORITY
+        connection.pool = SlotPool.PRIORITY
         self._priority[connection] = None
         self._priority_of[connection.host] += 1
 
     def _take(self, connection: One) -> None:
-        connection.pool = Pool.OTHER
+        connection.pool = SlotPool.OTHER
         self._other[connection] = None
         if not connection.is_priority:
             if self.limits.per_host is not None:

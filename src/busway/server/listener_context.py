@@ -22,7 +22,7 @@ from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
 from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.network_interfaces import interfaces_with
-from .connection_pools import Pool
+from .connection_pools import SlotPool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .listener_settings import ListenerSettings
 from .peers import peer_name
@@ -56,7 +56,7 @@ class ConnectedPeer(Protocol):
     role: str | None
     subject: str
     is_priority: bool
-    pool: Pool
+    pool: SlotPool
     opened: float
     last_used: float
     received: int
@@ -290,7 +290,7 @@ class ListenerContext:
             waiting=session.waiting if session else 0,
         )
 
-    def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
+    def status(self, count: Callable[[SlotPool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
         """Return the status of the listener.
 
         Args:
@@ -308,8 +308,8 @@ class ListenerContext:
             listen_only_units=tuple(sorted(diagnostics.listen_only_units)),
             requests=diagnostics.requests,
             damaged=self.damaged,
-            priority_connections=count(Pool.PRIORITY),
-            other_connections=count(Pool.OTHER),
+            priority_connections=count(SlotPool.PRIORITY),
+            other_connections=count(SlotPool.OTHER),
             interfaces=tuple(one for host in self.hosts for one in interfaces_with(host)),
             security=security,
         )

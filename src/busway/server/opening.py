@@ -20,7 +20,7 @@ from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
 from .connection_management import ConnectionManagement, ManagedConnection
-from .connection_pools import PoolLimits, Pools
+from .connection_pools import ConnectionSlots, SlotLimits
 from .connection_tap import ConnectionTap
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
@@ -49,7 +49,7 @@ class Opening:
         authorize: called with a client's host; returns whether it may connect.
         tap: is told of opened and closed connections, and can send on them; None without one.
         slots: limit of requests at once, for the whole server; used unless each connection has its own.
-        shared_pools: connection slots shared by the listeners that have no limits of their own.
+        shared_slots: connection slots shared by the listeners that have no limits of their own.
         epoll_set: epoll object that all TCP connections share; None if the event loop cannot use one.
         turns: queue of connections with more requests than one turn of the loop allows.
     """
@@ -63,13 +63,13 @@ class Opening:
     authorize: HostAuthorizer
     tap: ConnectionTap | None = None
     slots: ServerTransactionSlots = field(init=False)
-    shared_pools: Pools[ManagedConnection] = field(init=False)
+    shared_slots: ConnectionSlots[ManagedConnection] = field(init=False)
     epoll_set: EpollSet | None = field(init=False)
     turns: Turns = field(init=False)
 
     def __post_init__(self) -> None:
         self.slots = ServerTransactionSlots(self.parameters.max_transactions)
-        self.shared_pools = Pools(PoolLimits.of(self.limits))
+        self.shared_slots = ConnectionSlots(SlotLimits.of(self.limits))
         self.epoll_set = epoll_set_for(self.loop)
         self.turns = Turns(self.loop)
 
@@ -87,7 +87,7 @@ class Opening:
         shares = limits.shared_slots and limits is self.limits
         management = ConnectionManagement(
             self._listener_context(settings),
-            self.shared_pools if shares else Pools(PoolLimits.of(limits)),
+            self.shared_slots if shares else ConnectionSlots(SlotLimits.of(limits)),
             self.sockets,
             self.turns,
         )

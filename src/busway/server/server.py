@@ -347,13 +347,14 @@ class Server:
     def status(self) -> ServerStatus:
         """Return the current status of the server: listeners, connections and counters."""
         connections = tuple(one for listener in self._with_peers() for one in listener.status())
-        pools = {id(each.management.pools): each.management.pools.limits for each in self._streams}
+        slots = [each.management.connection_slots for each in self._streams]
+        limits_of = {id(one): one.limits for one in slots}  # listeners may share them
         return ServerStatus(
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self._bound),
             connections=connections,
-            supported_connections=sum(limits.priority + limits.other for limits in pools.values()),
+            supported_connections=sum(limits.priority + limits.other for limits in limits_of.values()),
             remote_connections=len(connections),
             local_connections=self._local_connections(),
             counters=self._counters_now(),

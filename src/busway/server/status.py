@@ -6,7 +6,7 @@ from enum import Enum
 
 from ..session.diagnostic_counters import DiagnosticCounters
 from ..transport.network_interfaces import Interface
-from .connection_pools import Pool
+from .connection_pools import SlotPool
 from .server_counters import ServerCounters
 from .status_indicators import StatusIndicators
 
@@ -49,7 +49,7 @@ class ConnectionStatus:
     peer: str
     listener: str
     state: ServedConnectionState
-    pool: Pool
+    pool: SlotPool
     role: str | None
     subject: str
     age: float

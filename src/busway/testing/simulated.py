@@ -190,8 +190,8 @@ class SimulatedDevice:
         """
         from ..faults.applied_faults import Schedule
 
-        board = self.simulation.board
-        name = board.add(
+        switchboard = self.simulation.switchboard
+        name = switchboard.add(
             fault_profile,
             units={units} if isinstance(units, int) else units,
             functions={functions} if isinstance(functions, int) else functions,
@@ -202,9 +202,9 @@ class SimulatedDevice:
             parameters=parameters,
         )
         try:
-            yield board.faults.find(name)
+            yield switchboard.faults.find(name)
         finally:
-            board.remove(name)
+            switchboard.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
         """Block until a client writes an item after this call. Returns the value that the item has then.

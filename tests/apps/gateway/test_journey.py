@@ -90,7 +90,12 @@ async def test_a_read_that_was_routed_before_goes_by_eight_functions_and_comes_b
     assert len(DOWN) <= MOST_NAMES
     back = [name for _, name in answers[-1]]
     assert back[0] == "_LinkProtocol.buffer_updated"
-    assert back[-4:] == ["Forwarder.look", "Forwarder.send", "ForwardedReads.send", "ServerConnection.deliver_together"]
+    assert back[-4:] == [
+        "Forwarder.answer_completed",
+        "Forwarder.send",
+        "ForwardedReads.send",
+        "ServerConnection.deliver_together",
+    ]
     assert AsyncLinkDriver.__name__ not in "".join(back[4:])  # from the link up, and not down again
 
 

@@ -86,6 +86,10 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
             ["x.toml:8: route[0].units: "],
         ),
         (
+            LISTENER + LINE + ROUTE + 'link = "hall"\nfunctions = []\n',
+            ["x.toml:8: route[0].functions: is empty, so the route would take no request"],
+        ),
+        (
             LISTENER + LINE + ROUTE + 'link = "hall"\ntable = "holding"\n',
             ["x.toml:6: route[0].addresses: is missing: a table is named, and no addresses of it"],
         ),

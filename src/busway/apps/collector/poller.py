@@ -439,7 +439,7 @@ class LinkPoller:
         """
         self._wake = asyncio.Event()
         for device in self.devices.values():
-            self._tell_unread(device)
+            self._log_unread(device)
         try:
             while not self._is_finishing:
                 turn = self.schedule.next(self._now())
@@ -498,7 +498,7 @@ class LinkPoller:
             self.schedule.done(turn, began, began, TurnOutcome.DOWN)
             return
         if turn.round is not None and turn.round.skipped_since is not None:
-            self._tell_skipped(turn.device, turn.round.skipped_since, began)
+            self._report_skipped(turn.device, turn.round.skipped_since, began)
             turn.round.skipped_since = None
         compiled = [device.compiled(read) for read in turn.reads]
         options = {"timeout": device.timeout.seconds, "retries": 0}
@@ -633,9 +633,9 @@ class LinkPoller:
         elif alone:
             device.book.succeeded(read, seconds)
         if turn.kind is TurnKind.TEST_READ or outcome is not ReadOutcome.SUCCESS:
-            self._tell_unread(device)
+            self._log_unread(device)
 
-    def _tell_unread(self, device: PolledDevice) -> None:
+    def _log_unread(self, device: PolledDevice) -> None:
         """Update `PolledDevice.unread`; log each point that is new in it, with the reason why no read can fetch it."""
         unread = {each.item.name: each.reason for each in device.book.unreadable}
         for point, reason in unread.items():
@@ -672,7 +672,7 @@ class LinkPoller:
     def _is_maintained(device: PolledDevice) -> bool:
         return device.suspended is not None and device.suspended.reason == Reason.MAINTENANCE
 
-    def _tell_skipped(self, device: str, since: float, until: float) -> None:
+    def _report_skipped(self, device: str, since: float, until: float) -> None:
         begin, end = self._clock.time_ns(since), self._clock.time_ns(until)
         self._intervals(StateInterval(device, begin, max(begin, end), Reason.SKIPPED))
 

@@ -213,7 +213,7 @@ class FleetCollector:
             )
             self.collector = await unless_started.enter_async_context(collector)
             self._first_commit = collector.newest_commit
-            self._tell_costs()
+            self._set_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
             self.ownership.set_configuration(self.revision, collector.newest_commit)
@@ -331,7 +331,7 @@ class FleetCollector:
         self._times_of = link_times(configuration)
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
-    def _tell_costs(self) -> None:
+    def _set_costs(self) -> None:
         """Tell `member` which shards (groups of links) the configuration has, and what polling each of them costs."""
         loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
         costs = costs_by_link(self._configuration, loads)
@@ -406,7 +406,7 @@ class FleetCollector:
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
         self._confirm_revision(revision)
-        self._tell_costs()
+        self._set_costs()
         self._driver.wake()
         if self._newer is taken:
             self._newer = None

@@ -201,7 +201,7 @@ class LeaseDriver:
                 task.add_done_callback(self._asking.discard)
             for event in self.member.events():
                 self._told(event)
-            self._tell_problem()
+            self._log_problem()
             self._changed.set()
             wait = self.member.next_turn() - self._now()
             try:
@@ -213,7 +213,7 @@ class LeaseDriver:
     def _set_wall_clock(self) -> None:
         self.member.wall_ahead = time.time() - self._now()
 
-    def _tell_problem(self) -> None:
+    def _log_problem(self) -> None:
         """Log once that this collector may own no links, with the first reason, and once when it may again."""
         problem = self.member.problem
         if problem != self._problem:

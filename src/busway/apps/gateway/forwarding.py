@@ -173,7 +173,7 @@ class Forwarder:
         self.open: dict[Batch, None] = {}
         self.answered: dict[ForwardingClient, None] = {}
         self._all_answered: asyncio.Event | None = None  # for all calls of `wait_until_answered`
-        upstream.watch = self.look
+        upstream.watch = self.answer_completed
 
     @property
     def open_requests(self) -> int:
@@ -203,7 +203,7 @@ class Forwarder:
 
     # What comes back.
 
-    def look(self, session: object) -> None:
+    def answer_completed(self, session: object) -> None:
         """Answer the requests of a link's session that have an outcome by now, and send all answers that are ready.
 
         On Modbus TCP, requests are answered even if others of their batch have no outcome yet. Batches of other

@@ -24,7 +24,8 @@ from ...observe.http import bind_tcp, bound_name
 from ...options.text import host_and_port
 from ...options.tls import TlsParameters
 from ...transport.tcp import network_kind
-from ...transport.tls.context import WatchedContext, web_context
+from ...transport.tls.context import web_context
+from ...transport.tls.renewal import WatchedContext
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
 from .access_tokens import SHORTEST_TOKEN, is_token, new_token

@@ -108,10 +108,15 @@ class RouteSection(OptionSection):
         """Return the function codes that the route applies to; empty for all.
 
         Raises:
-            ConfigError: a code or name is wrong, or names a sub-function.
+            ConfigError: a code or name is wrong, or names a sub-function; or the list is empty.
         """
         functions = self.parameters.functions
-        return frozenset() if functions is None else parse_whole_functions(functions.written, "a route")
+        if functions is None:
+            return frozenset()
+        found = parse_whole_functions(functions.written, "a route")
+        if not found:
+            raise ConfigError("is empty, so the route would take no request; leave it out for all functions")
+        return found
 
     def asked_table(self) -> Table | None:
         """Return the table of the key ``table``, in which plain numbers in ``addresses`` lie; None without the key.

@@ -17,7 +17,13 @@ from waiting import until
 
 import busway
 from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
-from busway.apps.collector.commands.command_messages import CommandReceiver, InputMessage, InputRights, overlap, parsed
+from busway.apps.collector.commands.command_messages import (
+    CommandMessageHandler,
+    InputMessage,
+    InputRights,
+    overlap,
+    parsed,
+)
 from busway.apps.collector.commands.input_options import make_input
 from busway.apps.collector.commands.journal import CUT_OFF, CommandJournal
 from busway.apps.collector.commands.mqtt import MqttCommands
@@ -285,7 +291,7 @@ class HeldReceiver:
     def is_for_commands(self, where: str) -> bool:
         return False
 
-    async def take(self, message: InputMessage) -> bytes:
+    async def handle(self, message: InputMessage) -> bytes:
         self.has_taken.set()
         try:
             await asyncio.Event().wait()
@@ -480,7 +486,7 @@ class NotedRunner:
         return CommandResult(command, CommandState.DONE, 0.0)
 
 
-def receiver_of(names: list[str], permitted: list[str], **clocks: Any) -> tuple[CommandReceiver, NotedRunner]:
+def receiver_of(names: list[str], permitted: list[str], **clocks: Any) -> tuple[CommandMessageHandler, NotedRunner]:
     """A receiver of messages for a device, ``d``, with points of these names at the topics ``plant/d/POINT``."""
     made = SimpleNamespace(
         rights=InputRights("plant/{device}/{point}", tuple(permitted), 10.0),
@@ -492,7 +498,7 @@ def receiver_of(names: list[str], permitted: list[str], **clocks: Any) -> tuple[
     points = [replace(each, writing=WriteRule()) if each.name != "shown" else each for each in points]
     plant = SimpleNamespace(devices={"d": SimpleNamespace(name="d", points=points)})
     runner = NotedRunner()
-    return CommandReceiver("broker", made, runner, lambda: plant, **clocks), runner  # type: ignore[arg-type]
+    return CommandMessageHandler("broker", made, runner, lambda: plant, **clocks), runner  # type: ignore[arg-type]
 
 
 def test_a_right_for_a_name_with_an_index_is_for_that_name_alone() -> None:
@@ -523,7 +529,7 @@ async def test_a_topic_writes_the_point_that_the_file_permits_or_none(
     names: list[str], permitted: list[str], asked: str, written: str | None
 ) -> None:
     receiver, runner = receiver_of(names, permitted)
-    answer = json.loads(await receiver.take(InputMessage(f"plant/d/{asked}", b"1")))
+    answer = json.loads(await receiver.handle(InputMessage(f"plant/d/{asked}", b"1")))
     assert [point for _, point, _ in runner.got] == ([] if written is None else [written])
     assert answer["state"] == ("refused" if written is None else "done")
 
@@ -537,11 +543,11 @@ async def test_of_the_collectors_of_a_fleet_the_one_that_polls_the_device_answer
         part = SimpleNamespace(devices={name: whole.devices[name]})
         runners.append(NotedRunner())
         receivers.append(
-            CommandReceiver("broker", made, runners[-1], lambda part=part: part, plant=lambda: whole)  # type: ignore
+            CommandMessageHandler("broker", made, runners[-1], lambda part=part: part, plant=lambda: whole)  # type: ignore
         )
 
     async def answers(message: InputMessage) -> list[str | None]:
-        found = [await each.take(message) for each in receivers]
+        found = [await each.handle(message) for each in receivers]
         return [None if each is None else json.loads(each)["state"] for each in found]
 
     assert await answers(InputMessage("plant/d/a", b"1")) == ["done", None]
@@ -584,7 +590,7 @@ async def test_a_message_without_a_key_that_an_earlier_owner_may_have_executed_i
     group: str, payload: bytes, arrived: float, state: str
 ) -> None:
     receiver, runner = receiver_of(["a"], ["d/a"], others=NotedOwners(group, 100.0), moment=lambda: 131.0)
-    answer = json.loads(await receiver.take(InputMessage("plant/d/a", payload, arrived=arrived)))
+    answer = json.loads(await receiver.handle(InputMessage("plant/d/a", payload, arrived=arrived)))
     assert answer["state"] == state, answer
     assert len(runner.got) == (state == "done")
     if state == "refused":
@@ -599,7 +605,7 @@ async def test_the_time_of_a_message_counts_from_its_arrival(
     left: float | None, payload: bytes, expires: float
 ) -> None:
     receiver, runner = receiver_of(["a"], ["d/a"], now=lambda: 1060.0, moment=lambda: 160.0)
-    await receiver.take(InputMessage("plant/d/a", payload, seconds_left=left, arrived=100.0))
+    await receiver.handle(InputMessage("plant/d/a", payload, seconds_left=left, arrived=100.0))
     assert runner.got == [("d", "a", expires)]
 
 
@@ -615,7 +621,7 @@ async def test_the_time_of_a_message_counts_from_its_arrival(
 )
 async def test_texts_that_no_answer_could_hold_are_refused(payload: bytes, sentence: str) -> None:
     receiver, runner = receiver_of(["a"], ["d/a"])
-    answer = json.loads(await receiver.take(InputMessage("plant/d/a", payload)))
+    answer = json.loads(await receiver.handle(InputMessage("plant/d/a", payload)))
     assert (answer["state"], runner.got) == ("refused", [])
     assert sentence in answer["reason"]
 

@@ -100,7 +100,7 @@ class Receiver:
     def down(self, error: str) -> None:
         self.states.append(error)
 
-    async def take(self, message: InputMessage) -> bytes:
+    async def handle(self, message: InputMessage) -> bytes:
         await self.holds.wait()
         self.messages.append(message)
         return b""

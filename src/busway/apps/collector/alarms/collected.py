@@ -191,7 +191,7 @@ class CollectorAlarms:
         self._raised = alarms_after(journal)
         self._journal.extend(journal)
         self._earlier = frozenset(event.at for event in journal)
-        self._tell(self._book.configure(devices, self._wall(), self._raised))
+        self._record(self._book.configure(devices, self._wall(), self._raised))
 
     def configure(self, devices: Mapping[str, Sequence[Point]], moved: Mapping[PointKey, str] | None = None) -> None:
         """Continue with the alarm limits of a configuration that was read again; alarms that remain keep their state.
@@ -205,7 +205,7 @@ class CollectorAlarms:
         """
         moved = moved or {}
         self._show_anew(lambda named: _renamed(named, moved))
-        self._tell(self._book.configure(devices, self._wall(), moved=moved))
+        self._record(self._book.configure(devices, self._wall(), moved=moved))
 
     def take(self, batch: SampleBatch) -> Sequence[AlarmEvent]:
         """Pass the samples of a read to the alarms of their points, and return the alarm events that they cause.
@@ -246,7 +246,7 @@ class CollectorAlarms:
         for reader in self._readers:
             reader.arrived.set()
 
-    def _tell(self, events: Sequence[AlarmEvent]) -> None:
+    def _record(self, events: Sequence[AlarmEvent]) -> None:
         if events:
             self._note(events)
             self._keep(events)

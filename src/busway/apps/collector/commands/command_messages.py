@@ -167,14 +167,14 @@ class CommandInput(Protocol):
             True if the server gives each message to one collector only; False if every collector gets it.
         """
 
-    async def run(self, receiver: "CommandReceiver") -> None:
-        """Receive messages, pass each to `CommandReceiver.take` and send the answer, until cancelled.
+    async def run(self, handler: "CommandMessageHandler") -> None:
+        """Receive messages, pass each to `CommandMessageHandler.handle` and send the answer, until cancelled.
 
         A lost connection is opened again after pauses.
         """
 
 
-class CommandReceiver:
+class CommandMessageHandler:
     """Turns the messages from one server into commands, has them executed, and returns the answers.
 
     In a fleet, creating it makes ``made`` join the group of the collectors (`CommandInput.join`).
@@ -247,7 +247,7 @@ class CommandReceiver:
         self._taken += 1
         self._refuse(where, "too many messages wait")
 
-    async def take(self, message: InputMessage) -> bytes | None:
+    async def handle(self, message: InputMessage) -> bytes | None:
         """Execute the command in a message, or arm, confirm or pass it on, and return the answer.
 
         Args:

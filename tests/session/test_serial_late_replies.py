@@ -12,7 +12,7 @@ from busway.pdu.message import Request
 from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters, ReadInputRegisters
 from busway.pdu.write_items import WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
-from busway.session.late_replies import CHECK_EVERY, OWED_LIMIT, Doubts, MarkerKind, OwedReply, UnitDoubt
+from busway.session.serial_late_replies import CHECK_EVERY, OWED_LIMIT, Doubts, MarkerKind, OwedReply, UnitDoubt
 
 READ = ReadHoldingRegisters(0, 2)
 READ.prepare()  # a test may run alone

@@ -25,7 +25,7 @@ from busway.pdu.write_items import (
     WriteSingleCoil,
     WriteSingleRegister,
 )
-from busway.session.late_replies import OWED_LIMIT
+from busway.session.serial_late_replies import OWED_LIMIT
 
 STEPS = 2000
 SEEDS = range(50)
