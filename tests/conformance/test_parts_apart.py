@@ -23,7 +23,7 @@ from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.server.connection_pools import ConnectionSlots, SlotLimits, SlotPool
+from busway.server.connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
@@ -156,7 +156,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
         (
-            "busway.server.connection_pools",
+            "busway.server.connection_slots",
             {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"},
         ),
         ("busway.access.rates", {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"}),

@@ -13,11 +13,11 @@ from handlers import ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
-import busway.server.connection_pools
+import busway.server.connection_slots
 from busway.access.addresses import AddressList, HostAuthorizer
 from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
-from busway.server.connection_pools import SlotLimits, SlotPool
+from busway.server.connection_slots import SlotLimits, SlotPool
 from busway.server.listener import Listener
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
@@ -116,7 +116,7 @@ async def test_sixty_that_connect_and_close_push_nobody_off(ends: str) -> None:
 
 @pytest.mark.clause("T13")
 async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(busway.server.connection_pools, "SECONDS_TO_SPEAK", 0.0)
+    monkeypatch.setattr(busway.server.connection_slots, "SECONDS_TO_SPEAK", 0.0)
     async with served(max_connections=5) as server:
         client = await Client.of(server)
         await client.ask()

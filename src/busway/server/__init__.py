@@ -6,7 +6,7 @@
 `cells`                  Checks how a user declared the items of a table or file: addresses, initial values
 `connection`             The asyncio driver of one accepted connection
 `connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
-`connection_pools`       Connection slots in two pools: which new connection gets one, and which is closed for it
+`connection_slots`       Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
@@ -46,7 +46,7 @@
 =======================  ===============================================================================================
 
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one:
-`connection_pools`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:
+`connection_slots`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:
 `busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
 `connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `serial_listener`. Late
 answers and failing responders: `responder_failures`. The way of a request, its policy and its audit:

@@ -20,7 +20,7 @@ from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
 from .connection_management import ConnectionManagement
-from .connection_pools import SlotPool
+from .connection_slots import SlotPool
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .status import ServedConnectionState

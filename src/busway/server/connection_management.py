@@ -3,7 +3,7 @@
 Knows connections and their limits; knows no request.
 
 1. Whether a host may connect is checked before another connection is closed for it.
-2. `busway.server.connection_pools` decides which connection is closed for a new one, `busway.server.deadlines` what is
+2. `busway.server.connection_slots` decides which connection is closed for a new one, `busway.server.deadlines` what is
    overdue.
 3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
    socket. It ends with an error, with the server, or when the system finds that its peer has gone.
@@ -21,7 +21,7 @@ from ..access.rates import Rates
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
-from .connection_pools import ConnectionSlots, SlotHolder
+from .connection_slots import ConnectionSlots, SlotHolder
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of

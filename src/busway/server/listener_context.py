@@ -22,7 +22,7 @@ from ..session.responder import ClientIdentity
 from ..session.server import TcpServerSession
 from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.network_interfaces import interfaces_with
-from .connection_pools import SlotPool
+from .connection_slots import SlotPool
 from .connection_tap import ConnectionTap, TappedConnection, stay
 from .listener_settings import ListenerSettings
 from .peers import peer_name

@@ -20,7 +20,7 @@ from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
 from .connection_management import ConnectionManagement, ManagedConnection
-from .connection_pools import ConnectionSlots, SlotLimits
+from .connection_slots import ConnectionSlots, SlotLimits
 from .connection_tap import ConnectionTap
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings

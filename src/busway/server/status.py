@@ -6,7 +6,7 @@ from enum import Enum
 
 from ..session.diagnostic_counters import DiagnosticCounters
 from ..transport.network_interfaces import Interface
-from .connection_pools import SlotPool
+from .connection_slots import SlotPool
 from .server_counters import ServerCounters
 from .status_indicators import StatusIndicators
 

@@ -26,7 +26,7 @@ from ..observe.trace import TRACE
 from ..options.sockets import SocketParameters
 from ..transport.tcp import set_buffers
 from .bound_sockets import bound_name, listening_sockets
-from .connection_pools import ConnectionSlots, SlotLimits, SlotPool
+from .connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from .listener_context import ListenerContext, add_living
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
