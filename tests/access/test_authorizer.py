@@ -22,8 +22,8 @@ from busway.server.device_responder import DeviceResponder
 from busway.server.responder_failures import answer_later
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)
 READ_FAR = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 8, 2)

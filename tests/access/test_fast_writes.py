@@ -16,8 +16,8 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.responder import ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 ZONES = Policy.of(
     Rule.of(name="small", addresses="holding:0-4", values=(0, 9)),

@@ -34,8 +34,8 @@ from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 ITEMS = 40
 PEERS = (("10.0.0.7:5000", None), ("10.0.0.7:5001", "op"), ("[fe80::9]:5002", None), ("192.168.1.1:9", "guest"))

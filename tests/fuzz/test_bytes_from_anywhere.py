@@ -24,8 +24,8 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 PDUS = st.one_of(
     st.binary(min_size=1, max_size=PDU_LIMIT),

@@ -30,8 +30,8 @@ from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 FREE = "127.0.0.1:0"
 FREE_TCP = "tcp://127.0.0.1:0"

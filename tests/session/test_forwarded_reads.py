@@ -20,8 +20,8 @@ from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ForwardedReads, PreparedForward, PreparedForwards, ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 UNITS = 3
 NOT_HANDED_ON = 100

@@ -12,8 +12,8 @@ from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 SIZE = 200
 

@@ -6,8 +6,8 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 
 class _Promises:

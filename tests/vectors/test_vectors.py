@@ -24,8 +24,8 @@ from busway.server.cells import Cells
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))
 ASKED = [vector for vector in VECTORS if "expect" in vector and vector.get("map") == "S"]

@@ -19,8 +19,8 @@ from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
-from ..session.server import TcpServerSession
 from ..session.server_transaction_slots import ServerTransactionSlots
+from ..session.tcp_server import TcpServerSession
 from ..transport.network_interfaces import interfaces_with
 from .connection_slots import SlotPool
 from .connection_tap import ConnectionTap, TappedConnection, stay

@@ -25,13 +25,13 @@ from busway.pdu.functions import AnyRequest, FunctionTable
 from busway.pdu.message import Touch
 from busway.pdu.read_items import ReadRegisters
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 
 SIZE = 500
 """Registers of the device; each holds its address."""

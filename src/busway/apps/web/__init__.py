@@ -5,7 +5,7 @@
 `application`          The one application of all pages: shell, modules of the program, files, and the caller's role
 `request_guard`        Access control of a web page: host, origin, caller and size of every request
 `connections`          Limits the connections of a page: their number, and the times for requests and messages
-`operations`           The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
+`api_application`      The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
 `messages`             Base classes for requests and responses of all pages, errors, and values as JSON
 `viewers`              The WebSockets of open pages: how a viewer is accepted, served and closed
 `simulation_page`      The web page of a simulation: its module, and the page that shows it
@@ -33,8 +33,8 @@
 
 Where it is decided: who may call, with which role, from which host and origin: `request_guard`. How many connections
 there may be, and how long each may wait: `connections`. Which tokens are valid: `access_tokens`. How an error is
-answered: `operations`. Which changes a viewer of a collector is sent, and when: `live_values`, `collector_stream`; a
-viewer of a simulation: `simulation_stream`. How long a viewer may take for a message, and whether its token is still
+answered: `api_application`. Which changes a viewer of a collector is sent, and when: `live_values`, `collector_stream`;
+a viewer of a simulation: `simulation_stream`. How long a viewer may take for a message, and whether its token is still
 valid: `viewers`. Which files and modules a page has: `application`. What a command from the page needs:
 `collector_commands`.
 """

@@ -24,9 +24,9 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
+from .api_application import failed, new_application, secure_document
 from .connections import Throttle
 from .messages import CallerAnswer
-from .operations import failed, new_application, secure_document
 from .request_guard import (
     AsgiApplication,
     AsgiMessage,

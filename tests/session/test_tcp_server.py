@@ -34,8 +34,8 @@ from busway.session.responder import (
     ResponderAnswer,
     ServedUnit,
 )
-from busway.session.server import TcpServerSession
 from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 READ = bytes.fromhex("03 0000 0001")
 ANSWER = ReadHoldingRegisters.Reply(b"\x00\x07")
