@@ -30,12 +30,12 @@ from ...config.files.sinks import PrometheusSinkSection
 from ...errors import ConfigError
 from ...points.point import Point
 from . import time_service
-from .alarms.collected import CollectorAlarms
+from .alarms.collector_alarms import CollectorAlarms
 from .command_targets import CollectedTargets
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
-from .commands.inputs import CommandInput, CommandMessageHandler, InputStatus
+from .commands.command_messages import CommandInput, CommandMessageHandler, InputStatus
 from .commands.journal import CommandJournal
 from .commands.other_owners import OtherOwners
 from .commands.runner import CommandRunner

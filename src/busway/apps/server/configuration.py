@@ -346,8 +346,9 @@ class _Makers:
         tls = self._tls(own, at) if endpoint.carrier == "tls" else None
         if section is None:
             return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
+        allow = section.allow if "allow" in section.model_fields_set else None
         access = self._check_options.make(
-            lambda: AddressList(section.allow, section.deny, section.secure),
+            lambda: AddressList(allow, section.deny, section.secure),
             lambda key: nearest(key, ("allow", "deny"), at, (), at),
         )
         own_limits = section.options_of(ListenerParameters)
