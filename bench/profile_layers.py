@@ -28,11 +28,11 @@ import busway
 from busway.options.client import ClientParameters
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
-from busway.session.server import TcpServerSession
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 Step = Callable[[], object]

@@ -22,7 +22,7 @@ from busway.server.device_responder import DeviceResponder
 from busway.server.responder_failures import answer_later
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)

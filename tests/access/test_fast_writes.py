@@ -16,7 +16,7 @@ from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.responder import ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 ZONES = Policy.of(

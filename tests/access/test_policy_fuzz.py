@@ -34,7 +34,7 @@ from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 ITEMS = 40

@@ -27,11 +27,11 @@ from busway.server.connection_limits import ConnectionSlots, SlotLimits, SlotPoo
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
-from busway.session.server import TcpServerSession
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 from busway.transport.tcp import configure
 
@@ -150,8 +150,8 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
 @pytest.mark.parametrize(
     ("module", "strangers"),
     [
-        ("busway.session.client", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.session.server", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.session.tcp_client", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.session.tcp_server", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.session.responder", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),

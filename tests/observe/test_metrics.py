@@ -30,7 +30,7 @@ from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 FREE = "127.0.0.1:0"

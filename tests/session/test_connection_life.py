@@ -13,11 +13,11 @@ from busway.options.lines import FramingParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.connection_life import ConnectionLife
 from busway.session.line_framing import line_framing
 from busway.session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from busway.session.serial_client import SerialClientSession
+from busway.session.tcp_client import TcpClientSession
 
 PAUSE = 8.0
 """Seconds of the first pause, with no part of it left to chance."""

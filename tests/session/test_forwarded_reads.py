@@ -20,7 +20,7 @@ from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarded_reads import ForwardedReads, PreparedForward, PreparedForwards, ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 UNITS = 3

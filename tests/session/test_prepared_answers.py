@@ -12,7 +12,7 @@ from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 SIZE = 200

@@ -6,7 +6,7 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 

@@ -7,7 +7,7 @@ import pytest
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
 

@@ -24,7 +24,7 @@ from busway.server.cells import Cells
 from busway.server.device_responder import DeviceResponder
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))

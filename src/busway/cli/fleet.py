@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
     from ..apps.fleet.lease_times import LeaseTimes
-    from ..apps.fleet.records import LeaseHole
     from ..apps.fleet.streams import SinkLag
+    from ..apps.fleet.table_records import LeaseHole
 
 EXAMPLES = """\b
 Examples:

@@ -32,10 +32,10 @@ from ..errors import LinkDown, ModbusError
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
-from ..session.client import TcpClientSession
 from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState
 from ..session.serial_client import SerialClientSession
+from ..session.tcp_client import TcpClientSession
 from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection

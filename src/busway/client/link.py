@@ -24,10 +24,10 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..options.client import ON_STREAMS
 from ..session.call import Call
-from ..session.client import TcpClientSession
 from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
+from ..session.tcp_client import TcpClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector

@@ -252,6 +252,10 @@ class Option:
             names.setdefault(_shown(default), []).append({"mbap": "TCP, TLS, UDP"}.get(framing, framing.upper()))
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
+    def has_effect(self, role: str, framing: str, carrier: str) -> bool:
+        """Whether the option has an effect for a role at an endpoint with this framing and transport."""
+        return all(on.fits(role, framing, carrier) for on in self.on)
+
     def check(self, value: object) -> None:
         """Raise `ConfigError` if a value is out of range or not one of the allowed values; its type is not checked.
 

@@ -19,7 +19,7 @@ from ..options.server import ListenerParameters, Scope, ServerParameters
 from ..session.diagnostics import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
-from ..session.server import TcpServerSession
+from ..session.tcp_server import TcpServerSession
 from ..session.transaction_slots import TransactionSlots
 from ..transport.interfaces import interfaces_with
 from .connection_limits import SlotPool

@@ -18,7 +18,7 @@ from ..session.line_framing import LineFraming
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
-from ..session.server import Deferred, TcpServerSession
+from ..session.tcp_server import Deferred, TcpServerSession
 
 SHARE_OF_BYTES: Final = 520
 """Most bytes that one call processes: the longest frame in ASCII, or 65 whole reads in RTU."""

@@ -34,7 +34,7 @@ from .diagnostics import LineDiagnostics
 from .line_framing import LineFraming
 from .pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
-from .server import Deferred
+from .tcp_server import Deferred
 
 _NO_TRANSACTION = bytes(2)
 _UNIT = 4

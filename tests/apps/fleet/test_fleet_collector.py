@@ -30,7 +30,7 @@ from busway.apps.fleet.lease_driver import boot_time
 from busway.apps.fleet.lease_holder import OwnedShard, ShardEvent, Step
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
-from busway.apps.fleet.records import LeaseRecord
+from busway.apps.fleet.table_records import LeaseRecord
 from busway.errors import ConfigError, LinkDown, NoReply
 from busway.pdu.read_items import ReadHoldingRegisters
 

@@ -14,7 +14,7 @@ from fleet_world import Driver, World, random_walk
 
 from busway.apps.fleet.lease_holder import NotConfirmed, Proposal, ShardEvent, Step
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.records import LEASES, decode_lease
+from busway.apps.fleet.table_records import LEASES, decode_lease
 
 SLACK = 2.5
 """Seconds between two transactions at most, and a transaction, and the way to the coordinator."""

@@ -11,7 +11,7 @@ from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, Step, _SeenLease
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
+from busway.apps.fleet.table_records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 

@@ -25,12 +25,12 @@ from busway.pdu.functions import AnyRequest, FunctionTable
 from busway.pdu.message import Touch
 from busway.pdu.read_items import ReadRegisters
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.diagnostics import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 SIZE = 500

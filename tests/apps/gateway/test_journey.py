@@ -22,9 +22,9 @@ from busway.observe.metrics.observer import MetricsObserver
 from busway.observe.metrics.request_tally import RequestTally
 from busway.server.connection import ServerConnection
 from busway.server.listener import Listener
-from busway.session.client import TcpClientSession
 from busway.session.responder import RequestContext
 from busway.session.serial_client import SerialClientSession
+from busway.session.tcp_client import TcpClientSession
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = f"{ROOT / 'src' / 'busway'}/"

@@ -118,6 +118,14 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         (UNIT + "[server]\nidle_timeout = 0\n", "x.toml:4: server.idle_timeout: must be 0.001…"),
         (UNIT + '[server]\nidle_timeout = "never"\n', "x.toml:4: server.idle_timeout: must be a number, not 'never'"),
         (UNIT + '[[listener]]\nurl = "rtu:///dev/x"\nallow = []\n', "x.toml:5: listener[0].allow: has no effect on a"),
+        (
+            UNIT + '[[listener]]\nurl = "udp://h"\nidle_timeout = 5\nrequest_rate = 5\n',
+            "x.toml:5: listener[0].idle_timeout: has no effect on a udp:// listener",
+        ),
+        (
+            UNIT + '[[listener]]\nurl = "rtu+tcp://h:1"\nidle_timeout = 5\nframe_timeout = 5\n',
+            "x.toml:6: listener[0].frame_timeout: has no effect on a rtu+tcp:// listener",
+        ),
         (UNIT + '[[listener]]\nurl = "tcp://h"\nallow = []\n', "x.toml:5: listener[0].allow: is empty: leave it out"),
         (UNIT + '[[listener]]\nurl = "tcp://h"\nkey = "k"\n', "x.toml:5: listener[0].key: is for tls:// listeners"),
         (UNIT + '[[listener]]\nurl = "tls://h"\n', "x.toml:3: listener[0]: a tls:// listener needs a certificate"),

@@ -30,7 +30,7 @@ from ...config.files.sinks import PrometheusSinkSection
 from ...errors import ConfigError
 from ...points.point import Point
 from . import time_service
-from .alarms.collected import CollectorAlarms
+from .alarms.collector_alarms import CollectorAlarms
 from .command_targets import CollectedTargets
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims

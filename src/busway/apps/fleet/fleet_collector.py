@@ -57,7 +57,7 @@ from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog
-from .plant import (
+from .plant_configuration import (
     costs_by_link,
     link_times,
     links_of_shards,

@@ -35,7 +35,8 @@ from ..collector.sample_clock import EARLIEST, NANOSECONDS
 from .balance import Share, moves, takers
 from .coordinator import Entry
 from .lease_times import Epoch, LeaseTimes
-from .records import (
+from .shards import hosts_of
+from .table_records import (
     GENERATION,
     LEASES,
     MEMBERS,
@@ -49,7 +50,6 @@ from .records import (
     decode_member,
     decode_zone,
 )
-from .shards import hosts_of
 
 LOOK_EVERY: Final = 0.5
 """Seconds between two checks for free shards."""

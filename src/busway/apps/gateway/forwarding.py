@@ -23,7 +23,7 @@ from ...errors import ModbusError, NoReply, Overloaded
 from ...pdu.message import Message
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...session.call import RequestOutcome
-from ...session.client import TcpClientSession
+from ...session.tcp_client import TcpClientSession
 from .batch import Batch, ForwardedRequest, ForwardingClient, WaitingClient
 from .read_cache import Key, ReadCache, ReadRange
 from .shared_reads import share

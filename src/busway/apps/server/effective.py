@@ -16,7 +16,9 @@ from typing import Any
 from ...client.settings import options_of
 from ...config.links import NamedLink
 from ...options.declaration import NONE, declared
+from ...options.endpoints import parse_endpoint
 from ...options.offer import SERVERS, Offer, options_for
+from ...options.server import ListenerParameters
 from ...server.listener import Listener
 from .configuration import Configuration
 
@@ -83,7 +85,10 @@ def _listener(listener: Listener) -> Iterator[str]:
         if access is not None:
             yield line(name, getattr(access, name))
     if listener.limits is not None:
-        yield from values(listener.limits, without=frozenset({"shared_slots"}))
+        endpoint, limits = parse_endpoint(listener.endpoint), declared(ListenerParameters)
+        place = ("server", endpoint.framing, endpoint.carrier)
+        idle = {name for name, option in limits.items() if not option.has_effect(*place)}
+        yield from values(listener.limits, without=frozenset({"shared_slots", *idle}))
     if listener.tls is not None:
         yield from values(listener.tls, without=frozenset({"server_name", "verify"}))
 

@@ -36,9 +36,9 @@ from .access import (
     Role,
     require,
 )
+from .api_application import failed, new_application, secure_document
 from .connections import Throttle
 from .messages import CallerAnswer
-from .operations import failed, new_application, secure_document
 
 _errors = logging.getLogger("busway.apps.web.errors")
 """Log of requests that failed with an unexpected error. Each message is logged at most once a minute, as a client can

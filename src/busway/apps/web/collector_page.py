@@ -29,7 +29,7 @@ from ..collector.preview import CollectorPreview, preview
 from ..collector.report_rules import store_rules
 from ..collector.samples import NANOSECONDS, Quality, SampleValue, quality_of, reason_text
 from ..collector.store.query_results import BucketTable
-from ..collector.store.reading import Store
+from ..collector.store.store_reader import Store
 from ..collector.store.writer import Commit
 from .access import ROLES, PageAccessRules, Role
 from .application import PageModule

@@ -197,6 +197,11 @@ class GatewayFile(SystemFile):
                 yield ("server", name), "has no effect: a gateway has no units of its own"
         if "shared_slots" in self.server.model_fields_set:
             yield ("server", "shared_slots"), "has no effect: each listener of a gateway has slots of its own"
+        sections: list[tuple[KeyPath, OptionSection]] = [(("server",), self.server)]
+        sections += [(("listener", index), listener) for index, listener in enumerate(self.listener)]
+        for at, section in sections:
+            if "answer_half_closed" in section.model_fields_set:
+                yield (*at, "answer_half_closed"), "has no effect: a client that ends its half has left the gateway"
         if not self.route and len(self.link) > 1:
             yield ("route",), f"is missing: there are {len(self.link)} links"
         for index, link in enumerate(self.link):

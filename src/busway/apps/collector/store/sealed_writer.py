@@ -1,6 +1,6 @@
 """Writes sealed files: the samples of a segment as Parquet. Runs as a program of its own for one segment.
 
-    python -m busway.apps.collector.store.sealed_part   < a request in JSON   > what was written, in JSON
+    python -m busway.apps.collector.store.sealed_writer   < a request in JSON   > what was written, in JSON
 
 Knows rows and columns; knows nothing of the manifest.
 

@@ -1,6 +1,6 @@
 """Reads samples and sums from one file of a store, whatever its format: SQLite for a segment, Parquet if sealed.
 
-Knows how a segment is read; `sealed_files` reads Parquet. Knows nothing of how parts overlap.
+Knows how a segment is read; `sealed_reader` reads Parquet. Knows nothing of how parts overlap.
 
 1. A segment is read in one short transaction, so that a reader does not keep the write-ahead log of the writer from
    shrinking.
@@ -18,7 +18,7 @@ from ..samples import Reason
 from .file_rows import FileRow, Sums, SumsByBucket, number_of
 from .folder import SEGMENTS
 from .manifest import IntervalRow, StorePart
-from .sealed_files import sealed_rows, sealed_sums
+from .sealed_reader import sealed_rows, sealed_sums
 from .segment import facts_of, intervals_of, is_unmade, open_for_reading
 
 _ROWS: Final = "SELECT time, point, value, reason, half_width, commit_number FROM samples WHERE time >= ? AND time < ?"

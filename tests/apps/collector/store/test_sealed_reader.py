@@ -13,11 +13,11 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
-from busway.apps.collector.store import reading, sealed_files
+from busway.apps.collector.store import sealed_reader, store_reader
 from busway.apps.collector.store.file_rows import Sums
 from busway.apps.collector.store.manifest import StorePart
-from busway.apps.collector.store.reading import Store, TimePiece, pieces_of, runs_of
-from busway.apps.collector.store.sealed_files import sealed_rows, sealed_sums
+from busway.apps.collector.store.sealed_reader import sealed_rows, sealed_sums
+from busway.apps.collector.store.store_reader import Store, TimePiece, pieces_of, runs_of
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 pa = pytest.importorskip("pyarrow")
@@ -61,16 +61,16 @@ def with_pyarrow(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[], Any]
 
     def called(ask: Callable[[], Any]) -> Any:
         with monkeypatch.context() as patch:
-            for module in (sealed_files, reading):
+            for module in (sealed_reader, store_reader):
                 patch.setattr(module, "reads_many", lambda: False)
             return ask()
 
-    assert sealed_files.reads_many()
+    assert sealed_reader.reads_many()
     return called
 
 
 def written(folder: Path, files: list[list[Any]]) -> list[Path]:
-    """Sealed files with samples: the names and types of columns are those that `sealed_part` writes."""
+    """Sealed files with samples: the names and types of columns are those that `sealed_writer` writes."""
     paths = []
     for place, rows in enumerate(files):
         columns: dict[str, list[Any]] = {name: [] for name in TYPES}

@@ -14,8 +14,8 @@ import busway
 from busway.apps.collector.samples import Gap, PointGroup, Reason, SampleBatch, StateInterval
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.manifest import StorePart
-from busway.apps.collector.store.reading import Store, TimePiece, pieces_of
 from busway.apps.collector.store.selection import moment, span
+from busway.apps.collector.store.store_reader import Store, TimePiece, pieces_of
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import InvalidRequest, MissingExtra
 

@@ -6,7 +6,7 @@ Knows how parts overlap; knows no format.
    several do, their rows are merged by time and point, and the row of the later commit counts.
 2. Pieces are small enough for memory: `_PIECE` wanted rows, roughly, or ten times as many if only sums are kept.
 3. Sealed parts that follow one another are read together, up to the size of a piece, if that is quicker than one after
-   the other (`sealed_files`).
+   the other (`sealed_reader`).
 4. If a part is sealed or dropped while it is read, the parts are looked up again for the time that is still to be read.
 5. Points that the store gets while it is read are not in the result.
 """
@@ -28,9 +28,9 @@ from .alarm_events import alarm_events, alarm_rows
 from .file_rows import FileRow, Sums, SumsByBucket, add_sums, sums_of_rows
 from .folder import SEGMENTS, check_store
 from .manifest import IntervalRow, Manifest, StoredPoint, StorePart
-from .parts import open_part_facts, part_intervals, part_rows, part_sums
+from .part_reader import open_part_facts, part_intervals, part_rows, part_sums
 from .query_results import BucketTable, SampleTable
-from .sealed_files import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
+from .sealed_reader import FILES_AT_ONCE, reads_many, sealed_rows, sealed_sums
 from .segment import sample_value
 from .selection import QueryTime, chosen_points, period, span
 

@@ -34,7 +34,7 @@ from busway.session.responder import (
     ResponderAnswer,
     ServedUnit,
 )
-from busway.session.server import TcpServerSession
+from busway.session.tcp_server import TcpServerSession
 from busway.session.transaction_slots import TransactionSlots
 
 READ = bytes.fromhex("03 0000 0001")

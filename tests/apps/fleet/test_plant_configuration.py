@@ -8,7 +8,7 @@ from fleet_devices import FleetDevice, plant
 from busway.apps.collector.configuration import CollectorConfiguration, parse_collector
 from busway.apps.collector.sinks.sparkplug import SparkplugSink
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.plant import (
+from busway.apps.fleet.plant_configuration import (
     link_times,
     links_of_shards,
     name_edge_nodes,

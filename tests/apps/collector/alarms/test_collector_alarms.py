@@ -14,7 +14,7 @@ import pytest
 from waiting import until
 
 import busway
-from busway.apps.collector.alarms.collected import CollectorAlarms
+from busway.apps.collector.alarms.collector_alarms import CollectorAlarms
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind, AlarmState
 from busway.apps.collector.configuration import load_collector
 from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, ClockCorrection

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import pytest
 
-from busway.apps.simulator.plant import (
+from busway.apps.simulator.demo_plant import (
     BAND,
     METER,
     TANK,

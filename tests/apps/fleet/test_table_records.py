@@ -8,7 +8,7 @@ import pytest
 from busway.apps.fleet.coordinator import Entry
 from busway.apps.fleet.lease_holder import FleetMember
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import (
+from busway.apps.fleet.table_records import (
     LARGEST,
     LeaseHole,
     LeaseRecord,

@@ -23,7 +23,7 @@ from .file_rows import FileRow, Sums, SumsByBucket, add_sums
 from .sealing import arrow
 
 FILES_AT_ONCE: Final = 256
-"""Most sealed files that are read together (`busway.apps.collector.store.reading.runs_of`)."""
+"""Most sealed files that are read together (`busway.apps.collector.store.store_reader.runs_of`)."""
 _COLUMNS: Final = ["time", "point", "real", "integer", "text", "large", "reason", "half_width", "commit_number"]
 _SUMMED: Final = ["time", "point", "real", "integer", "large", "reason"]
 _ROWS: Final = f"SELECT {', '.join(_COLUMNS)} FROM read_parquet($files) WHERE "
