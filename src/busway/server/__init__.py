@@ -13,6 +13,7 @@
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
 `device_responder`       The responder of a server with devices in its own process
 `exposure`               Warnings in the log for listeners that other hosts can reach
+`file_records`           Files of records and queues of registers
 `groups`                 Groups of changes that an application makes to a device and that become visible together
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
 `identity`               Checks of a device's identification: what functions 07, 17 and 43/14 answer
@@ -26,7 +27,6 @@
 `opening`                Opens the listeners of a server, each by its kind: TCP and TLS, UDP, serial
 `option_types`           The options of `busway.serve`, for type checkers
 `peers`                  Texts for socket addresses of clients: the host alone, or host and port
-`records`                Files of records and queues of registers
 `responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
 `rtu_over_tcp`           Server sessions for RTU or ASCII frames over TCP or UDP
 `server`                 The server: listeners with one pipeline for requests; start, stop, reset, status

@@ -28,11 +28,11 @@ from ..values.names import Order, TableName, WritableTableName
 from ..values.unfit_values import shown
 from .blocks import BitRun, RegisterRun, Run
 from .cells import TableLike, lay_out
+from .file_records import RecordFile, RegisterQueue, build_files, build_queues
 from .groups import Groups
 from .hooks import Access, Change, Hook, Hooks, Moment, ReadHook, When, WriteHook, call, function_of, role_of
 from .identity import DEFAULT_SERVER_ID, ExceptionStatus, identification_objects, server_id_data, status_source
 from .items import unpacked
-from .records import RecordFile, RegisterQueue, build_files, build_queues
 from .single_block import SingleBlock, as_table, block_stores
 from .stores import ItemStore, bit_store, register_store
 from .typed import TypedAccess
