@@ -5,7 +5,7 @@ Knows the fault profiles and the page; no word in the table is written by hand.
 
 from marked import ROOT, replaced, update
 
-from busway.faults.profiles.elsewhere import ELSEWHERE
+from busway.faults.profiles.not_simulated import ELSEWHERE
 from busway.options.declaration import Option
 from busway.testing import FAULT_PROFILES, Carrier, FaultProfile
 

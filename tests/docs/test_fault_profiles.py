@@ -9,7 +9,7 @@ from generated import assert_up_to_date
 from busway.apps.simulator.added_faults import fault_problems
 from busway.config.files.fault_sections import FaultSection
 from busway.config.files.schema import Section, read_source
-from busway.faults.profiles.elsewhere import ELSEWHERE
+from busway.faults.profiles.not_simulated import ELSEWHERE
 from busway.testing import CLIENT_FAULT_PROFILES, FAULT_PROFILES
 
 ROOT = Path(__file__).resolve().parents[2]
