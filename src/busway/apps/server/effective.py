@@ -15,9 +15,9 @@ from typing import Any
 
 from ...client.settings import options_of
 from ...config.links import NamedLink
+from ...options.accepted_options import SERVERS, Offer, options_for
 from ...options.declaration import NONE, declared
 from ...options.endpoints import parse_endpoint
-from ...options.offer import SERVERS, Offer, options_for
 from ...options.server import ListenerParameters
 from ...server.listener import Listener
 from .configuration import Configuration
