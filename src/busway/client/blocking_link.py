@@ -43,9 +43,9 @@ from .connector import Connector
 from .kept_late_replies import KEPT
 from .readiness import PortReadiness, SocketReadiness
 from .registry import LOCAL, LocalConnectionStatus, status_of
-from .scope import ClientScope, LinkLock
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
+from .shared_limit import ClientScope, LinkLock
 from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:

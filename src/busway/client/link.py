@@ -34,9 +34,9 @@ from .connector import Connector
 from .kept_late_replies import KEPT
 from .permitted_sending import PermittedConnector
 from .registry import LOCAL, LocalConnectionStatus, status_of
-from .scope import ClientScope
 from .sessions import ClientSession, reconnect_for
 from .settings import LinkSettings
+from .shared_limit import ClientScope
 from .state_observers import DISCONNECTED, OnState, StateObservers
 
 if TYPE_CHECKING:
