@@ -12,8 +12,8 @@ from typing import Any
 from marked import ROOT, update
 
 from busway.framing.timing import Parity
+from busway.options.accepted_options import LINKS, SERVERS, Offer
 from busway.options.declaration import Option
-from busway.options.offer import LINKS, SERVERS, Offer
 from busway.options.presets import Preset
 
 HEAD = '''"""{title}

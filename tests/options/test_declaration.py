@@ -11,7 +11,7 @@ import pytest
 
 import busway.cli.config
 import busway.client.settings
-import busway.options.offer
+import busway.options.accepted_options
 from busway.cli.config import config
 from busway.client.option_types import LinkOptions
 from busway.client.settings import link_settings
@@ -39,6 +39,7 @@ from busway.config.files.schema import (
 from busway.config.files.simulation import SimulationFile
 from busway.config.files.system import AuditSection, ControlSection, LinkSection, MetricsSection, SystemFile
 from busway.errors import ConfigError
+from busway.options.accepted_options import LINKS, SERVERS, Offer, aliases, options_for
 from busway.options.declaration import (
     REQUIRED,
     Alias,
@@ -54,7 +55,6 @@ from busway.options.declaration import (
 )
 from busway.options.endpoints import SCHEMES, parse_endpoint
 from busway.options.gateway import GatewayListenerParameters, GatewayParameters, RouteParameters, UpstreamParameters
-from busway.options.offer import LINKS, SERVERS, Offer, aliases, options_for
 from busway.options.service import AuditParameters, ControlParameters, MetricsParameters
 from busway.options.text import build_parameters
 from busway.server.option_types import ServerOptions
@@ -178,7 +178,7 @@ def test_an_option_that_is_added_appears_everywhere(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     kinds = (*LINKS, AddedParameters)
-    for module in (busway.client.settings, busway.options.offer):
+    for module in (busway.client.settings, busway.options.accepted_options):
         monkeypatch.setattr(module, "LINKS", kinds)
     aliases.cache_clear()
     try:

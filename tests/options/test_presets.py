@@ -11,9 +11,9 @@ import busway
 from busway.client.settings import link_settings, options_of
 from busway.config.files.device import parse_device_file
 from busway.errors import ConfigError
+from busway.options.accepted_options import LINKS, LISTENERS, SERVERS, Offer
 from busway.options.client import MismatchPolicy, TransactionScope
 from busway.options.endpoints import parse_endpoint
-from busway.options.offer import LINKS, LISTENERS, SERVERS, Offer
 from busway.options.presets import PASSIVE_SETTINGS, Preset, preset_of, strict_settings
 from busway.options.server import ListenerParameters, Scope, UnitPolicy, UnlistedUnit
 from busway.options.tls import TlsParameters

@@ -172,8 +172,8 @@ def _show(file: str) -> None:
 
 def _print_options(url: str | None) -> None:
     """Print name, default, values and meaning of the options of a link to ``url``; with None, of all options."""
+    from ..options.accepted_options import LINKS, Offer
     from ..options.endpoints import parse_endpoint
-    from ..options.offer import LINKS, Offer
 
     if url is not None:
         endpoint = parse_endpoint(url)
@@ -189,7 +189,7 @@ def _all_options() -> Iterator[tuple[str, list["Option"]]]:
     An option that an earlier group has is left out.
     """
     from ..config.files.schema import keys_of, sections_of
-    from ..options.offer import LINKS, SERVERS, Offer
+    from ..options.accepted_options import LINKS, SERVERS, Offer
 
     of_links = list(Offer.of(*LINKS, role="client").options.values())
     of_servers = list(Offer.of(*SERVERS, role="server").options.values())

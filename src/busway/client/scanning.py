@@ -16,8 +16,8 @@ from typing import Any, Final
 
 from ..codes import LAST_SERIAL_UNIT, TCP_DEVICE_UNIT
 from ..errors import BadReply, ConfigError, ExceptionReply, InvalidRequest, LinkDown, ModbusError, NoReply
+from ..options.accepted_options import MONITORS, Offer, canonical
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import SerialSettings
 from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters

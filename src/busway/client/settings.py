@@ -10,11 +10,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import ConfigError
+from ..options.accepted_options import LINKS, Offer, canonical
 from ..options.client import ClientParameters, ManagementParameters
 from ..options.declaration import Mark, declared
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import BreakerParameters, FramingParameters, SerialClientParameters
-from ..options.offer import LINKS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..options.tls import TlsParameters

@@ -19,9 +19,9 @@ from ..errors import ConfigError, LinkDown
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, FrameOrDamage
 from ..framing.timing import SerialTiming
+from ..options.accepted_options import MONITORS, Offer, canonical
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
-from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing

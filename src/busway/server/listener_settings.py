@@ -11,10 +11,10 @@ from typing import TYPE_CHECKING
 from ..access.addresses import HostAuthorizer
 from ..framing.echo import Echo
 from ..framing.timing import SerialTiming
+from ..options.accepted_options import LISTENERS, Offer
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.lines import FramingParameters
-from ..options.offer import LISTENERS, Offer
 from ..options.ports import OpeningParameters, SerialSettings
 from ..options.server import ListenerParameters
 from ..options.text import build_parameters

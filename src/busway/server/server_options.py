@@ -7,8 +7,8 @@ Knows the listeners of a server and where each of them takes options. Of the opt
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
+from ..options.accepted_options import SERVERS, ChosenOptions, Offer
 from ..options.endpoints import Endpoint, parse_endpoint
-from ..options.offer import SERVERS, ChosenOptions, Offer
 from ..options.presets import OPTION, Preset, preset_of
 from .listener import Listener
 

@@ -15,8 +15,8 @@ from typing import Annotated, Any, ClassVar, Literal, TypeVar, get_origin
 from pydantic import BeforeValidator, create_model, model_validator
 
 from ...errors import ConfigError
+from ...options.accepted_options import Offer
 from ...options.declaration import NONE, REQUIRED, Option, declared
-from ...options.offer import Offer
 from ...options.text import build_parameters
 from ...values.unfit_values import shown
 from .lines import KeyPath
