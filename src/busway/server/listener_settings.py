@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from ..access.addresses import HostAuthorizer
 from ..framing.echo import Echo
 from ..framing.timing import SerialTiming
-from ..options.accepted_options import LISTENERS, Offer
+from ..options.accepted_options import LISTENERS, AcceptedOptions
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.lines import FramingParameters
@@ -89,7 +89,9 @@ def listener_settings(
             wrong.
     """
     endpoint = parse_endpoint(listener.endpoint)
-    chosen = Offer.at(endpoint, "server", LISTENERS).chosen(endpoint.options, of=f"a listener on {endpoint.url}")
+    chosen = AcceptedOptions.at(endpoint, "server", LISTENERS).chosen(
+        endpoint.options, of=f"a listener on {endpoint.url}"
+    )
     return ListenerSettings(
         endpoint,
         chosen.build(FramingParameters),
