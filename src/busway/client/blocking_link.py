@@ -29,7 +29,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Final
 
 from ..errors import LinkDown, ModbusError
-from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
 from ..session.connection_life import ConnectionLife

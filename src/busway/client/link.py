@@ -20,7 +20,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, Final
 
 from ..errors import LinkDown
-from ..observe.line_trace import ConnectionTrace, trace_for
+from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..options.client import ON_STREAMS
 from ..session.call import Call
