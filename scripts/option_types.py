@@ -11,7 +11,7 @@ from typing import Any
 
 from marked import ROOT, update
 
-from busway.framing.timing import Parity
+from busway.framing.character_times import Parity
 from busway.options.accepted_options import LINKS, SERVERS, AcceptedOptions
 from busway.options.declaration import Option
 from busway.options.presets import Preset

@@ -23,16 +23,16 @@ from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.server.connection_limits import ConnectionSlots, SlotLimits, SlotPool
+from busway.server.connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
+from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_client import TcpClientSession
 from busway.session.tcp_server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
 from busway.transport.tcp import configure
 
 pytestmark = pytest.mark.clause("T4")
@@ -58,7 +58,7 @@ def test_the_server_alone_makes_answers_of_indications() -> None:
             ScriptedHandler(lambda context, request: ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008")))
         ),
         diagnostics=LineDiagnostics(),
-        slots=TransactionSlots(1),
+        slots=ServerTransactionSlots(1),
         deliver=lambda adu: None,
     )
     assert b"".join(server.receive(QUESTION, len(QUESTION))) == ANSWER
@@ -134,7 +134,7 @@ def test_parameters_of_the_stack_alone_are_set_on_any_socket() -> None:
 
 
 def test_flow_control_alone_counts_transactions_and_rates() -> None:
-    slots = TransactionSlots(1)
+    slots = ServerTransactionSlots(1)
     waiting = ScriptedHandler(lambda context, request: busway.LATER)
     first, second = (
         TcpServerSession(RequestPipeline(waiting), diagnostics=LineDiagnostics(), slots=slots, deliver=lambda adu: None)
@@ -156,7 +156,7 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
         (
-            "busway.server.connection_limits",
+            "busway.server.connection_slots",
             {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"},
         ),
         ("busway.access.rates", {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"}),

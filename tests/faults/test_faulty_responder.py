@@ -12,7 +12,7 @@ from busway.faults.switchboard import FaultSwitchboard
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, SerialUnits, ServedUnit
 from busway.testing import known_device

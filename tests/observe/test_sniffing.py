@@ -8,8 +8,8 @@ import pytest
 
 from busway.errors import ConfigError, LinkDown
 from busway.framing.ascii import encode_ascii
+from busway.framing.character_times import FIXED_T3_5, SerialTiming
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import FIXED_T3_5, SerialTiming
 from busway.observe.pairing import Heard, Kind
 from busway.observe.sniffing import DatagramByteSource, Listening, sniffed_line
 from busway.testing.line import PacedLine

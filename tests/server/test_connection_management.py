@@ -13,11 +13,11 @@ from handlers import ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
-import busway.server.connection_limits
+import busway.server.connection_slots
 from busway.access.addresses import AddressList, HostAuthorizer
 from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
-from busway.server.connection_limits import SlotLimits, SlotPool
+from busway.server.connection_slots import SlotLimits, SlotPool
 from busway.server.listener import Listener
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
@@ -116,7 +116,7 @@ async def test_sixty_that_connect_and_close_push_nobody_off(ends: str) -> None:
 
 @pytest.mark.clause("T13")
 async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(busway.server.connection_limits, "SECONDS_TO_SPEAK", 0.0)
+    monkeypatch.setattr(busway.server.connection_slots, "SECONDS_TO_SPEAK", 0.0)
     async with served(max_connections=5) as server:
         client = await Client.of(server)
         await client.ask()
@@ -322,7 +322,7 @@ async def test_client_that_takes_no_replies_is_closed_in_time_unless_it_is_marke
                     slow.writer.write(b"\0")
                     assert await slow.is_closed()
                     await slow.close()
-                assert server.status().connections[0].state is ServedConnectionState.HELD
+                assert server.status().connections[0].state is ServedConnectionState.PAUSED
                 assert server.counters.write_timeouts == 0
             else:
                 await until(lambda: server.counters.closed == 1)
@@ -343,7 +343,7 @@ async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_othe
             await client.reader.readexactly(35 * len(ANSWER))
         clients[1].writer.write(QUESTION)  # not read before the debt of both is paid: (70 - 50) / 50 s
         await until(lambda: server.counters.rate_limited == 1)
-        assert ServedConnectionState.HELD in [one.state for one in server.status().connections]
+        assert ServedConnectionState.PAUSED in [one.state for one in server.status().connections]
         await other.ask()
         for _ in range(60):
             await marked.ask()

@@ -12,7 +12,7 @@ from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadFifoQueue
 from busway.server.device import Device
 from busway.server.table_declaration import Cells
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 
 

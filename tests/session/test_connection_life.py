@@ -5,9 +5,9 @@ import math
 import pytest
 
 from busway.errors import LinkDown, ModbusError, WriteOutcomeUnknown
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import FramingParameters
 from busway.pdu.read_items import ReadHoldingRegisters

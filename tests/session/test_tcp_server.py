@@ -22,7 +22,7 @@ from busway.pdu.unknown_functions import OpaqueReply
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.table_declaration import Cells
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (
     LATER,
@@ -34,8 +34,8 @@ from busway.session.responder import (
     ResponderAnswer,
     ServedUnit,
 )
+from busway.session.server_transaction_slots import ServerTransactionSlots
 from busway.session.tcp_server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
 
 READ = bytes.fromhex("03 0000 0001")
 ANSWER = ReadHoldingRegisters.Reply(b"\x00\x07")
@@ -67,8 +67,10 @@ class Scripted:
 class Peer:
     """A client at the other end of a session."""
 
-    def __init__(self, handler: Any, *, slots: TransactionSlots | None = None, changes_allowed: bool = True) -> None:
-        self.slots = slots or TransactionSlots(16)
+    def __init__(
+        self, handler: Any, *, slots: ServerTransactionSlots | None = None, changes_allowed: bool = True
+    ) -> None:
+        self.slots = slots or ServerTransactionSlots(16)
         self.diagnostics = LineDiagnostics(changes_allowed=changes_allowed)
         self.late: list[bytes] = []
         self.session = TcpServerSession(
@@ -103,7 +105,7 @@ def later(context: RequestContext, request: AnyRequest) -> ResponderAnswer:
 
 
 def test_a_session_that_was_never_asked_keeps_no_containers() -> None:
-    pipeline, diagnostics, slots = RequestPipeline(Scripted()), LineDiagnostics(), TransactionSlots(16)
+    pipeline, diagnostics, slots = RequestPipeline(Scripted()), LineDiagnostics(), ServerTransactionSlots(16)
     client = ClientIdentity()
     late: list[bytes] = []
     deliver = late.append
@@ -165,7 +167,7 @@ def test_a_function_above_127_is_discarded_and_counted(function: int) -> None:
 @pytest.mark.parametrize("protocol", [1, 0x0100, 0xFFFF])
 def test_a_request_of_another_protocol_is_discarded_and_the_stream_goes_on(protocol: int) -> None:
     handler = Scripted()
-    peer = Peer(handler, slots=TransactionSlots(1))
+    peer = Peer(handler, slots=ServerTransactionSlots(1))
     foreign = struct.pack(">HHHB", 7, protocol, 6, 1) + READ
     assert [frame.transaction for frame in peer.feed(foreign + encode_mbap(8, 1, READ))] == [8]
     assert (peer.session.discarded, len(handler.asked)) == (1, 1)
@@ -229,7 +231,7 @@ def test_silence_is_counted() -> None:
 @pytest.mark.clause("T27")
 def test_past_the_slots_a_request_is_answered_06_before_its_function_is_looked_at() -> None:
     handler = Scripted(later)
-    peer = Peer(handler, slots=TransactionSlots(2))
+    peer = Peer(handler, slots=ServerTransactionSlots(2))
     assert peer.send(READ, READ, READ, b"\x00", b"\x41") == [b"\x83\x06", b"\x80\x06", b"\xc1\x06"]
     assert (len(handler.asked), peer.session.waiting, peer.session.refused_busy) == (2, 2, 3)
     assert peer.diagnostics.counters.server_busy_count == 3
@@ -240,7 +242,7 @@ def test_past_the_slots_a_request_is_answered_06_before_its_function_is_looked_a
 @pytest.mark.clause("T27")
 @pytest.mark.parametrize("limit", [1, 16])
 def test_a_service_that_is_finished_within_its_call_holds_no_slot(limit: int) -> None:
-    peer = Peer(Scripted(), slots=TransactionSlots(limit))
+    peer = Peer(Scripted(), slots=ServerTransactionSlots(limit))
     assert peer.send(*[READ] * 50) == [ANSWER.encode()] * 50
     assert peer.slots.used == 0
 
@@ -249,14 +251,14 @@ def test_a_service_that_is_finished_within_its_call_holds_no_slot(limit: int) ->
 def test_the_fast_path_needs_no_slot() -> None:
     handler = Scripted(later)
     handler.device = Device(input_registers=[9], functions=[4])
-    peer = Peer(handler, slots=TransactionSlots(1))
+    peer = Peer(handler, slots=ServerTransactionSlots(1))
     assert peer.send(READ) == []
     assert peer.send(bytes.fromhex("04 0000 0001"), READ) == [b"\x04\x02\x00\x09", b"\x83\x06"]
 
 
 @pytest.mark.clause("T27")
 def test_slots_may_be_shared_by_all_connections_of_a_server() -> None:
-    slots = TransactionSlots(2)
+    slots = ServerTransactionSlots(2)
     one, two = Peer(Scripted(later), slots=slots), Peer(Scripted(later), slots=slots)
     assert one.send(READ, READ) == []
     assert two.send(READ) == [b"\x83\x06"]
@@ -267,7 +269,7 @@ def test_slots_may_be_shared_by_all_connections_of_a_server() -> None:
 
 @pytest.mark.clause("T27")
 def test_connections_that_are_given_the_same_limit_count_apart() -> None:
-    slots = TransactionSlots(1, of_each_connection=True)
+    slots = ServerTransactionSlots(1, of_each_connection=True)
     one, two = Peer(Scripted(later), slots=slots), Peer(Scripted(later), slots=slots)
     for _ in range(2):
         assert one.send(READ, READ) == [b"\x83\x06"]
@@ -282,7 +284,7 @@ def test_connections_that_are_given_the_same_limit_count_apart() -> None:
 @pytest.mark.clause("T27")
 def test_a_slot_is_free_again_once_the_late_reply_has_left() -> None:
     handler = Scripted(later)
-    peer = Peer(handler, slots=TransactionSlots(1))
+    peer = Peer(handler, slots=ServerTransactionSlots(1))
     for transaction in range(1, 4):
         assert peer.send(READ) == []
         handler.asked[-1][0].reply(ANSWER)
@@ -356,7 +358,7 @@ def test_a_late_refusal_and_a_late_silence() -> None:
 @pytest.mark.clause("T30")
 def test_a_client_that_has_gone_gets_nothing_and_its_slots_are_free() -> None:
     handler = Scripted(later)
-    peer = Peer(handler, slots=TransactionSlots(16))
+    peer = Peer(handler, slots=ServerTransactionSlots(16))
     peer.send(READ, READ, READ)
     peer.session.close()
     assert peer.slots.used == 0
@@ -377,7 +379,7 @@ def test_an_awaitable_is_handed_to_the_driver_and_holds_a_slot() -> None:
             return iter(())
 
     promise: Awaitable[Message] = Promise()
-    peer = Peer(Scripted(lambda context, request: promise), slots=TransactionSlots(1))
+    peer = Peer(Scripted(lambda context, request: promise), slots=ServerTransactionSlots(1))
     assert peer.send(READ, READ) == [b"\x83\x06"]
     (deferred,) = peer.session.deferred
     assert deferred.awaitable is promise
@@ -519,7 +521,7 @@ def test_an_unfinished_frame_is_known_to_be_one() -> None:
 def test_in_listen_only_mode_nothing_is_answered_by_any_road_or_for_want_of_slots() -> None:
     handler = Scripted(later)
     handler.device = Device(input_registers=[9], functions=[4])
-    slots = TransactionSlots(1)
+    slots = ServerTransactionSlots(1)
     peer = Peer(handler, slots=slots)
     short = bytes.fromhex("04 0000 0001")
     assert peer.send(short) == [b"\x04\x02\x00\x09"]
@@ -602,7 +604,7 @@ def _shared(handler: Any, share: int | None) -> TcpServerSession:
     return TcpServerSession(
         RequestPipeline(handler),
         diagnostics=LineDiagnostics(changes_allowed=True),
-        slots=TransactionSlots(16),
+        slots=ServerTransactionSlots(16),
         deliver=lambda adu: None,
         share=share,
     )

@@ -17,7 +17,7 @@ from typing import Any
 from busway.access.audit_log import AuditLog
 from busway.apps.collector.command_targets import CollectedTargets
 from busway.apps.collector.commands.command import CommandResult
-from busway.apps.collector.commands.inputs import CommandMessageHandler, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandMessageHandler, InputMessage, InputRights
 from busway.apps.collector.commands.journal import CommandJournal
 from busway.apps.collector.commands.runner import CommandRunner
 from busway.apps.collector.commands.sparkplug import PLACE
@@ -30,9 +30,9 @@ from busway.apps.collector.schedule import LinkSchedule
 from busway.apps.collector.sinks.mqtt import topic_level
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.fleet.fleet_commands import FleetCommands, command_subject
-from busway.apps.web.access import AccessToken, PageAccess, PageAccessRules, Role
 from busway.apps.web.application import page_resources
 from busway.apps.web.collector_commands import CommandsApi
+from busway.apps.web.request_guard import AccessToken, PageAccess, PageAccessRules, Role
 from busway.codes import Table
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister

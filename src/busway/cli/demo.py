@@ -174,7 +174,7 @@ def _devices(plant: "Plant", url: str) -> "Server":
     By faults, the meter answers slowly, and the thermometer stops answering from time to time.
     """
     from ..apps.simulator.demo_plant import METER, THERMOMETER
-    from ..faults.fault import Schedule
+    from ..faults.applied_faults import Schedule
     from ..faults.switchboard import FaultSwitchboard
     from ..server.serving import serve
 

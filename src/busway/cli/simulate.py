@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     from ..apps.server.service_interfaces import DeclaredServer
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.simulation_page import ControlPage
-    from ..faults.fault import AppliedFault
+    from ..faults.applied_faults import AppliedFault
     from ..faults.switchboard import FaultStatus
 
 EXAMPLES = """\b

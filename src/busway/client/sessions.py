@@ -7,9 +7,9 @@ import random
 from typing import Protocol
 
 from ..errors import ModbusError
+from ..framing.character_times import Parity, SerialTiming
 from ..framing.echo import Echo
 from ..framing.frame_direction import LineRole
-from ..framing.timing import Parity, SerialTiming
 from ..options.ports import SerialSettings
 from ..session.call import Call, FreeSlots
 from ..session.reconnect import Reconnect

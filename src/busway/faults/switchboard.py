@@ -20,9 +20,10 @@ from typing import Any
 from ..codes import Table
 from ..server.server import Server
 from ..session.responder import Responder
+from .applied_faults import AppliedFault, Faults, Schedule, Selection
 from .clock import Clock
-from .connections import FaultyTap
-from .fault import EVERYWHERE, AppliedFault, Carrier, Faults, Schedule, Selection
+from .fault import EVERYWHERE, Carrier
+from .faulty_connections import FaultyTap
 from .faulty_responder import FaultyResponder
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError, LinkDown
+from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, FrameOrDamage
-from ..framing.timing import SerialTiming
 from ..options.accepted_options import MONITORS, AcceptedOptions, canonical
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
@@ -26,7 +26,8 @@ from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing
 from ..transport.serial.blocking import BlockingSerialPort
-from ..transport.serial.opening import Claim, reopen_policy
+from ..transport.serial.port_claims import PortClaim
+from ..transport.serial.reopen import ReopenPolicy
 from ..transport.tcp import configure, link_down, network_kind, network_reason, set_buffers
 from ..transport.udp import MAX_DATAGRAM
 from .pairing import Heard, Pairing
@@ -184,7 +185,7 @@ class _ClaimedPort:
     """A serial port open for listening; other users in this process cannot open it meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
-        self._claim = Claim(path, "a listener to the line")
+        self._claim = PortClaim(path, "a listener to the line")
         try:
             self._port = BlockingSerialPort(path, settings)
         except BaseException:
@@ -362,7 +363,7 @@ class Listening:
         except LinkDown as error:
             self.lost = error
             self._failures += 1
-            self._try_at = self._clock() + (reopen_policy(self._line.opening).pause(self._failures) or 0.0)
+            self._try_at = self._clock() + (ReopenPolicy.of(self._line.opening).pause(self._failures) or 0.0)
             return False
         self.lost = None
         self._returned()

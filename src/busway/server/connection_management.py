@@ -3,7 +3,7 @@
 Knows connections and their limits; knows no request.
 
 1. Whether a host may connect is checked before another connection is closed for it.
-2. `busway.server.connection_limits` decides which connection is closed for a new one, `busway.server.deadlines` what is
+2. `busway.server.connection_slots` decides which connection is closed for a new one, `busway.server.deadlines` what is
    overdue.
 3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
    socket. It ends with an error, with the server, or when the system finds that its peer has gone.
@@ -21,17 +21,17 @@ from ..access.rates import Rates
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
-from .connection_limits import ConnectionSlots, SlotHolder
-from .counters import ServerCounters
+from .connection_slots import ConnectionSlots, SlotHolder
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .status_indicators import Diagnosis
 from .turns import Turns
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import Session
+    from .serial_over_network import Session
 
 _log = logging.getLogger("busway.server")
 
@@ -57,7 +57,7 @@ class ManagedConnection(ConnectedPeer, SlotHolder, Timed, Protocol):
 
     charged: int
 
-    def hold(self) -> None:
+    def pause_reading(self) -> None:
         """Stop reading from the client until `go_on` is called."""
 
     def go_on(self) -> None:
@@ -291,16 +291,16 @@ class ConnectionManagement:
             self.listener_context.say(
                 logging.INFO,
                 connection.host,
-                "%s: held back, %g requests a second are its rate",
+                "%s: reading is paused, its rate is %g requests a second",
                 connection.peer,
                 self.rates.rate,
             )
-            connection.hold()
-            self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
+            connection.pause_reading()
+            self._set_timer_by(self._deadlines.pause(connection, now + wait), now)
 
-    def is_held(self, connection: ManagedConnection) -> bool:
+    def is_paused(self, connection: ManagedConnection) -> bool:
         """Whether reading from a connection is paused: its host is above its rate, or `pause_all` was called."""
-        return self._is_draining or self._deadlines.is_held(connection)
+        return self._is_draining or self._deadlines.is_paused(connection)
 
     def _set_timer(self, now: float) -> None:
         self._set_timer_by(self._deadlines.next_due(now, has_connections=bool(self._connections)), now)
@@ -323,7 +323,7 @@ class ConnectionManagement:
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
-            if what is Overdue.HELD:
+            if what is Overdue.PAUSE:
                 connection.go_on()
             elif connection.session is not None:
                 self._close_overdue(connection, what)
@@ -368,7 +368,7 @@ class ConnectionManagement:
         """Stop reading from all connections, for good; requests in progress are still answered."""
         self._is_draining = True
         for connection in self._connections:
-            connection.hold()
+            connection.pause_reading()
 
     async def wait_until_empty(self) -> None:
         """Wait until all connections of the listener have ended."""

@@ -26,12 +26,12 @@ from ..observe.trace import TRACE
 from ..options.sockets import SocketParameters
 from ..transport.tcp import set_buffers
 from .bound_sockets import bound_name, listening_sockets
-from .connection_limits import ConnectionSlots, SlotLimits, SlotPool
-from .counters import ServerCounters
+from .connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from .listener_context import ListenerContext, add_living
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
-from .rtu_over_tcp import Session
+from .serial_over_network import Session
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 _MOST_AT_ONCE: Final = 16

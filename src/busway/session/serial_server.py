@@ -30,7 +30,7 @@ from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
-from .diagnostics import LineDiagnostics
+from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
 from .pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer

@@ -407,10 +407,10 @@ class TcpClientSession:
         awaited.position = position
         awaited.encoded = encoded
         awaited.sent = now
-        awaited.expires = now + (self._adaptive_timeout(call, now) if self._doubtful else call.timeout)
+        awaited.expires = now + (self._timeout_of(call, now) if self._doubtful else call.timeout)
         return transaction.to_bytes(2, "big") + encoded.tail
 
-    def _adaptive_timeout(self, call: Call, now: float) -> float:
+    def _timeout_of(self, call: Call, now: float) -> float:
         """Return the timeout in seconds for a request that is sent while some unit of the link does not answer.
 
         It is that of the call. If the request is the probe of a suspended unit, it can be shorter (`Breakers.asked`),

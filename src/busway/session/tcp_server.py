@@ -27,11 +27,11 @@ from ..codes import ExceptionCode, FunctionCode
 from ..framing.mbap import HEAD, HEAD_AND_FUNCTION, MAX_LENGTH, MIN_LENGTH, StreamBuffer, impossible_length
 from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
-from .diagnostics import LineDiagnostics
+from .diagnostic_counters import LineDiagnostics
 from .forwarded_reads import LAST_READ, READ_SIZE, DeliverTogether, ForwardedReads, ReadForwarder
 from .pipeline import MOST_READS, NO_FAST_PATH, PREPARED, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext
-from .transaction_slots import TransactionSlots
+from .server_transaction_slots import ServerTransactionSlots
 
 _unpack = HEAD_AND_FUNCTION.unpack_from
 _pack = HEAD.pack
@@ -105,7 +105,7 @@ class TcpServerSession:
         pipeline: RequestPipeline,
         *,
         diagnostics: LineDiagnostics,
-        slots: TransactionSlots,
+        slots: ServerTransactionSlots,
         deliver: Deliver,
         deliver_together: DeliverTogether | None = None,
         client: ClientIdentity | None = None,

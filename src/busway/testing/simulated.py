@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from ..apps.simulator.includes import SimulationDeclaration
     from ..apps.simulator.simulation import Simulation
     from ..config.files.simulation import SimulatedPointSection
+    from ..faults.applied_faults import AppliedFault
     from ..faults.clock import Clock
-    from ..faults.fault import AppliedFault
     from ..server.hooks import Access, Change
 
 FREE_PORT: Final = "tcp://127.0.0.1:0"
@@ -188,7 +188,7 @@ class SimulatedDevice:
         Raises:
             ConfigError: an unknown name or parameter, or a value out of its range.
         """
-        from ..faults.fault import Schedule
+        from ..faults.applied_faults import Schedule
 
         switchboard = self.simulation.switchboard
         name = switchboard.add(

@@ -13,15 +13,15 @@ import pytest
 from fleet_devices import METER, FleetDevice, devices_of, plant
 from waiting import until
 
-from busway.apps.collector.commands.inputs import CommandMessageHandler, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandMessageHandler, InputMessage, InputRights
 from busway.apps.collector.commands.mqtt import MqttCommands
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.web.access import AccessToken, PageAccessRules, Role
 from busway.apps.web.collector_page import CollectorPage
+from busway.apps.web.request_guard import AccessToken, PageAccessRules, Role
 
 pytestmark = pytest.mark.real_time
 

@@ -6,7 +6,7 @@ import random
 import pytest
 
 from busway.apps.fleet.coordinator import Entry
-from busway.apps.fleet.lease_holder import FleetMember
+from busway.apps.fleet.lease_holder import LeaseHolder
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 from busway.apps.fleet.table_records import (
     LARGEST,
@@ -79,7 +79,7 @@ def test_a_collector_of_any_version_is_read_with_what_it_writes(fields: int) -> 
 )
 def test_a_lease_that_cannot_be_read_is_missing_and_its_shard_is_taken(wrong: bytes) -> None:
     assert decode_lease(wrong) is None
-    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(1), shards=4)
+    member = LeaseHolder("west", "run", "west", LeaseTimes(), random.Random(1), shards=4)
     member.set_shards({"0001": 0.1})
     for at, key in enumerate(("lease.0001", "member.east", "zone", "generation"), 1):
         member.entry(Entry(key, wrong, at), 0.0)

@@ -17,9 +17,9 @@ from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.writer import Commit
 from busway.apps.web import collector_stream, viewers
-from busway.apps.web.access import Caller, Role
 from busway.apps.web.collector_stream import CollectorStream
 from busway.apps.web.live_values import LiveValues
+from busway.apps.web.request_guard import Caller, Role
 
 
 @pytest.fixture(scope="module")

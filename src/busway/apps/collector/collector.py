@@ -35,7 +35,7 @@ from .command_targets import CollectedTargets
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
-from .commands.inputs import CommandInput, CommandMessageHandler, InputStatus
+from .commands.command_messages import CommandInput, CommandMessageHandler, InputStatus
 from .commands.journal import CommandJournal
 from .commands.other_owners import OtherOwners
 from .commands.runner import CommandRunner

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ...config.files.sinks import PrometheusSinkSection, SinkSection
 from ...errors import ConfigError, LinkDown
-from .commands.inputs import CommandInput, CommandMessageHandler, InputStatus
+from .commands.command_messages import CommandInput, CommandMessageHandler, InputStatus
 from .configuration import CollectorConfiguration
 from .report_rules import points_of, sink_rules
 from .sinks.delivery import SinkStatus

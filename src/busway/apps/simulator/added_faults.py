@@ -12,8 +12,9 @@ from ...config.files.fault_sections import FaultSection, parse_fault_words
 from ...config.files.lines import KeyPath
 from ...config.files.schema import Source
 from ...errors import ConfigError
-from ...faults.connections import carriers_of
-from ...faults.fault import Carrier, Schedule
+from ...faults.applied_faults import Schedule
+from ...faults.fault import Carrier
+from ...faults.faulty_connections import carriers_of
 from ...faults.profile import FaultProfile, FaultProfileTable
 from ...faults.profiles import FAULT_PROFILES
 from ...faults.switchboard import FaultStatus, FaultSwitchboard

@@ -10,7 +10,7 @@ Knows faults and the event loop whose clock times them; prints nothing.
 import asyncio
 from collections.abc import Callable
 
-from ...faults.fault import AppliedFault
+from ...faults.applied_faults import AppliedFault
 from ...faults.switchboard import FaultSwitchboard
 
 

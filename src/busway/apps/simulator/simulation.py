@@ -40,7 +40,7 @@ from .state import KeptPoint, KeptState, check_state, load_state, save_state
 from .write_watch import watch_writes
 
 if TYPE_CHECKING:
-    from ...faults.fault import Faults
+    from ...faults.applied_faults import Faults
     from ...server.server import Server
 
 _log = logging.getLogger("busway.apps.simulator")

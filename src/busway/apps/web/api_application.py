@@ -59,7 +59,7 @@ def new_application(title: str, description: str, handlers: Mapping[Any, ErrorHa
 
 
 def secure_document(application: FastAPI) -> None:
-    """Add to the OpenAPI document that a token may be needed; FastAPI cannot know that, because `access` checks tokens.
+    """Add to the OpenAPI document that a token may be needed: FastAPI does not see `request_guard`, which checks it.
 
     Call this after the last route was added: it makes the document, which then stays the same.
     """

@@ -32,9 +32,9 @@ from ..collector.admission import MOST_LOAD
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
-from .access import Caller, caller_of
 from .live_values import LiveValues
 from .messages import Asked, plain_value
+from .request_guard import Caller, caller_of
 from .viewers import Gone, accept, check, converse, send
 
 TICK: Final = 0.5

@@ -28,10 +28,10 @@ from ...transport.tls.context import web_context
 from ...transport.tls.renewal import WatchedContext
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
-from .access import AccessToken, AsgiApplication, PageAccessRules, Role
+from .access_tokens import SHORTEST_TOKEN, is_token, new_token
 from .application import PageModule, guarded, page_resources
 from .connections import SharedConnections
-from .page_tokens import SHORTEST_TOKEN, is_token, new_token
+from .request_guard import AccessToken, AsgiApplication, PageAccessRules, Role
 
 KEY: Final = "api"
 _WISH_LIMIT: Final = 256 * 1024

@@ -19,8 +19,8 @@ from ...errors import ModbusError
 from ...values.unfit_values import shown
 from ...version import __version__
 from ..control.json_status import plain
-from .access import Role, require
 from .messages import Failure, plain_value
+from .request_guard import Role, require
 from .simulation_faults import add_fault_to, all_fault_profiles, all_faults, fault_named
 from .simulation_messages import (
     Connections,

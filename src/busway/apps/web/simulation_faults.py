@@ -7,7 +7,7 @@ from dataclasses import fields
 from typing import Any
 
 from ...errors import ConfigError
-from ...faults.fault import Schedule, Selection
+from ...faults.applied_faults import Schedule, Selection
 from ...faults.profile import FaultProfile
 from .messages import plain_value
 from .simulation_messages import FaultAnswer, FaultyAnswer, NewFault, ParameterAnswer, plain_values

@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 from ...codes import Table
-from ...faults.fault import Schedule
+from ...faults.applied_faults import Schedule
 from ...faults.profile import FaultProfileTable
 from ...server.status import ServerStatus
 

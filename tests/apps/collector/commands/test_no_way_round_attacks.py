@@ -14,7 +14,7 @@ from waiting import set_forward, until
 
 from busway.apps.collector.commands.claims import KeysUnavailable
 from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
-from busway.apps.collector.commands.inputs import CommandMessageHandler, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandMessageHandler, InputMessage, InputRights
 from busway.apps.collector.commands.rights import WriterRights
 from busway.codes import Table
 from busway.errors import InvalidRequest

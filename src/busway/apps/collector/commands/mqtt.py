@@ -25,7 +25,7 @@ from typing import Any, Final
 from ....extras import require
 from ..sinks.mqtt import topic_level
 from ..sinks.mqtt_connection import connect
-from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
+from .command_messages import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
 from .message_tasks import MOST_AT_ONCE, MessageTasks
 
 _LONGEST_TOPIC: Final = 500

@@ -21,7 +21,7 @@ from ....extras import require
 from ..sinks.hidden_secrets import HiddenSecrets
 from ..sinks.nats import subject_token
 from ..sinks.nats_connection import nats_client_kind
-from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
+from .command_messages import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
 from .message_tasks import MOST_AT_ONCE, MessageTasks
 
 _log = logging.getLogger("busway.collector.commands")

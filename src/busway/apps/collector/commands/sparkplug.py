@@ -20,7 +20,7 @@ from functools import partial
 from typing import Final
 
 from ..sinks.sparkplug import SparkplugCommand
-from .inputs import CommandMessageHandler, InputMessage, InputRights
+from .command_messages import CommandMessageHandler, InputMessage, InputRights
 from .message_tasks import MessageTasks
 
 PLACE: Final = "{device}/{point}"

@@ -7,7 +7,13 @@ import pytest
 
 from busway.codes import DiagnosticCode
 from busway.pdu.device_interface import Refusal
-from busway.session.diagnostics import EVENT_LOG_SIZE, CommunicationState, Counters, HeardCounters, LineDiagnostics
+from busway.session.diagnostic_counters import (
+    EVENT_LOG_SIZE,
+    CommunicationState,
+    DiagnosticCounters,
+    HeardCounters,
+    LineDiagnostics,
+)
 
 COUNTERS = {
     0x0B: "bus_message_count",
@@ -135,7 +141,7 @@ def test_0a_clears_counters_counts_and_the_diagnostic_register_and_keeps_the_log
     one.line.exchanged[1] += 3
     one.line.received_damaged()
     assert one.diagnose(0x0A, b"\x00\x00") == b"\x00\x00"
-    assert one.counters == Counters()
+    assert one.counters == DiagnosticCounters()
     assert (one.event_count, one.message_count, one.diagnostic_register) == (0, 0, 0)
     assert len(log(one)) == 7
 
@@ -189,7 +195,7 @@ def test_a_restart_comes_after_its_answer_and_ff00_also_clears_the_log(data: byt
     assert one.diagnose(0x01, data) == data
     assert one.message_count == 2, "not before the answer"
     one.answered()
-    assert one.counters == Counters()
+    assert one.counters == DiagnosticCounters()
     assert (one.event_count, one.message_count) == (0, 0)
     assert log(one) == b"\x00" + kept
     # Only once.
@@ -213,7 +219,7 @@ def test_listen_only_mode_is_entered_and_left_without_an_answer() -> None:
     one.kept_silent()
     assert not one.listen_only
     assert log(one)[:3] == b"\x00\x60\xa0"
-    assert one.counters == Counters()
+    assert one.counters == DiagnosticCounters()
 
 
 @pytest.mark.clause("S17")
@@ -389,9 +395,9 @@ def test_each_unit_of_a_line_counts_what_is_for_it_and_all_hear_the_same() -> No
     one.answered(exception=6)
     line.received_damaged(overrun=True)
     line.received_foreign()
-    assert one.counters == Counters(2, 1, 0, 1, 0, 0, 1, 1)
-    assert other.counters == Counters(2, 1, 0, 0, 0, 0, 0, 1)
-    assert line.counters == Counters(2, 1, 0, 1, 0, 0, 1, 1), "what is heard is not summed up"
+    assert one.counters == DiagnosticCounters(2, 1, 0, 1, 0, 0, 1, 1)
+    assert other.counters == DiagnosticCounters(2, 1, 0, 0, 0, 0, 0, 1)
+    assert line.counters == DiagnosticCounters(2, 1, 0, 1, 0, 0, 1, 1), "what is heard is not summed up"
     assert log(one) == b"\x92\x44\x80"
     assert log(other) == log(line.of(9)) == b"\x92", "a unit that nothing was sent to has heard it too"
     assert line.of(9).counters == other.counters
@@ -411,7 +417,7 @@ def test_restart_and_clear_concern_the_unit_addressed(sub_code: int) -> None:
     if sub_code == 0x01:
         line.of(3).answered()
     assert line.of(1).counters == before
-    cleared = replace(before, bus_character_overrun_count=0) if sub_code == 0x14 else Counters()
+    cleared = replace(before, bus_character_overrun_count=0) if sub_code == 0x14 else DiagnosticCounters()
     assert line.of(3).counters == cleared
     line.received_foreign()
     assert line.of(3).counters.bus_message_count == cleared.bus_message_count + 1

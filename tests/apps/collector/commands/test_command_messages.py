@@ -17,8 +17,14 @@ from waiting import until
 
 import busway
 from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
+from busway.apps.collector.commands.command_messages import (
+    CommandMessageHandler,
+    InputMessage,
+    InputRights,
+    overlap,
+    parsed,
+)
 from busway.apps.collector.commands.input_options import make_input
-from busway.apps.collector.commands.inputs import CommandMessageHandler, InputMessage, InputRights, overlap, parsed
 from busway.apps.collector.commands.journal import CUT_OFF, CommandJournal
 from busway.apps.collector.commands.mqtt import MqttCommands
 from busway.apps.collector.commands.nats import NatsCommands

@@ -12,8 +12,9 @@ import asyncio
 from collections.abc import Callable, Iterator
 
 from ..server.connection_tap import TappedConnection
+from .applied_faults import Faults
 from .clock import Clock, LoopClock, Timer
-from .fault import Carrier, Contact, Faults
+from .fault import Carrier, Contact
 from .faulty_conversation import FaultyConversation
 
 _CONNECTED = frozenset({"tcp", "tls"})

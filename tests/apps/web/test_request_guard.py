@@ -7,7 +7,7 @@ from websockets.sync.client import connect
 
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
-from busway.apps.web.access import BODY_LIMIT
+from busway.apps.web.request_guard import BODY_LIMIT
 from busway.apps.web.simulation_page import ControlPage
 from busway.errors import ConfigError
 

@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
-from busway.transport import interfaces
-from busway.transport.interfaces import Interface, interfaces_with
+from busway.transport import network_interfaces as interfaces
+from busway.transport.network_interfaces import Interface, interfaces_with
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="only Linux is asked")
 

@@ -14,7 +14,8 @@ Knows messages and the runner of commands; knows no broker.
 5. In a fleet the owner of a link executes the commands for its devices. If the server gives each message to only one
    collector, that one passes it on to the owner. If messages go to all collectors, only the owner answers; for a link
    without an owner one collector answers with an error. A message to all may reach a new owner late, when the owner
-   before has executed it already: so a command without a key is refused for `SETTLED` seconds after a link came here.
+   before has executed it already: so a command without a key is refused until a link has been here for
+   `SECONDS_AFTER_CHANGE_OF_OWNER`.
 6. The seconds in which a command may be sent count from the arrival of its message, also while it waits for others.
 """
 
@@ -41,7 +42,7 @@ LONGEST_REQUEST: Final = 16_384
 """Most bytes of a message with a command."""
 PAUSE: Final = 0.5
 PAUSE_LIMIT: Final = 30.0
-SETTLED: Final = 30.0
+SECONDS_AFTER_CHANGE_OF_OWNER: Final = 30.0
 """Seconds after a change of a link's owner in which a message may arrive that the earlier owner has executed."""
 _LONGEST_NAME: Final = 100
 _KNOWN: Final = frozenset({"value", "key", "expires", "by"})
@@ -293,9 +294,14 @@ class CommandMessageHandler:
             if "key" not in given:
                 command = replace(command, key=f"write-{secrets.token_hex(12)}")
             return _encoded(await self._others.pass_on(command, rights.role))
-        if since is not None and not self._is_shared and "key" not in given and arrived - since < SETTLED:
+        if (
+            since is not None
+            and not self._is_shared
+            and "key" not in given
+            and arrived - since < SECONDS_AFTER_CHANGE_OF_OWNER
+        ):
             reason = "its owner before may have executed this; send it with a key, or later"
-            left = since + SETTLED - arrived
+            left = since + SECONDS_AFTER_CHANGE_OF_OWNER - arrived
             return self._refuse(message.where, f"the link of {device} came here just now, and {reason} ({left:.0f} s)")
         try:
             result = await self._runner.write(

@@ -8,7 +8,7 @@ from examples import examples
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from busway.server.connection_limits import SECONDS_TO_SPEAK, ConnectionSlots, SlotLimits, SlotPool
+from busway.server.connection_slots import SECONDS_TO_SPEAK, ConnectionSlots, SlotLimits, SlotPool
 
 
 @dataclass(eq=False)

@@ -1,4 +1,4 @@
-"""Adaptive timeout of a scan for units: as short as possible without missing a unit, judged by the replies so far.
+"""Timeout of a scan for units: as short as possible without missing a unit, judged by the replies so far.
 
 Knows response times; knows no line and no clock.
 
@@ -30,7 +30,7 @@ def floor_for(character: float) -> float:
     return ROOM + CHARACTERS * character
 
 
-class AdaptiveTimeout:
+class ScanTimeout:
     """Timeout of one scan for units: the time to wait for each unit's reply, shortened by the replies seen so far.
 
     Attributes:

@@ -1,4 +1,4 @@
-"""The counters of a server: connections, requests, refusals and bytes."""
+"""The counters of a server since its start: connections, requests, refusals and bytes."""
 
 from dataclasses import dataclass, field, fields, replace
 from typing import Self

@@ -20,19 +20,19 @@ from typing import Final
 from ..errors import LinkDown
 from ..observe.connection_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
-from ..session.diagnostics import LineDiagnostics
+from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline
 from ..session.responder import ClientIdentity
 from ..session.serial_server import FrameToSend, SerialServerSession
 from ..transport.serial.connection import SerialConnection
 from ..transport.serial.exact_timer import ExactTimer
-from ..transport.serial.opening import Claim, reopen_policy
 from ..transport.serial.overruns import Overruns
-from ..transport.serial.reopen import open_when_there
+from ..transport.serial.port_claims import PortClaim
+from ..transport.serial.reopen import ReopenPolicy, open_when_there
 from .connection_tap import ConnectionTap, TappedConnection, stay
-from .counters import ServerCounters
 from .listener_settings import ListenerSettings
 from .responder_failures import begin_late_answers, report_failures
+from .server_counters import ServerCounters
 from .status import ListenerStatus
 from .status_indicators import Diagnosis
 
@@ -89,7 +89,7 @@ class SerialListener:
             client=ClientIdentity(self.name, self.name),
         )
         self._connection: SerialConnection | None = None
-        self._claim: Claim | None = None
+        self._claim: PortClaim | None = None
         self._opening: asyncio.Task[None] | None = None
         self._tasks: set[asyncio.Task[None]] = set()
         self._pending: FrameToSend | None = None
@@ -108,7 +108,7 @@ class SerialListener:
             LinkDown: the port is in use (the message names the holder), or this user may not open it.
             ConfigError: it is no serial port, does not support the settings, or is in use in this process.
         """
-        self._claim = Claim(self._settings.endpoint.path, "busway.serve")
+        self._claim = PortClaim(self._settings.endpoint.path, "busway.serve")
         self._emission_timer = ExactTimer(self._emit)
         if self._settings.opening.precise_timing:
             self._spin = SPIN if self._emission_timer.exact else COARSE_SPIN
@@ -198,7 +198,7 @@ class SerialListener:
 
     async def _open_when_there(self) -> None:
         try:
-            await open_when_there(self._open_once, reopen_policy(self._settings.opening), waiting=self._still_waiting)
+            await open_when_there(self._open_once, ReopenPolicy.of(self._settings.opening), waiting=self._still_waiting)
         except Exception as error:
             # A setting that the new port does not take: nothing to wait for, but the other listeners go on.
             _log.error("%s: given up: %s", self.name, error)

@@ -1,7 +1,7 @@
-"""The limit of requests that a server works on at once (Messaging on TCP/IP V1.0b §4.4.2.1)."""
+"""The slots that limit how many requests a server works on at once: NumberMaxOfServerTransaction (TCP/IP §4.4.2.1)."""
 
 
-class TransactionSlots:
+class ServerTransactionSlots:
     """Limit of how many requests may be processed at once, 1…16: NumberMaxOfServerTransaction (TCP/IP §4.4.2.1).
 
     Each connection has slots of its own, or all connections of a server share them. This object only counts: the user
@@ -19,6 +19,6 @@ class TransactionSlots:
         self.used: int = 0
         self._of_each_connection = of_each_connection
 
-    def taken(self) -> "TransactionSlots":
+    def taken(self) -> "ServerTransactionSlots":
         """Return the slots that a new connection has to use: new ones, or this object if all connections share it."""
-        return TransactionSlots(self.limit) if self._of_each_connection else self
+        return ServerTransactionSlots(self.limit) if self._of_each_connection else self

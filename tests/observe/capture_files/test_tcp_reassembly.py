@@ -6,7 +6,7 @@ from captured import pieces
 from hypothesis import given
 from hypothesis import strategies as st
 
-from busway.observe.capture_files.streams import (
+from busway.observe.capture_files.tcp_reassembly import (
     FARTHEST,
     MOST_WAITING,
     StreamAssembler,

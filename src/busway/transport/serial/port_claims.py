@@ -1,10 +1,10 @@
-"""Which serial ports this process has open, so that two users of one are refused; and how ports are opened again.
+"""Claims of serial ports: which ones this process has open, so that a second user of one is refused.
 
 Knows names of ports; opens none and knows no Modbus.
 
 1. A port belongs to one user in a process: two event loops, or an event loop and a thread, would take each other's
    bytes. The system's own lock does not help where it is switched off.
-2. A claim ends with `Claim.release`, or when its object is no longer referenced.
+2. A claim ends with `PortClaim.release`, or when its object is no longer referenced.
 """
 
 import os
@@ -13,16 +13,9 @@ import weakref
 
 from ...errors import ConfigError
 from ...extras import require
-from ...options.ports import OpeningParameters
-from .reopen import ReopenPolicy
 
 
-def reopen_policy(parameters: OpeningParameters) -> ReopenPolicy:
-    """Return the pauses between attempts to open a lost serial port again; the number of attempts has no limit."""
-    return ReopenPolicy(first=parameters.reopen_first, most=parameters.reopen_most)
-
-
-class Claim:
+class PortClaim:
     """The exclusive right of one user in this process to a serial port, until `release`."""
 
     __slots__ = ("__weakref__", "port", "user")
@@ -58,7 +51,7 @@ class Claim:
 
 
 _lock = threading.Lock()
-_claims: "weakref.WeakValueDictionary[str, Claim]" = weakref.WeakValueDictionary()
+_claims: "weakref.WeakValueDictionary[str, PortClaim]" = weakref.WeakValueDictionary()
 
 
 def _key(port: str) -> str:

@@ -10,7 +10,7 @@ error, whatever the packets are.
 3. Each datagram is read by itself, and so is each packet of a line whose kind makes it one frame; other bytes of a
    line are one stream, in which silence ends frames.
 4. Limits: `MOST_CHANNELS` at once of TCP connections and lines together, and as many pairs of UDP addresses; then the
-   one that was silent longest is ended. Each keeps part of a frame, and the segments that `streams` holds back.
+   one that was silent longest is ended. Each keeps part of a frame, and the segments that `tcp_reassembly` holds back.
 """
 
 from collections import Counter, OrderedDict
@@ -19,10 +19,10 @@ from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
+from ...framing.character_times import SerialTiming
 from ...framing.frame_direction import LineRole
 from ...framing.mbap import HEADER_SIZE, MAX_LENGTH, MIN_LENGTH, FrameKind, MbapFrame, MbapReceiver, encode_mbap
 from ...framing.received import Damaged, Direction, FrameOrDamage, SerialFrame, SerialReceiver
-from ...framing.timing import SerialTiming
 from ...pdu.functions import STANDARD
 from ...session.line_framing import line_framing
 from ...values.counts import counted
@@ -30,7 +30,7 @@ from ..capture_headers import Node
 from ..dissect import Framing
 from .layers import Ignored, LineBytes, TcpSegment, UdpDatagram, carried
 from .packet_file import CapturedPacket
-from .streams import StreamAssembler, StreamGap, StreamPart, StreamPiece
+from .tcp_reassembly import StreamAssembler, StreamGap, StreamPart, StreamPiece
 
 MODBUS_PORT: Final = 502
 """The port of Modbus servers, unless others are given."""

@@ -13,7 +13,7 @@ import time
 from collections.abc import Callable, Container, Sequence
 from typing import Final
 
-from ..session.diagnostics import LineDiagnostics
+from ..session.diagnostic_counters import LineDiagnostics
 from ..session.line_framing import LineFraming
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
@@ -24,7 +24,7 @@ SHARE_OF_BYTES: Final = 520
 """Most bytes that one call processes: the longest frame in ASCII, or 65 whole reads in RTU."""
 
 
-class FramedSession:
+class SerialOverNetworkSession:
     """The server session of one connection that carries RTU or ASCII frames.
 
     Attributes:
@@ -193,5 +193,5 @@ class FramedSession:
             self._timer = None
 
 
-Session = TcpServerSession | FramedSession
+Session = TcpServerSession | SerialOverNetworkSession
 """The server session of a network connection: for MBAP, or for RTU and ASCII. Drivers use both classes alike."""

@@ -14,8 +14,7 @@ from busway.framing.ascii import encode_ascii
 from busway.framing.received import Direction
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
-from busway.observe.capture_files.packet_file import CapturedPacket, PacketFile
-from busway.observe.capture_files.traffic import (
+from busway.observe.capture_files.frame_extraction import (
     CapturedFrame,
     CapturedTraffic,
     ChannelEnd,
@@ -24,6 +23,7 @@ from busway.observe.capture_files.traffic import (
     TrafficEvent,
     TrafficFault,
 )
+from busway.observe.capture_files.packet_file import CapturedPacket, PacketFile
 from busway.observe.capture_headers import Node, line_pdu, tcp_packet, udp_packet
 from busway.observe.dissect import Framing
 
@@ -198,7 +198,7 @@ def test_rtu_over_tcp_has_the_directions_of_its_addresses() -> None:
 
 
 def test_connections_are_limited_and_the_one_silent_longest_ends(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("busway.observe.capture_files.traffic.MOST_CHANNELS", 3)
+    monkeypatch.setattr("busway.observe.capture_files.frame_extraction.MOST_CHANNELS", 3)
     packets = []
     for port in range(5):
         talk = Talk(client=Node(IPv4Address("10.0.0.9"), 40_000 + port))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from busway.apps.web.access import AccessToken, Role
-from busway.apps.web.page_tokens import KeptTokens
+from busway.apps.web.access_tokens import KeptTokens
+from busway.apps.web.request_guard import AccessToken, Role
 from busway.errors import ConfigError
 
 LONG = "a-token-that-is-long-enough"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from busway.framing.timing import Parity, SerialTiming, character_bits, stop_bits_for
+from busway.framing.character_times import Parity, SerialTiming, character_bits, stop_bits_for
 
 
 @pytest.mark.clause("S7")

@@ -1,4 +1,4 @@
-"""Diagnostics that functions 08, 11 and 12 read: counters, event log and listen-only mode of a server's units.
+"""The diagnostic counters of a server's units, with event log and listen-only mode: what functions 08, 11 and 12 read.
 
 Knows when something is counted; knows no bytes and no port (Application Protocol V1.1b3 §6.8–§6.10, Serial Line
 V1.02 appendix A).
@@ -80,7 +80,7 @@ _PLAIN_EXCHANGE = bytes((_SENT, _RECEIVED))
 
 
 @dataclass(slots=True)
-class Counters:
+class DiagnosticCounters:
     """The eight diagnostic counters of function 08, named as its sub-functions 0B…12."""
 
     bus_message_count: int = 0
@@ -177,13 +177,13 @@ class LineDiagnostics:
         return state
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> DiagnosticCounters:
         """Counters of the whole line: what was heard since the start, and the sums of the units' own counters.
 
         A unit's own counters begin at its last restart or clear. The object is new at each access.
         """
         self.fold()
-        total = _with_heard(Counters(), self.heard, HeardCounters())
+        total = _with_heard(DiagnosticCounters(), self.heard, HeardCounters())
         for state in self._distinct():
             for name in _OWN_COUNTERS:
                 setattr(total, name, getattr(total, name) + getattr(state.own, name))
@@ -286,7 +286,7 @@ class CommunicationState:
     ) -> None:
         self.line: LineDiagnostics = LineDiagnostics(changes_allowed=changes_allowed) if line is None else line
         self.unit: int = unit
-        self.own: Counters = Counters()
+        self.own: DiagnosticCounters = DiagnosticCounters()
         self.program_command_running: bool = False
         self.diagnostic_register: int = 0
         self._event_count = 0
@@ -295,7 +295,7 @@ class CommunicationState:
         self._restart_clears_log: bool | None = None  # None: no restart is asked for
 
     @property
-    def counters(self) -> Counters:
+    def counters(self) -> DiagnosticCounters:
         """A copy of the eight diagnostic counters of the unit, up to date, since its last restart or clear."""
         self.line.fold()
         return _with_heard(self.own, self.line.heard, self._heard_before)
@@ -466,11 +466,11 @@ class CommunicationState:
         """Clear the unit's diagnostic counters, and the counts of functions 11 and 12 (§6.9, §6.10)."""
         self.line.fold()
         self._heard_before = replace(self.line.heard)
-        self.own = Counters()
+        self.own = DiagnosticCounters()
         self._event_count = 0
 
 
-def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> Counters:
+def _with_heard(own: DiagnosticCounters, heard: HeardCounters, before: HeardCounters) -> DiagnosticCounters:
     """Return a unit's own counters plus what was heard on its line since the counts ``before``."""
     return replace(
         own,
@@ -482,6 +482,6 @@ def _with_heard(own: Counters, heard: HeardCounters, before: HeardCounters) -> C
 
 _OWN_COUNTERS = tuple(
     field.name
-    for field in fields(Counters)
+    for field in fields(DiagnosticCounters)
     if field.name not in {"bus_message_count", "bus_communication_error_count", "bus_character_overrun_count"}
 )

@@ -1,4 +1,4 @@
-"""The timeout for replies of one polled device: adaptive on TCP, as configured on serial lines.
+"""The adaptive timeout for replies of one polled device: adapts on TCP, stays as configured on serial lines.
 
 Pure: knows seconds.
 
@@ -18,7 +18,7 @@ _GAIN: Final = 0.125
 _DEVIATION_GAIN: Final = 0.25
 
 
-class ReplyTimeout:
+class AdaptiveTimeout:
     """The timeout for replies of one polled device; adapts to its reply times if replies carry an identifier.
 
     Args:

@@ -26,7 +26,7 @@ from typing import Final
 
 from ...errors import ConfigError
 from ...safe_files import read_safely
-from .access import ROLES, AccessToken, Role
+from .request_guard import ROLES, AccessToken, Role
 
 TOKEN_FILE: Final = "page-tokens"
 """Name of the file in the folder of the store."""

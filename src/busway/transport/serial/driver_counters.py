@@ -14,7 +14,7 @@ _LAYOUT = struct.Struct("11i9i")
 
 
 @dataclass(frozen=True, slots=True)
-class LineCounters:
+class DriverCounters:
     """What a port's driver has counted: characters, errors and breaks.
 
     Attributes:
@@ -33,9 +33,9 @@ class LineCounters:
     buffer_overruns: int = 0
     breaks: int = 0
 
-    def since(self, earlier: "LineCounters") -> "LineCounters":
+    def since(self, earlier: "DriverCounters") -> "DriverCounters":
         """Return the difference between these counters and ``earlier`` ones of the same port."""
-        return LineCounters(
+        return DriverCounters(
             received=self.received - earlier.received,
             sent=self.sent - earlier.sent,
             framing_errors=self.framing_errors - earlier.framing_errors,
@@ -46,10 +46,10 @@ class LineCounters:
         )
 
 
-def read_counters(descriptor: int, ioctl: Ioctl = system_ioctl) -> LineCounters | None:
+def read_counters(descriptor: int, ioctl: Ioctl = system_ioctl) -> DriverCounters | None:
     """Return the counters of an open port; None if its driver keeps none (many USB adapters, pseudo-terminals)."""
     buffer = bytearray(_LAYOUT.size)
     if not asked(ioctl, descriptor, TIOCGICOUNT, buffer):
         return None
     _, _, _, _, received, sent, framing, overrun, parity, breaks, buffer_overrun, *_ = _LAYOUT.unpack(buffer)
-    return LineCounters(received, sent, framing, parity, overrun, buffer_overrun, breaks)
+    return DriverCounters(received, sent, framing, parity, overrun, buffer_overrun, breaks)
