@@ -60,14 +60,14 @@ ONE_PYTHON := $(addprefix tests/, \
 	bench docs fuzz speed_guard typing testing/test_plugin.py \
 	$(addprefix test_, coroutine_tests.py extras.py gate.py imports.py makefile.py no_circles.py room_maps.py words.py) \
 	access/test_policy_fuzz.py apps/gateway/test_no_way_round.py server/test_no_way_round.py \
-	$(addprefix session/test_, client_stateful.py late_replies_model.py multidrop.py unit_breaker.py) \
+	$(addprefix session/test_, client_stateful.py multidrop.py serial_late_replies_model.py unit_breaker.py) \
 	$(addprefix apps/collector/test_, clock_trust_walk.py clock_walk.py dashboards.py held_walk.py learning.py \
 	many_dead_devices.py plan.py reload_walk.py right_values.py schedule.py) \
-	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collected.py \
+	apps/collector/alarms/test_alarm_walk.py apps/collector/alarms/test_collector_alarms.py \
 	$(addprefix apps/collector/commands/test_, crashes.py no_way_round_rules.py no_write_twice.py) \
 	$(addprefix apps/collector/sinks/test_, delivery_walk.py hour_outage.py kills.py real_servers.py sparkplug_walk.py) \
-	$(addprefix apps/collector/store/test_, backup_walk.py crashes.py power_failure.py reading.py same_answers.py \
-	sealed_files.py store_walk.py) \
+	$(addprefix apps/collector/store/test_, backup_walk.py crashes.py power_failure.py store_reader.py same_answers.py \
+	sealed_reader.py store_walk.py) \
 	apps/control/test_service.py \
 	$(addprefix apps/fleet/test_, chain_model.py coordinators.py gap_coverage.py lease_holder.py outbox_walk.py) \
 	$(addprefix cli/test_, demo.py fleet.py gateway.py serve_access.py simulate.py simulate_api.py simulate_faults.py \

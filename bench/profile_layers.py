@@ -28,12 +28,12 @@ import busway
 from busway.options.client import ClientParameters
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 
 Step = Callable[[], object]
 
@@ -104,7 +104,7 @@ def server_steps() -> dict[str, Step]:
         made = TcpServerSession(
             RequestPipeline(own),
             diagnostics=LineDiagnostics(),
-            slots=TransactionSlots(16),
+            slots=ServerTransactionSlots(16),
             deliver=_nothing,
             client=ClientIdentity(peer="127.0.0.1:1"),
         )

@@ -11,7 +11,7 @@ from typing import Any
 
 from marked import ROOT, update
 
-from busway.framing.timing import Parity
+from busway.framing.character_times import Parity
 from busway.options.declaration import Option
 from busway.options.offer import LINKS, SERVERS, Offer
 from busway.options.presets import Preset

@@ -76,5 +76,5 @@ def test_every_name_that_is_imported_is_there(folder: str) -> None:
 def test_a_name_that_is_not_there_is_found() -> None:
     used = list(names_used(ast.parse('from busway.codes import Gone\nm.setattr("busway.codes.LOST", 1)')))
     assert [is_there(*one) for one in used] == [False, False]
-    assert is_there("busway.session.client", "TcpClientSession")
+    assert is_there("busway.session.tcp_client", "TcpClientSession")
     assert is_there("busway", "session")

@@ -27,5 +27,5 @@ NAMES = {
 
 
 def layer_of(module: str) -> str:
-    """``L3`` for ``session/client.py``; empty for what is not in the house."""
+    """``L3`` for ``session/tcp_client.py``; empty for what is not in the house."""
     return LAYERS.get(module.partition("/")[0].removesuffix(".py"), "L5")

@@ -20,8 +20,8 @@ from pathlib import Path
 
 from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.store.commit_thread import Committer
-from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.sealing import can_seal
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 BEGIN = 1_800_000_000 * 10**9

@@ -37,7 +37,7 @@ KEEP = 4_000_000_000
 """Bytes of the store: what is older is dropped meanwhile, as in a plant that runs for years."""
 PAGE = """
 import json, os, sqlite3, sys, time
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 os.sched_setaffinity(0, {int(sys.argv[3])})
 until, store, times = time.monotonic() + float(sys.argv[2]), Store(sys.argv[1]), []
 failures = 0

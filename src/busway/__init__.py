@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from .access.authorizer import PolicyAuthorizer
     from .access.rules import Policy, Rule
     from .apps.collector.collector import Collector, collect
-    from .apps.collector.store.reading import Store
+    from .apps.collector.store.store_reader import Store
     from .apps.control.service import Control
     from .apps.gateway.configuration import load_gateway, simple_gateway
     from .apps.gateway.gateway import Gateway
@@ -115,7 +115,7 @@ if TYPE_CHECKING:
 _HOME = {
     "apps.server.configuration": ("Configuration", "load_configuration"),
     "apps.collector.collector": ("Collector", "collect"),
-    "apps.collector.store.reading": ("Store",),
+    "apps.collector.store.store_reader": ("Store",),
     "apps.gateway.configuration": ("load_gateway", "simple_gateway"),
     "client.aio": ("AsyncLink", "AsyncUnit", "open"),
     "client.blocking": ("BlockingLink", "BlockingUnit", "connect"),

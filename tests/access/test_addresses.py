@@ -37,6 +37,14 @@ def test_an_entry_that_cannot_be_names_its_list(name):
     assert caught.value.key == name
 
 
+def test_an_empty_list_of_allowed_hosts_does_not_permit_all_of_them():
+    with pytest.raises(ConfigError, match="is empty") as caught:
+        AddressList(allow=[])
+    assert caught.value.key == "allow"
+    assert not AddressList([], secure=True)("10.0.0.7")
+    assert AddressList([], secure=False)("10.0.0.7")
+
+
 def test_lists_that_say_the_same_are_equal():
     assert AddressList(["::1"]) == AddressList(["::1"], secure=True)
     assert hash(AddressList(["::1"])) == hash(AddressList(["::1"], secure=True))

@@ -18,7 +18,7 @@ from busway.pdu.write_items import (
     WriteMultipleCoils,
     WriteSingleCoil,
 )
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import SILENCE, ClientIdentity, Judged, RequestContext
 
 

@@ -20,10 +20,10 @@ from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, Wr
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.responder_failures import answer_later
-from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.responder import LATER, SILENCE, ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 READ = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 0, 2)
 READ_FAR = struct.pack(">HHHBBHH", 1, 0, 6, 1, 3, 8, 2)
@@ -44,7 +44,7 @@ def session(handler, peer="10.0.0.7:5000", role=None, sent=None):
     return TcpServerSession(
         handler,
         diagnostics=LineDiagnostics(),
-        slots=TransactionSlots(16),
+        slots=ServerTransactionSlots(16),
         deliver=(sent if sent is not None else []).append,
         client=ClientIdentity(peer=peer, role=role, listener="tcp://0.0.0.0:502"),
     )

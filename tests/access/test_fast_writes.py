@@ -14,10 +14,10 @@ from busway.access.rules import Policy, Rule
 from busway.pdu.exception_response import ExceptionResponse
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.responder import ClientIdentity, RequestContext, ServedUnit
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 ZONES = Policy.of(
     Rule.of(name="small", addresses="holding:0-4", values=(0, 9)),
@@ -40,7 +40,7 @@ def session(handler: AuthorizedPipeline, peer: str = "10.0.0.7:5000") -> TcpServ
     return TcpServerSession(
         handler,
         diagnostics=LineDiagnostics(),
-        slots=TransactionSlots(16),
+        slots=ServerTransactionSlots(16),
         deliver=lambda adu: None,
         client=ClientIdentity(peer=peer, listener="tcp://0.0.0.0:502"),
     )

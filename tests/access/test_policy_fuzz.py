@@ -31,11 +31,11 @@ from busway.pdu.write_items import (
 )
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import NO_FAST_PATH, FastPath
 from busway.session.responder import ClientIdentity, RequestContext
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 ITEMS = 40
 PEERS = (("10.0.0.7:5000", None), ("10.0.0.7:5001", "op"), ("[fe80::9]:5002", None), ("192.168.1.1:9", "guest"))
@@ -352,7 +352,7 @@ class World:
             TcpServerSession(
                 self.handler,
                 diagnostics=LineDiagnostics(),
-                slots=TransactionSlots(16),
+                slots=ServerTransactionSlots(16),
                 deliver=lambda adu: None,
                 client=ClientIdentity(peer=peer, role=role),
             )

@@ -9,6 +9,8 @@ from typing import Any
 import pytest
 from json_schema import faults
 
+import busway
+
 GOOD = """\
 listen = ["tcp://0.0.0.0:5020"]
 
@@ -76,6 +78,72 @@ def test_show_prints_every_value_that_holds_in_the_words_of_the_file(run: Callab
     assert shown["server"]["idle_timeout"] == 60.0
     assert shown["server"]["backlog"] == 1024
     assert shown["link"][0]["timeout"] == 0.5
+
+
+WHOLE = """\
+policy = "read-only"
+
+[server]
+preset = "strict"
+
+[client]
+supported_connections = 44
+
+[audit]
+path = "audit.jsonl"
+on_failure = "refuse"
+
+[metrics]
+listen = "127.0.0.1:9502"
+
+[control]
+enabled = false
+
+[[unit]]
+unit = [1, 2]
+description = "two\\nlines \\u007f \\"quoted\\""
+identification = { "0x80" = "own", vendor_name = { hex = "01 02" } }
+
+[[unit.point]]
+name = "level"
+address = "4x1"
+scale = 0.1
+meta = { since = 2026-01-01 }
+alarm = [{ kind = "H", limit = 5 }]
+
+[[unit.group]]
+name = "string"
+point = [{ name = "voltage", address = "4x2" }]
+"""
+RULES = """\
+
+[policy]
+default = "deny"
+allow = ["127.0.0.0/8"]
+
+[[policy.rule]]
+functions = ["write"]
+addresses = "4x1-4x10"
+values = { min = 1, max = 5 }
+"""
+
+
+@pytest.mark.parametrize("text", [WHOLE, WHOLE.replace('policy = "read-only"', "") + RULES, GOOD])
+def test_show_prints_a_file_that_means_the_same(run: Callable[..., Any], tmp_path: Path, text: str) -> None:
+    first, second = tmp_path / "first.toml", tmp_path / "second.toml"
+    first.write_text(text, encoding="utf-8")
+    shown = run("config", "show", str(first))
+    assert (shown.code, shown.err) == (0, "")
+    second.write_text(shown.out, encoding="utf-8")
+    one, other = busway.load_configuration(first), busway.load_configuration(second)
+    assert other.access == one.access
+    assert (other.audit, other.file.audit_parameters) == (one.audit, one.file.audit_parameters)
+    assert other.file.metrics_address == one.file.metrics_address
+    assert other.file.control_parameters == one.file.control_parameters
+    assert other.file.client.supported_connections == one.file.client.supported_connections
+    assert other.file.unit == one.file.unit
+    assert tomllib.loads(shown.out)["unit"] == tomllib.loads(text)["unit"]
+    assert run("config", "show", str(second)).out == shown.out
 
 
 @pytest.mark.clause("T33")

@@ -22,7 +22,7 @@ from busway.apps.fleet.control_entries import read_entries
 from busway.apps.fleet.coordinator import RevisionConflict
 from busway.apps.fleet.coordinators.nats import open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
-from busway.apps.fleet.records import MemberRecord
+from busway.apps.fleet.table_records import MemberRecord
 
 pytest.importorskip("nats")
 pytest.importorskip("msgpack")

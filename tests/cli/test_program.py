@@ -78,7 +78,7 @@ NOT_SERVED = (
     "busway.apps.simulator", "busway.client.link", "busway.config.files.collector", "busway.config.files.gateway",
     "busway.config.files.simulation", "busway.config.profiles", "busway.faults", "busway.framing.ascii",
     "busway.framing.rtu", "busway.observe.capture", "busway.observe.http_connection", "busway.observe.metrics",
-    "busway.points.decoder", "busway.server.line", "busway.server.udp", "busway.session.client",
+    "busway.points.decoder", "busway.server.serial_listener", "busway.server.udp", "busway.session.tcp_client",
     "busway.session.serial_server", "busway.transport.serial.connection", "busway.transport.tls", "cryptography",
     "ctypes", "html", "http.client", "http.server", "prometheus_client", "rich", "serialx",
 )  # fmt: skip

@@ -15,7 +15,7 @@ from collected import PUMP, at, filled, read_of
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, StateInterval
 from busway.apps.collector.store.folder import SEGMENTS
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 
 

@@ -177,6 +177,17 @@ def test_check_says_what_the_file_comes_to_and_serves_nothing(run: Callable[...,
     assert (result.code, result.out, result.err) == (0, "unit 3: tank: 3 points, 2 with a behaviour\n", "")
 
 
+def test_check_opens_the_certificates_and_names_what_is_odd(run: Callable[..., Any], file: Path) -> None:
+    text = file.read_text(encoding="utf-8")
+    file.write_text(text + '[security]\ncertificate = "none.pem"\n', encoding="utf-8")
+    for command in (("simulate", str(file), "--check"), ("config", "check", str(file))):
+        result = run(*command)
+        assert (result.code, result.out) == (2, "")
+        assert "security.certificate: " in result.err
+    file.write_text(text + '[policy]\ndefault = "deny"\n[[policy.rule]]\nroles = ["Operator"]\n', encoding="utf-8")
+    assert "no client can have a role" in run("simulate", str(file), "--check").err
+
+
 def test_check_touches_no_kept_values(run: Callable[..., Any], file: Path) -> None:
     (file.parent / "state.json").write_text("{")
     assert run("simulate", str(file), "--check").code == 0

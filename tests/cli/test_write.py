@@ -120,6 +120,16 @@ def test_what_cannot_be_written_is_refused_before_anything_is_sent(
         assert word in result.err
 
 
+@pytest.mark.parametrize("arguments", [["4x1.3", "on"], ["4x1", "--mask", "0xFFF0", "0x0005"]])
+def test_a_function_that_would_not_be_sent_is_refused(
+    run: Callable[..., Any], url: str, device: Device, arguments: list[str]
+) -> None:
+    result = run("write", url, *arguments, "--function", "single")
+    assert result.code == 2
+    assert "--function: has no effect" in result.err
+    assert device.holding_registers[0] == 0
+
+
 def test_a_refusal_ends_as_4(run: Callable[..., Any], url: str) -> None:
     result = run("write", url, "4x1001", "1")
     assert result.code == 4
@@ -204,8 +214,11 @@ def test_a_write_that_is_not_read_back_says_that_it_was_written(
     device.functions = [5, 6, 15, 16, 22]  # it can be written and not read
     result = run("write", url, *arguments, "--verify")
     assert result.code == 7
-    assert result.out.splitlines()[0].endswith("  written")
+    assert all(line.endswith("  written, not read back") for line in result.out.splitlines())
     assert "it was written, but could not be read back" in result.err
+    told = [json.loads(line) for line in run("write", url, *arguments, "--verify", "--json").out.splitlines()]
+    assert all(each["written"] and each["verified"] is False and "holds" not in each for each in told)
+    assert run("write", url, *arguments, "--verify", "--csv").out.splitlines()[1].endswith('"written, not read back"')
 
 
 def test_a_broadcast_cannot_be_verified(run: Callable[..., Any], closed_port: str) -> None:

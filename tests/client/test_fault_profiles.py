@@ -10,7 +10,7 @@ import pytest
 from client_kinds import CLIENT_KINDS, AnyUnit, ClientKind
 
 import busway
-from busway.session.client import _STEP
+from busway.session.tcp_client import _STEP
 from busway.testing import FAULT_PROFILES, Carrier, FakeClock, Schedule, faulty_server
 
 TIMEOUT = 0.06

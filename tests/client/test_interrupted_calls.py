@@ -20,8 +20,8 @@ from busway.client.blocking_link import BlockingLinkDriver
 from busway.client.kept_late_replies import KEPT
 from busway.framing.rtu import encode_rtu
 from busway.pdu.read_items import ReadHoldingRegisters
-from busway.session.late_replies import Doubts, OwedReply
 from busway.session.serial_client import SerialClientSession
+from busway.session.serial_late_replies import Doubts, OwedReply
 from busway.testing import faulty_server, known_device
 
 READ = ReadHoldingRegisters(1, 1)

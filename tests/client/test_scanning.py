@@ -6,7 +6,7 @@ import pytest
 
 import busway
 from busway.client.scanning import FoundUnit
-from busway.observe.sniffing import LineToHear, Listening
+from busway.observe.sniffing import Listening, SniffedLine
 
 
 @pytest.fixture
@@ -64,10 +64,10 @@ def test_what_cannot_be_is_refused(url: str, arguments: dict[str, object], sente
 def test_a_line_is_listened_to_with_the_settings_of_the_scan(
     monkeypatch: pytest.MonkeyPatch, query: str, options: dict[str, object]
 ) -> None:
-    heard: list[LineToHear] = []
+    heard: list[SniffedLine] = []
 
     class BusyLine(Listening):
-        def __init__(self, line: LineToHear) -> None:
+        def __init__(self, line: SniffedLine) -> None:
             heard.append(line)
             self.bytes_heard = 1
 

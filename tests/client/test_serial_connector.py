@@ -7,9 +7,9 @@ import pytest
 
 from busway.client.serial_connector import SerialChannel, SerialStream
 from busway.errors import BadReply, NoReply
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.call import Call
@@ -17,7 +17,7 @@ from busway.session.line_framing import line_framing
 from busway.session.serial_client import SerialClientSession
 from busway.transport.serial.blocking import BlockingSerialPort
 from busway.transport.serial.connection import SerialConnection
-from busway.transport.serial.counters import LineCounters
+from busway.transport.serial.driver_counters import DriverCounters
 
 REPLY = encode_rtu(1, bytes.fromhex("03 02 00 07"))
 
@@ -31,8 +31,8 @@ class Port:
         self.lost = 5
         self.arrived: list[tuple[bytes, int]] = []
 
-    def counters(self) -> LineCounters | None:
-        return LineCounters(overruns=self.lost)
+    def counters(self) -> DriverCounters | None:
+        return DriverCounters(overruns=self.lost)
 
     def read(self, _timeout: float) -> tuple[bytes, int]:
         return self.arrived.pop(0) if self.arrived else (b"", 0)

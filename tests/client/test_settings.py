@@ -4,7 +4,7 @@ import pytest
 
 from busway.client.settings import link_settings
 from busway.errors import ConfigError
-from busway.framing.timing import Parity
+from busway.framing.character_times import Parity
 
 
 @pytest.mark.parametrize(

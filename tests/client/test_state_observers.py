@@ -20,10 +20,10 @@ def test_a_callback_is_told_each_change_once_until_it_is_removed() -> None:
     observers = StateObservers(ConnectionState.DOWN)
     remove = observers.add(lambda state, reason: told.append((state, reason)))
     for state in (ConnectionState.DOWN, ConnectionState.CONNECTING, ConnectionState.UP, ConnectionState.UP):
-        observers.tell(state, state.value[:2])
+        observers.notify(state, state.value[:2])
     remove()
     remove()
-    observers.tell(ConnectionState.DOWN, "")
+    observers.notify(ConnectionState.DOWN, "")
     assert told == [("connecting", "co"), ("up", "up")]
 
 
@@ -35,10 +35,10 @@ def test_one_function_registered_twice_is_told_twice_and_each_removal_removes_on
 
     observers = StateObservers(ConnectionState.DOWN)
     remove, _ = observers.add(note), observers.add(note)
-    observers.tell(ConnectionState.CONNECTING, "")
+    observers.notify(ConnectionState.CONNECTING, "")
     remove()
     remove()
-    observers.tell(ConnectionState.UP, "")
+    observers.notify(ConnectionState.UP, "")
     assert told == ["connecting", "connecting", "up"]
 
 
@@ -48,7 +48,7 @@ def test_an_error_of_a_callback_is_logged_and_the_others_are_told(caplog: pytest
     observers.add(lambda state, reason: 1 // 0)  # type: ignore[arg-type, return-value]
     observers.add(lambda state, reason: told.append(state))
     with caplog.at_level(logging.ERROR, logger="busway.client"):
-        observers.tell(ConnectionState.CONNECTING, "")
+        observers.notify(ConnectionState.CONNECTING, "")
     assert told == ["connecting"]
     assert "on_state" in caplog.text
 

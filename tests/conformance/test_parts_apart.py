@@ -23,16 +23,16 @@ from busway.options.sockets import SocketParameters
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
-from busway.server.connection_limits import Pool, PoolLimits, Pools
+from busway.server.connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
-from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 from busway.transport.tcp import configure
 
 pytestmark = pytest.mark.clause("T4")
@@ -58,7 +58,7 @@ def test_the_server_alone_makes_answers_of_indications() -> None:
             ScriptedHandler(lambda context, request: ReadHoldingRegisters.Reply(bytes.fromhex("0007 0008")))
         ),
         diagnostics=LineDiagnostics(),
-        slots=TransactionSlots(1),
+        slots=ServerTransactionSlots(1),
         deliver=lambda adu: None,
     )
     assert b"".join(server.receive(QUESTION, len(QUESTION))) == ANSWER
@@ -95,7 +95,7 @@ class PoolMember:
 
     host: str
     is_priority: bool = False
-    pool: Pool = Pool.OTHER
+    pool: SlotPool = SlotPool.OTHER
     last_used: float = 0.0
     is_busy: bool = False
     received: int = 12
@@ -103,7 +103,7 @@ class PoolMember:
 
 
 def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -> None:
-    places: Pools[PoolMember] = Pools(PoolLimits(priority=1, other=1, priority_per_host=1))
+    places: ConnectionSlots[PoolMember] = ConnectionSlots(SlotLimits(priority=1, other=1, priority_per_host=1))
     marked, old, new = (
         PoolMember("10.0.0.1", is_priority=True),
         PoolMember("10.0.0.2"),
@@ -112,7 +112,7 @@ def test_connection_management_alone_says_who_has_a_place_and_who_makes_room() -
     assert places.admit(marked).accepted
     assert places.admit(old).evicted is None
     assert places.admit(new).evicted is old
-    assert (marked.pool, places.count(Pool.OTHER)) == (Pool.PRIORITY, 1)
+    assert (marked.pool, places.count(SlotPool.OTHER)) == (SlotPool.PRIORITY, 1)
 
 
 def test_access_control_alone_says_who_may_connect_and_who_may_ask() -> None:
@@ -134,7 +134,7 @@ def test_parameters_of_the_stack_alone_are_set_on_any_socket() -> None:
 
 
 def test_flow_control_alone_counts_transactions_and_rates() -> None:
-    slots = TransactionSlots(1)
+    slots = ServerTransactionSlots(1)
     waiting = ScriptedHandler(lambda context, request: busway.LATER)
     first, second = (
         TcpServerSession(RequestPipeline(waiting), diagnostics=LineDiagnostics(), slots=slots, deliver=lambda adu: None)
@@ -150,13 +150,13 @@ def test_flow_control_alone_counts_transactions_and_rates() -> None:
 @pytest.mark.parametrize(
     ("module", "strangers"),
     [
-        ("busway.session.client", {"busway.client", "busway.server", "socket", "asyncio"}),
-        ("busway.session.server", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.session.tcp_client", {"busway.client", "busway.server", "socket", "asyncio"}),
+        ("busway.session.tcp_server", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.session.responder", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.rules", {"busway.client", "busway.server", "socket", "asyncio"}),
         ("busway.access.addresses", {"busway.client", "busway.server", "socket", "asyncio"}),
         (
-            "busway.server.connection_limits",
+            "busway.server.connection_slots",
             {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"},
         ),
         ("busway.access.rates", {"busway.client", "busway.server.connection_management", "busway.session", "asyncio"}),

@@ -12,7 +12,7 @@ from busway.access.audit_line import audit_line
 from busway.cli.program import app
 from busway.config.files.policy import PolicySection, RuleSection, parse_policy_file
 from busway.pdu.write_items import WriteSingleRegister
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import Judged, RequestContext
 
 PAGE = Path(__file__).resolve().parents[2] / "docs" / "security.md"

@@ -41,7 +41,7 @@ def test_its_files_can_be_simulated(text: str, tmp_path: Path) -> None:
     many = Simulation(parse_declaration(including, "plant.toml", read=lambda name: profile))
     assert many.units[100].name == "Acme meter 100"
     misbehaving = Simulation(parse_declaration(plant + faults, "plant.toml"))
-    assert [(fault.name, fault.is_on) for fault in misbehaving.board] == [("slow meters", False)]
+    assert [(fault.name, fault.is_on) for fault in misbehaving.switchboard] == [("slow meters", False)]
     assert list(Simulation(parse_declaration(ready_made, "plant.toml")).units) == [1, 2, 3]
 
 

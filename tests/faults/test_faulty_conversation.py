@@ -11,7 +11,7 @@ from busway.options.server import UnitPolicy
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 from busway.testing import (
     FAULT_PROFILES,

@@ -12,7 +12,7 @@ from busway.faults.switchboard import FaultSwitchboard
 from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, SerialUnits, ServedUnit
 from busway.testing import known_device
@@ -28,14 +28,14 @@ def _context(unit: int = 1, function: int = 3) -> RequestContext:
 
 def test_fast_path_is_that_of_the_responder_inside_until_a_fault_is_on_and_again_when_it_is_off() -> None:
     inner = DeviceResponder({1: known_device()})
-    board = FaultSwitchboard()
-    responder = board.around(inner)
+    switchboard = FaultSwitchboard()
+    responder = switchboard.around(inner)
     pipeline = RequestPipeline(responder)
     fast = pipeline.fast_path(ClientIdentity())
     generations = [responder.generation]
     assert responder.serves(1) is inner.serves(1)
     assert fast.bind(1, 3) is not None
-    name = board.add("late", units={200})
+    name = switchboard.add("late", units={200})
     generations.append(responder.generation)
     served = responder.serves(1)
     assert served is not None
@@ -43,7 +43,7 @@ def test_fast_path_is_that_of_the_responder_inside_until_a_fault_is_on_and_again
     during = pipeline.fast_path(ClientIdentity())
     assert during is not fast
     assert during.bind(1, 3) is None
-    board.switch(name, on=False)
+    switchboard.switch(name, on=False)
     generations.append(responder.generation)
     assert responder.serves(1) is inner.serves(1)
     assert len(set(generations)) == 3
@@ -70,18 +70,18 @@ class _Plain:
 
 
 def test_request_of_a_way_that_nobody_knows_is_answered_rightly() -> None:
-    board = FaultSwitchboard()
-    board.add("wedged")
-    reply = board.around(DeviceResponder({1: known_device()})).answer(_context(), STANDARD.decode_request(READ))
+    switchboard = FaultSwitchboard()
+    switchboard.add("wedged")
+    reply = switchboard.around(DeviceResponder({1: known_device()})).answer(_context(), STANDARD.decode_request(READ))
     assert isinstance(reply, Message)
     assert reply.encode() == bytes.fromhex("03 04 0005 0006")
     with pytest.raises(busway.Refusal):
-        board.around(_Plain()).answer(_context(), STANDARD.decode_request(READ))
+        switchboard.around(_Plain()).answer(_context(), STANDARD.decode_request(READ))
 
 
-def _audited(board: FaultSwitchboard, log: AuditLog) -> busway.Server:
+def _audited(switchboard: FaultSwitchboard, log: AuditLog) -> busway.Server:
     server = busway.serve("tcp://127.0.0.1:0", units=known_device(), audit=log)
-    board.attach(server)
+    switchboard.attach(server)
     return server
 
 
@@ -92,10 +92,10 @@ def _lines(path: Path) -> list[dict[str, Any]]:
 async def test_audit_line_of_a_write_that_a_fault_swallows_says_what_was_executed_and_that_there_was_no_answer(
     tmp_path: Path,
 ) -> None:
-    board = FaultSwitchboard()
-    board.add("execute-then-drop")
+    switchboard = FaultSwitchboard()
+    switchboard.add("execute-then-drop")
     with AuditLog(tmp_path / "audit.jsonl") as log:
-        async with _audited(board, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
+        async with _audited(switchboard, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
             with pytest.raises(busway.WriteOutcomeUnknown):
                 await link.unit(1).write_single_register(5, 7)
             assert await link.unit(1).read_holding_registers(5, count=1) == [7]
@@ -110,20 +110,20 @@ async def test_audit_line_of_a_write_that_a_fault_swallows_says_what_was_execute
 async def test_audit_line_of_a_write_whose_answer_a_fault_delays_or_cuts_says_that_it_was_done(
     fault: str, options: dict[str, Any], tmp_path: Path
 ) -> None:
-    board = FaultSwitchboard()
-    board.add(fault, parameters=options)
+    switchboard = FaultSwitchboard()
+    switchboard.add(fault, parameters=options)
     with AuditLog(tmp_path / "audit.jsonl") as log:
-        async with _audited(board, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
+        async with _audited(switchboard, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
             await link.unit(1).write_single_register(5, 7)
     (line,) = _lines(tmp_path / "audit.jsonl")
     assert (line["old"], line["new"], line["outcome"]) == ([5], [7], "done")
 
 
 async def test_audit_line_of_a_write_that_a_fault_refuses_has_its_exception_code(tmp_path: Path) -> None:
-    board = FaultSwitchboard()
-    board.add("busy")
+    switchboard = FaultSwitchboard()
+    switchboard.add("busy")
     with AuditLog(tmp_path / "audit.jsonl") as log:
-        async with _audited(board, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
+        async with _audited(switchboard, log) as server, busway.open(server.endpoints[0], timeout=5, retries=0) as link:
             with pytest.raises(busway.ExceptionReply):
                 await link.unit(1).write_single_register(5, 7)
     (line,) = _lines(tmp_path / "audit.jsonl")

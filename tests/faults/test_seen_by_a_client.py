@@ -180,10 +180,10 @@ def _watch(link: busway.BlockingLink, actions: list[tuple[str, str]]) -> None:
 @pytest.mark.parametrize("name", [name for name, one in FAULT_PROFILES.items() if one.carriers != {Carrier.SERIAL}])
 def test_fault_profile_on_modbus_tcp(name: str) -> None:
     parameters, actions = {**BOTH, **ON_TCP}[name]
-    board = FaultSwitchboard()
-    board.add(name, parameters=parameters)
+    switchboard = FaultSwitchboard()
+    switchboard.add(name, parameters=parameters)
     with (
-        played(board, "tcp://127.0.0.1:0") as endpoint,
+        played(switchboard, "tcp://127.0.0.1:0") as endpoint,
         busway.connect(endpoint, timeout=TIMEOUT, retries=0, shared=False) as link,
     ):
         _watch(link, actions)
@@ -209,10 +209,10 @@ ON_LINES = [name for name, one in FAULT_PROFILES.items() if Carrier.SERIAL in on
 @pytest.mark.real_time
 def test_fault_profile_on_a_serial_line(line: PacedLine, name: str) -> None:
     parameters, actions = {**BOTH, **ON_A_LINE}[name]
-    board = FaultSwitchboard()
-    board.add(name, parameters=parameters)
+    switchboard = FaultSwitchboard()
+    switchboard.add(name, parameters=parameters)
     with (
-        played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
+        played(switchboard, f"rtu://{line.paths[1]}?baud={BAUD}"),
         busway.connect(
             f"rtu://{line.paths[0]}?baud={BAUD}&parity=even", timeout=TIMEOUT, retries=0, shared=False
         ) as link,
@@ -224,48 +224,48 @@ def test_fault_profile_on_a_serial_line(line: PacedLine, name: str) -> None:
 @pytest.mark.alone
 @pytest.mark.real_time
 def test_broadcast_reply_is_swallowed_within_the_turnaround(line: PacedLine) -> None:
-    board = FaultSwitchboard()
-    board.add("broadcast-reply", units={2})
+    switchboard = FaultSwitchboard()
+    switchboard.add("broadcast-reply", units={2})
     with (
-        played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
+        played(switchboard, f"rtu://{line.paths[1]}?baud={BAUD}"),
         busway.connect(
             f"rtu://{line.paths[0]}?baud={BAUD}&parity=even", timeout=TIMEOUT, retries=0, shared=False
         ) as link,
     ):
         link.unit(0).write_single_register(9, 77)
         assert [link.unit(number).read_holding_registers(9, count=1) for number in (1, 2)] == [[77], [77]]
-    assert board.status("broadcast-reply").struck == 1
+    assert switchboard.status("broadcast-reply").struck == 1
 
 
 @pytest.mark.alone
 @pytest.mark.real_time
 def test_broadcast_is_not_heard_by_a_unit_that_is_wedged(line: PacedLine) -> None:
-    board = FaultSwitchboard()
-    board.add("wedged", units={2})
+    switchboard = FaultSwitchboard()
+    switchboard.add("wedged", units={2})
     with (
-        played(board, f"rtu://{line.paths[1]}?baud={BAUD}"),
+        played(switchboard, f"rtu://{line.paths[1]}?baud={BAUD}"),
         busway.connect(
             f"rtu://{line.paths[0]}?baud={BAUD}&parity=even", timeout=TIMEOUT, retries=0, shared=False
         ) as link,
     ):
         link.unit(0).write_single_register(9, 78)
         assert link.unit(1).read_holding_registers(9, count=1) == [78]
-        board.switch("wedged", on=False)
+        switchboard.switch("wedged", on=False)
         assert link.unit(2).read_holding_registers(9, count=1) == [9]
 
 
 def test_second_connection_is_closed_by_who_takes_a_single_client() -> None:
-    board = FaultSwitchboard()
-    board.add("single-client")
+    switchboard = FaultSwitchboard()
+    switchboard.add("single-client")
     with (
-        played(board, "tcp://127.0.0.1:0") as endpoint,
+        played(switchboard, "tcp://127.0.0.1:0") as endpoint,
         busway.connect(endpoint, timeout=TIMEOUT, retries=0, shared=False) as first,
         busway.connect(endpoint, timeout=TIMEOUT, retries=0, shared=False) as second,
     ):
         assert _seen(first, "read") == GOOD
         assert _seen(second, "read").startswith(f"LinkDown: {READ}")
         assert _seen(first, "read") == GOOD
-    assert board.status("single-client").struck >= 1
+    assert switchboard.status("single-client").struck >= 1
 
 
 def test_every_fault_profile_is_seen() -> None:

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from processor_time import cpu_seconds
 
 from busway.framing.ascii import CR, AsciiReceiver, AsciiState, encode_ascii
+from busway.framing.character_times import SerialTiming
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
-from busway.framing.timing import SerialTiming
 
 LINE = SerialTiming.of_line(9600, data_bits=7)
 VECTORS = json.loads((Path(__file__).parents[1] / "vectors" / "vectors.json").read_text())

@@ -3,12 +3,12 @@
 import pytest
 
 from busway.framing.ascii import AsciiReceiver, encode_ascii
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.mbap import MbapReceiver, encode_mbap
 from busway.framing.received import Found, Receiver, SerialFrame, SerialReceiver
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.rtu_strict import StrictRtuReceiver
-from busway.framing.timing import SerialTiming
 
 LINE = SerialTiming.of_line(19_200)
 PDU = bytes.fromhex("03 00 00 00 0A")

@@ -10,12 +10,12 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from processor_time import cpu_seconds
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.crc import crc16
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame, SerialReceiver
 from busway.framing.rtu import DEFAULT_GAP_LIMIT, RtuReceiver, encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.pdu.fields import rest, u16
 from busway.pdu.functions import STANDARD
 from busway.pdu.message import ReplyMessage, Request

@@ -4,12 +4,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.framing.rtu_strict import LineState, StrictRtuReceiver
-from busway.framing.timing import SerialTiming
 
 LINE = SerialTiming.of_line(9600)
 READ = encode_rtu(1, bytes.fromhex("03 00 00 00 0A"))

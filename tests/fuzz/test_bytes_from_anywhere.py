@@ -22,10 +22,10 @@ from busway.pdu.message import Message
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 PDUS = st.one_of(
     st.binary(min_size=1, max_size=PDU_LIMIT),
@@ -108,7 +108,7 @@ def test_a_server_takes_any_stream(stream: bytes, cut: int) -> None:
     session = TcpServerSession(
         RequestPipeline(DeviceResponder({1: device})),
         diagnostics=LineDiagnostics(changes_allowed=True),
-        slots=TransactionSlots(4),
+        slots=ServerTransactionSlots(4),
         deliver=late.append,
     )
     for at in range(0, len(stream), cut):
@@ -157,7 +157,7 @@ def server(stream: bytes, cut: int) -> None:
     session = TcpServerSession(
         RequestPipeline(DeviceResponder({1: Device(holding_registers=100)})),
         diagnostics=LineDiagnostics(),
-        slots=TransactionSlots(4),
+        slots=ServerTransactionSlots(4),
         deliver=lambda adu: None,
     )
     for at in range(0, len(stream), cut):

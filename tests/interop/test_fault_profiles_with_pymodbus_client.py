@@ -95,10 +95,10 @@ def _seen(answer: dict[str, Any]) -> Seen:
     return exception or str(answer["error"])
 
 
-def _wait_until_closed(board: FaultSwitchboard) -> None:
+def _wait_until_closed(switchboard: FaultSwitchboard) -> None:
     pause = threading.Event()
     for _ in range(1000):
-        if board.tap.accepted and not len(board.tap):
+        if switchboard.tap.accepted and not len(switchboard.tap):
             return
         pause.wait(0.01)
     raise AssertionError("the server did not close the connection")
@@ -107,13 +107,13 @@ def _wait_until_closed(board: FaultSwitchboard) -> None:
 @pytest.mark.parametrize("name", SEEN)
 def test_what_a_user_of_pymodbus_sees(user: foreign.Program, name: str) -> None:
     parameters, actions = SEEN[name]
-    board = FaultSwitchboard()
-    board.add(name, parameters=parameters)
-    with played(board, "tcp://127.0.0.1:0") as endpoint:
+    switchboard = FaultSwitchboard()
+    switchboard.add(name, parameters=parameters)
+    with played(switchboard, "tcp://127.0.0.1:0") as endpoint:
         user.ask(f"open {endpoint.rpartition(':')[2]}")
         for command, expected in actions:
             if command == WAIT:
-                _wait_until_closed(board)
+                _wait_until_closed(switchboard)
                 continue
             seen = _seen(user.ask(command))
             if isinstance(expected, str) and expected != DONE:
@@ -128,10 +128,10 @@ def test_what_a_user_of_pymodbus_sees(user: foreign.Program, name: str) -> None:
 def test_a_second_user_of_pymodbus_is_refused_or_starved_by_who_takes_a_single_client(
     user: foreign.Program, starve: bool, expected: str
 ) -> None:
-    board = FaultSwitchboard()
-    board.add("single-client", parameters={"starve": starve})
+    switchboard = FaultSwitchboard()
+    switchboard.add("single-client", parameters={"starve": starve})
     with (
-        played(board, "tcp://127.0.0.1:0") as endpoint,
+        played(switchboard, "tcp://127.0.0.1:0") as endpoint,
         foreign.python_peer("pymodbus_user.py", TIMEOUT_MS) as second,
     ):
         for one in (user, second):

@@ -18,8 +18,8 @@ from busway.apps.replay.recorded_devices import RecordedDevices
 from busway.errors import ConfigError
 from busway.framing.received import Direction
 from busway.framing.rtu import encode_rtu
+from busway.observe.capture_files.frame_extraction import CapturedFrame, CapturedTraffic, TrafficEvent
 from busway.observe.capture_files.packet_file import PacketFile
-from busway.observe.capture_files.traffic import CapturedFrame, CapturedTraffic, TrafficEvent
 from busway.testing import simulated_device
 
 MORE_FRAMES = 60.0

@@ -27,11 +27,11 @@ from busway.observe.metrics import MetricsEndpoint, MetricsObserver, PeerClass, 
 from busway.observe.metrics.observer import ClassifyByPriority
 from busway.observe.metrics.request_tally import Unanswered
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState, LineDiagnostics
+from busway.session.diagnostic_counters import CommunicationState, LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 FREE = "127.0.0.1:0"
 FREE_TCP = "tcp://127.0.0.1:0"
@@ -230,7 +230,7 @@ def test_known_reads_and_other_requests_of_the_fast_path_are_counted_with_the_ti
     device = busway.Device(holding_registers=10, coils=10)
     pipeline = RequestPipeline(DeviceResponder({1: device}), observers=[observer], clock=tick)
     session = TcpServerSession(
-        pipeline, diagnostics=LineDiagnostics(), slots=TransactionSlots(1), deliver=lambda adu: None
+        pipeline, diagnostics=LineDiagnostics(), slots=ServerTransactionSlots(1), deliver=lambda adu: None
     )
     for _ in range(2):
         stream = adu(1, 1, PDUS["read"]) + adu(2, 1, PDUS["coil"]) + adu(3, 1, PDUS["read"])

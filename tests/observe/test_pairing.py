@@ -4,10 +4,10 @@ from collections.abc import Iterator
 
 import pytest
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.observe.pairing import SURE_REPLIES, Heard, Kind, Pairing
 from busway.testing.virtual_line import VirtualLine
 

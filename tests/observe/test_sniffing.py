@@ -8,10 +8,10 @@ import pytest
 
 from busway.errors import ConfigError, LinkDown
 from busway.framing.ascii import encode_ascii
+from busway.framing.character_times import FIXED_T3_5, SerialTiming
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import FIXED_T3_5, SerialTiming
 from busway.observe.pairing import Heard, Kind
-from busway.observe.sniffing import DatagramEar, Listening, line_to_hear
+from busway.observe.sniffing import DatagramByteSource, Listening, sniffed_line
 from busway.testing.line import PacedLine
 from busway.transport.serial import BlockingSerialPort
 
@@ -40,7 +40,7 @@ def line() -> Iterator[PacedLine]:
 def test_a_conversation_on_a_port_is_heard_in_pairs(line: PacedLine, scheme: str, encode: type) -> None:
     url = f"{scheme}://{line.paths[1]}?baud=19200"
     with (
-        Listening(line_to_hear(url)) as listening,
+        Listening(sniffed_line(url)) as listening,
         BlockingSerialPort(line.paths[0], line.settings) as talker,
     ):
         talker.write(encode(1, REQUEST))
@@ -57,7 +57,7 @@ def test_a_conversation_on_a_port_is_heard_in_pairs(line: PacedLine, scheme: str
 
 @pytest.mark.alone
 def test_what_is_unfinished_at_the_end_is_told(line: PacedLine) -> None:
-    with Listening(line_to_hear(f"ascii://{line.paths[1]}")) as listening:
+    with Listening(sniffed_line(f"ascii://{line.paths[1]}")) as listening:
         line.inject(b":0103")
         limit = time.monotonic() + LIMIT
         while listening.bytes_heard < 5:
@@ -68,7 +68,7 @@ def test_what_is_unfinished_at_the_end_is_told(line: PacedLine) -> None:
 
 @pytest.mark.alone
 def test_a_line_that_vanishes_ends_the_listening(line: PacedLine) -> None:
-    with Listening(line_to_hear(f"rtu://{line.paths[1]}")) as listening:
+    with Listening(sniffed_line(f"rtu://{line.paths[1]}")) as listening:
         line.unplug(1)
         with pytest.raises(LinkDown):
             heard(listening, 1)
@@ -76,7 +76,7 @@ def test_a_line_that_vanishes_ends_the_listening(line: PacedLine) -> None:
 
 @pytest.mark.alone
 def test_a_port_that_this_process_uses_is_refused(line: PacedLine) -> None:
-    heard_line = line_to_hear(f"rtu://{line.paths[1]}")
+    heard_line = sniffed_line(f"rtu://{line.paths[1]}")
     with Listening(heard_line), pytest.raises(ConfigError, match="a listener to the line"):
         Listening(heard_line)
     Listening(heard_line).close()
@@ -85,7 +85,7 @@ def test_a_port_that_this_process_uses_is_refused(line: PacedLine) -> None:
 def test_a_device_server_that_mirrors_a_line_is_heard() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        with Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}")) as listening:
+        with Listening(sniffed_line(f"rtu+tcp://127.0.0.1:{port}")) as listening:
             peer, _ = listener.accept()
             with peer:
                 peer.sendall(encode_rtu(1, REQUEST) + encode_rtu(1, REPLY))
@@ -98,7 +98,7 @@ def test_a_server_that_is_not_there_is_no_connection() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
     with pytest.raises(LinkDown):
-        Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}"))
+        Listening(sniffed_line(f"rtu+tcp://127.0.0.1:{port}"))
 
 
 def test_a_connection_that_cannot_be_configured_is_closed(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -109,7 +109,7 @@ def test_a_connection_that_cannot_be_configured_is_closed(monkeypatch: pytest.Mo
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
         with pytest.raises(LinkDown, match="no such option"):
-            Listening(line_to_hear(f"rtu+tcp://127.0.0.1:{port}"))
+            Listening(sniffed_line(f"rtu+tcp://127.0.0.1:{port}"))
         peer, _ = listener.accept()
         with peer:
             peer.settimeout(60)
@@ -119,11 +119,11 @@ def test_a_connection_that_cannot_be_configured_is_closed(monkeypatch: pytest.Mo
 @pytest.mark.parametrize(("framing", "encode"), [("rtu", encode_rtu), ("ascii", encode_ascii)])
 def test_datagrams_of_a_device_server_are_heard_where_they_arrive(framing: str, encode: type) -> None:
     with (
-        Listening(line_to_hear(f"{framing}+udp://127.0.0.1:0?receive_buffer=4096")) as listening,
+        Listening(sniffed_line(f"{framing}+udp://127.0.0.1:0?receive_buffer=4096")) as listening,
         socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as server,
     ):
-        assert isinstance(listening._ear, DatagramEar)
-        there = "127.0.0.1", listening._ear.port
+        assert isinstance(listening._source, DatagramByteSource)
+        there = "127.0.0.1", listening._source.port
         assert listening.hear(time.monotonic() + 0.01) == []
         server.sendto(encode(1, REQUEST), there)
         server.sendto(encode(1, REPLY), there)
@@ -133,14 +133,14 @@ def test_datagrams_of_a_device_server_are_heard_where_they_arrive(framing: str, 
 @pytest.mark.parametrize("host", ["192.0.2.1", "no-such-host.invalid"])
 def test_datagrams_can_only_be_taken_at_this_machine(host: str) -> None:
     with pytest.raises(LinkDown, match="datagrams cannot be taken there"):
-        Listening(line_to_hear(f"rtu+udp://{host}:4001"))
+        Listening(sniffed_line(f"rtu+udp://{host}:4001"))
 
 
 @pytest.mark.alone
 def test_a_port_that_vanishes_is_heard_again_when_it_is_back(line: PacedLine) -> None:
     told: list[str] = []
     with Listening(
-        line_to_hear(f"rtu://{line.paths[1]}?reopen_first=0.01&reopen_most=0.02"),
+        sniffed_line(f"rtu://{line.paths[1]}?reopen_first=0.01&reopen_most=0.02"),
         vanished=lambda error: told.append(str(error)),
         returned=lambda: told.append("back"),
     ) as listening:
@@ -168,23 +168,23 @@ def test_a_port_that_vanishes_is_heard_again_when_it_is_back(line: PacedLine) ->
 def test_nothing_is_heard_in_silence() -> None:
     with socket.create_server(("127.0.0.1", 0)) as listener:
         port = listener.getsockname()[1]
-        with Listening(line_to_hear(f"ascii+tcp://127.0.0.1:{port}")) as listening:
+        with Listening(sniffed_line(f"ascii+tcp://127.0.0.1:{port}")) as listening:
             assert listening.hear(time.monotonic() + 0.01) == []
 
 
 def test_the_times_of_a_line_are_those_of_its_settings() -> None:
-    line = line_to_hear("rtu:///dev/ttyS0?baud=115200&parity=none")
+    line = sniffed_line("rtu:///dev/ttyS0?baud=115200&parity=none")
     assert line.timing.t3_5 == FIXED_T3_5
     assert line.timing.character == pytest.approx(11 / 115_200)
-    assert line_to_hear("rtu+tcp://host:1").timing == SerialTiming.of_network()
-    ascii_line = line_to_hear("ascii:///dev/ttyS0")
+    assert sniffed_line("rtu+tcp://host:1").timing == SerialTiming.of_network()
+    ascii_line = sniffed_line("ascii:///dev/ttyS0")
     assert ascii_line.port is not None
     assert ascii_line.port.data_bits == 7
 
 
 def test_a_listener_hears_by_the_preset_too() -> None:
-    assert line_to_hear("rtu:///dev/ttyS0?preset=strict").framing.strict_timing
-    assert line_to_hear("ascii+udp://:4001?preset=strict").framing.upper_case_only
+    assert sniffed_line("rtu:///dev/ttyS0?preset=strict").framing.strict_timing
+    assert sniffed_line("ascii+udp://:4001?preset=strict").framing.upper_case_only
 
 
 @pytest.mark.parametrize(
@@ -206,4 +206,4 @@ def test_a_listener_hears_by_the_preset_too() -> None:
 )
 def test_a_line_that_cannot_be_heard_is_refused(url: str, complaint: str) -> None:
     with pytest.raises(ConfigError, match=complaint):
-        line_to_hear(url)
+        sniffed_line(url)

@@ -13,11 +13,11 @@ from handlers import ScriptedHandler, address_of, later, registers
 from waiting import until
 
 import busway
-import busway.server.connection_limits
+import busway.server.connection_slots
 from busway.access.addresses import AddressList, HostAuthorizer
 from busway.options.networks import Networks
 from busway.options.server import ListenerParameters
-from busway.server.connection_limits import Pool, PoolLimits
+from busway.server.connection_slots import SlotLimits, SlotPool
 from busway.server.listener import Listener
 from busway.server.status import ServedConnectionState
 from busway.testing import golden_adu
@@ -89,7 +89,7 @@ async def test_new_connections_push_out_strangers_and_never_a_marked_connection(
         status = server.status()
         assert status.counters.evicted == 4
         assert (status.supported_connections, status.remote_connections) == (4, 4)
-        assert [one.pool for one in status.connections] == [Pool.PRIORITY] * 2 + [Pool.OTHER] * 2
+        assert [one.pool for one in status.connections] == [SlotPool.PRIORITY] * 2 + [SlotPool.OTHER] * 2
         assert (status.listeners[0].priority_connections, status.listeners[0].other_connections) == (2, 2)
         await closed(*marked, *strangers)
 
@@ -116,7 +116,7 @@ async def test_sixty_that_connect_and_close_push_nobody_off(ends: str) -> None:
 
 @pytest.mark.clause("T13")
 async def test_those_who_connect_and_say_nothing_make_room_among_themselves(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(busway.server.connection_limits, "SECONDS_TO_SPEAK", 0.0)
+    monkeypatch.setattr(busway.server.connection_slots, "SECONDS_TO_SPEAK", 0.0)
     async with served(max_connections=5) as server:
         client = await Client.of(server)
         await client.ask()
@@ -141,7 +141,7 @@ async def test_marked_new_connection_beyond_its_limit_is_accepted_and_takes_a_pl
         assert await refused.is_closed()
         for one in marked:
             await one.ask()
-        assert [one.pool for one in server.status().connections] == [Pool.PRIORITY, Pool.OTHER]
+        assert [one.pool for one in server.status().connections] == [SlotPool.PRIORITY, SlotPool.OTHER]
         assert server.counters.refused_full == 1
         await closed(*marked, stranger, refused)
 
@@ -212,7 +212,7 @@ def test_limits_that_do_not_fit_are_refused_and_named(options: dict[str, Any], k
 
 def test_without_a_limit_of_its_own_a_device_may_have_half_of_the_priority_places() -> None:
     assert [
-        PoolLimits.of(ListenerParameters(max_priority_connections=places)).priority_per_host for places in (0, 1, 2, 8)
+        SlotLimits.of(ListenerParameters(max_priority_connections=places)).priority_per_host for places in (0, 1, 2, 8)
     ] == [
         1,
         1,
@@ -280,7 +280,7 @@ async def test_half_a_header_and_half_a_request_are_closed_in_their_time_and_a_m
         assert server.status().listeners[0].damaged == 2
         assert server.status().listeners[0].indicators.error.value == "flashing"
         (status,) = server.status().connections
-        assert (status.state, status.pool) == (ServedConnectionState.RECEIVING, Pool.PRIORITY)
+        assert (status.state, status.pool) == (ServedConnectionState.RECEIVING, SlotPool.PRIORITY)
         marked.writer.write(QUESTION[3:])
         assert await marked.reader.readexactly(len(ANSWER)) == ANSWER
         await closed(marked, header, body, idle)
@@ -322,7 +322,7 @@ async def test_client_that_takes_no_replies_is_closed_in_time_unless_it_is_marke
                     slow.writer.write(b"\0")
                     assert await slow.is_closed()
                     await slow.close()
-                assert server.status().connections[0].state is ServedConnectionState.HELD
+                assert server.status().connections[0].state is ServedConnectionState.PAUSED
                 assert server.counters.write_timeouts == 0
             else:
                 await until(lambda: server.counters.closed == 1)
@@ -343,7 +343,7 @@ async def test_host_over_its_rate_is_slowed_down_by_all_its_connections_and_othe
             await client.reader.readexactly(35 * len(ANSWER))
         clients[1].writer.write(QUESTION)  # not read before the debt of both is paid: (70 - 50) / 50 s
         await until(lambda: server.counters.rate_limited == 1)
-        assert ServedConnectionState.HELD in [one.state for one in server.status().connections]
+        assert ServedConnectionState.PAUSED in [one.state for one in server.status().connections]
         await other.ask()
         for _ in range(60):
             await marked.ask()
@@ -425,14 +425,14 @@ async def test_connections_and_classes_of_devices_are_shown_with_what_they_did()
         assert (status.remote_connections, status.supported_connections) == (2, 64)
         first, second = status.connections
         assert (first.pool, first.state, first.requests, first.received, first.sent, first.role) == (
-            Pool.PRIORITY,
+            SlotPool.PRIORITY,
             ServedConnectionState.IDLE,
             2,
             2 * len(QUESTION),
             2 * len(ANSWER),
             None,
         )
-        assert (second.pool, second.requests, second.listener) == (Pool.OTHER, 1, server.endpoints[0])
+        assert (second.pool, second.requests, second.listener) == (SlotPool.OTHER, 1, server.endpoints[0])
         assert 0 <= first.idle <= first.age
         await closed(marked, other)
         await until(lambda: server.counters.closed == 2)

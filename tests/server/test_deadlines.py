@@ -87,14 +87,14 @@ def test_replies_that_nobody_takes_are_due_and_any_that_is_taken_starts_the_time
     assert times.due([one], 999.0) == []
 
 
-def test_who_is_held_back_is_let_go_on_in_time() -> None:
+def test_reading_that_is_paused_goes_on_in_time() -> None:
     times = deadlines()
     one = Connection()
-    assert times.hold(one, 7.0) == 7.0
-    assert times.is_held(one)
+    assert times.pause(one, 7.0) == 7.0
+    assert times.is_paused(one)
     assert times.due([one], 6.9) == []
-    assert times.due([one], 7.0) == [(one, Overdue.HELD)]
-    assert not times.is_held(one)
+    assert times.due([one], 7.0) == [(one, Overdue.PAUSE)]
+    assert not times.is_paused(one)
 
 
 @pytest.mark.clause("T6")
@@ -124,7 +124,7 @@ def test_one_that_has_ended_is_forgotten() -> None:
     one = Connection(unfinished=1, unsent=1)
     times.frame_begun(one, 0.0, anew=True)
     times.stuck(one, 0.0)
-    times.hold(one, 5.0)
+    times.pause(one, 5.0)
     times.forget(one)
     assert times.next_due(0.0, has_connections=True) is None
     assert times.due([], 1e9) == []

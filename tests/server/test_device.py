@@ -26,7 +26,7 @@ from busway.pdu.write_items import (
 )
 from busway.server.cells import Cells
 from busway.server.device import Device
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ClientIdentity, RequestContext
 
 TABLES = tuple(table.value for table in Table)

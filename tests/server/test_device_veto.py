@@ -8,7 +8,7 @@ from busway.pdu.write_items import ReadWriteMultipleRegisters
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 
 

@@ -16,7 +16,7 @@ from busway.pdu.read_items import ReadCoils, ReadHoldingRegisters
 from busway.pdu.write_items import MaskWriteRegister, WriteMultipleRegisters, WriteSingleRegister
 from busway.server.device import Device
 from busway.server.single_block import SingleBlock
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ClientIdentity, RequestContext
 
 T = TypeVar("T")

@@ -20,7 +20,7 @@ from busway.pdu.write_items import (
 )
 from busway.server.device import Device
 from busway.server.hooks import Access, Change
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ClientIdentity, RequestContext
 
 

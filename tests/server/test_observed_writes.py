@@ -16,7 +16,7 @@ from busway.pdu.write_items import (
 )
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import Judged, Replaced, RequestContext
 
 

@@ -12,7 +12,7 @@ from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadFifoQueue
 from busway.server.cells import Cells
 from busway.server.device import Device
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 
 

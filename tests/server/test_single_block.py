@@ -13,7 +13,7 @@ from busway.pdu.write_items import WriteMultipleCoils, WriteMultipleRegisters, W
 from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.server.single_block import SingleBlock
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import RequestContext
 
 

@@ -16,10 +16,10 @@ from busway.pdu.functions import STANDARD, FunctionTable
 from busway.pdu.message import Message, ReplyMessage, Request
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 
 class ReadPressure(Request):  # ten lines, from here …
@@ -59,7 +59,7 @@ def exchange(request: Request, functions: FunctionTable = STANDARD) -> Message |
     server = TcpServerSession(
         RequestPipeline(DeviceResponder({1: device()}, functions=functions)),
         diagnostics=LineDiagnostics(changes_allowed=True),
-        slots=TransactionSlots(1),
+        slots=ServerTransactionSlots(1),
         deliver=late.append,
     )
     call = wire.ask(request)

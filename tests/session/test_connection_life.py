@@ -5,19 +5,19 @@ import math
 import pytest
 
 from busway.errors import LinkDown, ModbusError, WriteOutcomeUnknown
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import FramingParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
 from busway.session.connection_life import ConnectionLife
 from busway.session.line_framing import line_framing
 from busway.session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from busway.session.serial_client import SerialClientSession
+from busway.session.tcp_client import TcpClientSession
 
 PAUSE = 8.0
 """Seconds of the first pause, with no part of it left to chance."""

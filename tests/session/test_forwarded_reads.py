@@ -16,12 +16,12 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ForwardedReads, PreparedForward, PreparedForwards, ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 UNITS = 3
 NOT_HANDED_ON = 100
@@ -106,7 +106,7 @@ class HandingOn(LongRoad):
 
 class Client:
     def __init__(self, handler: LongRoad, slots: int = 16) -> None:
-        self.slots = TransactionSlots(slots)
+        self.slots = ServerTransactionSlots(slots)
         self.diagnostics = LineDiagnostics()
         self.out: list[bytes] = []
         self.session = TcpServerSession(

@@ -4,10 +4,10 @@ import pytest
 
 from busway.errors import ConfigError
 from busway.framing.ascii import AsciiReceiver, encode_ascii
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import RtuReceiver, encode_rtu
 from busway.framing.rtu_strict import StrictRtuReceiver
-from busway.framing.timing import SerialTiming
 from busway.options.lines import FramingParameters
 from busway.session.line_framing import line_framing
 

@@ -10,17 +10,20 @@ from busway.pdu.device_interface import Refusal
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 SIZE = 200
 
 
 def session_of(handler: DeviceResponder) -> TcpServerSession:
     return TcpServerSession(
-        RequestPipeline(handler), diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=lambda adu: None
+        RequestPipeline(handler),
+        diagnostics=LineDiagnostics(),
+        slots=ServerTransactionSlots(16),
+        deliver=lambda adu: None,
     )
 
 
@@ -87,7 +90,7 @@ def test_prepared_answers_count_as_exchanges() -> None:
     handler = DeviceResponder({1: device})
     diagnostics = LineDiagnostics()
     session = TcpServerSession(
-        RequestPipeline(handler), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+        RequestPipeline(handler), diagnostics=diagnostics, slots=ServerTransactionSlots(16), deliver=lambda adu: None
     )
     ask(session, *[read(3, 2, 1)] * 5)
     assert diagnostics.counters.bus_message_count == diagnostics.event_count == session.requests == 5
@@ -100,7 +103,7 @@ def test_units_of_a_connection_count_their_own_by_every_path() -> None:
     session = TcpServerSession(
         RequestPipeline(DeviceResponder(units)),
         diagnostics=diagnostics,
-        slots=TransactionSlots(16),
+        slots=ServerTransactionSlots(16),
         deliver=lambda adu: None,
     )
     write, longer, refused = (bytes.fromhex(one) for one in ("06 0000 0007", "10 0000 0001 02 0007", "03 0046 0001"))
@@ -126,7 +129,7 @@ def test_listen_only_mode_of_a_unit_leaves_the_other_units_of_its_listener_alone
     session = TcpServerSession(
         RequestPipeline(DeviceResponder(units)),
         diagnostics=diagnostics,
-        slots=TransactionSlots(16),
+        slots=ServerTransactionSlots(16),
         deliver=lambda adu: None,
     )
     asked = [(unit, read(3, 0, 1)) for unit in (1, 3)]
@@ -181,7 +184,7 @@ def test_a_prepared_read_gets_no_answer_from_a_listener_that_only_listens() -> N
     diagnostics = LineDiagnostics(changes_allowed=True)
     handler = DeviceResponder({1: Device(holding_registers=10)})
     session = TcpServerSession(
-        RequestPipeline(handler), diagnostics=diagnostics, slots=TransactionSlots(16), deliver=lambda adu: None
+        RequestPipeline(handler), diagnostics=diagnostics, slots=ServerTransactionSlots(16), deliver=lambda adu: None
     )
     ask(session, read(3, 2, 1), read(3, 2, 1))
     assert ask(session, bytes.fromhex("08 0004 0000"), read(3, 2, 1)) == []

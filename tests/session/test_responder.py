@@ -2,7 +2,7 @@
 
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import SILENCE, Deferral, RequestContext
 
 

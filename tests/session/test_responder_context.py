@@ -3,11 +3,11 @@
 from busway.codes import FunctionCode
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.functions import STANDARD, AnyRequest
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import LATER, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 
 class _Promises:
@@ -31,7 +31,7 @@ class _Promises:
 
 def _session(handler: _Promises, sent: list[bytes]) -> TcpServerSession:
     return TcpServerSession(
-        RequestPipeline(handler), diagnostics=LineDiagnostics(), slots=TransactionSlots(16), deliver=sent.append
+        RequestPipeline(handler), diagnostics=LineDiagnostics(), slots=ServerTransactionSlots(16), deliver=sent.append
     )
 
 

@@ -5,14 +5,14 @@ import struct
 from hypothesis import given
 from hypothesis import strategies as st
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.rtu import encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.pdu.device_interface import Refusal
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.server.hooks import Access
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import line_framing
 from busway.session.pipeline import RequestPipeline
 from busway.session.serial_server import SerialServerSession

@@ -33,7 +33,7 @@ from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
 from busway.server.device import Device
-from busway.session.diagnostics import Counters
+from busway.session.diagnostic_counters import DiagnosticCounters
 from busway.session.responder import LATER, SILENCE, Refusal, RequestContext, ResponderAnswer, ServedUnit
 
 CHARACTER = 11 / 9600
@@ -183,7 +183,7 @@ def test_broadcast_is_executed_by_every_unit_and_answered_by_none() -> None:
     assert server.sent == []
     assert server.diagnostics.counters.bus_message_count == 1
     for unit in (1, 7):
-        own = Counters(bus_message_count=1, server_message_count=1, server_no_response_count=1)
+        own = DiagnosticCounters(bus_message_count=1, server_message_count=1, server_no_response_count=1)
         assert server.diagnostics.of(unit).counters == own
         assert server.diagnostics.of(unit).event_count == 1
 
@@ -393,13 +393,13 @@ def test_units_of_a_line_count_what_is_theirs_and_hear_the_same() -> None:
     send(bus, encode_rtu(0, WriteSingleRegister(0, 1).encode()))
     master.get(3, READ)
     first, third = server.diagnostics.of(1), server.diagnostics.of(3)
-    assert first.counters == Counters(4, 1, 1, 3, 1, 0, 0, 0)
-    assert third.counters == Counters(4, 1, 0, 2, 1, 0, 0, 0)
+    assert first.counters == DiagnosticCounters(4, 1, 1, 3, 1, 0, 0, 0)
+    assert third.counters == DiagnosticCounters(4, 1, 0, 2, 1, 0, 0, 0)
     assert (first.event_count, third.event_count) == (2, 2)
     assert first.event_log()[3].hex(" ") == "40 c0 41 80 40 80 82"
     assert third.event_log()[3].hex(" ") == "40 80 40 c0 82"
     assert isinstance(master.get(3, ClearCounters()), Message)
-    assert third.counters == Counters()
+    assert third.counters == DiagnosticCounters()
     assert value_of(master.get(1, ReturnBusMessageCount())) == 6
     assert value_of(master.get(1, ReturnBusExceptionErrorCount())) == 1
     assert value_of(master.get(1, ReturnBusCommunicationErrorCount())) == 1
@@ -505,7 +505,7 @@ def test_of_two_requests_back_to_back_both_are_executed_and_the_last_is_answered
     assert [frame for _, frame in server.sent] == [last], "a write is answered by its echo"
     assert server.session.abandoned == 2
     own = server.diagnostics.of(5)
-    assert own.counters == Counters(3, 0, 1, 3, 2, 0, 0, 0)
+    assert own.counters == DiagnosticCounters(3, 0, 1, 3, 2, 0, 0, 0)
     assert (own.event_count, own.event_log()[3].hex(" ")) == (1, "40 80 40 80 40 80")
 
 

@@ -11,7 +11,7 @@ from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
+from busway.session.tcp_client import TcpClientSession
 from busway.session.unit_breaker import Breakers, BreakerState
 
 DELAY = 0.0007

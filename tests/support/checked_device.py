@@ -9,8 +9,9 @@ import busway
 from busway.apps.check.check import Items, Target
 from busway.codes import Table
 from busway.errors import LinkDown
+from busway.faults.applied_faults import Faults
 from busway.faults.clock import FakeClock
-from busway.faults.fault import Carrier, Contact, Exchange, Faults
+from busway.faults.fault import Carrier, Contact, Exchange
 from busway.faults.faulty_conversation import FaultyConversation
 from busway.faults.profiles import FAULT_PROFILES
 from busway.framing.ascii import encode_ascii
@@ -19,7 +20,7 @@ from busway.framing.mbap import FrameKind, MbapReceiver
 from busway.framing.rtu import encode_rtu
 from busway.pdu.functions import STANDARD
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import RequestContext
 

@@ -9,7 +9,7 @@ from busway.options.client import ClientParameters
 from busway.pdu.message import Message, Request
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
+from busway.session.tcp_client import TcpClientSession
 
 
 def read(address: int = 0, count: int = 1) -> ReadHoldingRegisters:

@@ -10,8 +10,8 @@ import busway
 from busway.apps.gateway.gateway import Gateway
 from busway.apps.gateway.routes import Route, RoutingTable
 from busway.apps.gateway.settings import GatewayListener, GatewayPlan, UpstreamSettings
-from busway.faults.connections import FaultyTap
-from busway.faults.fault import AppliedFault, Faults, Selection
+from busway.faults.applied_faults import AppliedFault, Faults, Selection
+from busway.faults.faulty_connections import FaultyTap
 from busway.faults.faulty_responder import FaultyResponder
 from busway.faults.profiles import FAULT_PROFILES
 from busway.server.device_responder import DeviceResponder

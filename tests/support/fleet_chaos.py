@@ -34,7 +34,7 @@ from foreign_servers import PostgresqlServer, free_port, needed
 from hosts import Host, Network, why_not
 from told_program import Program
 
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.ownership_log import OwnershipLog
 from busway.apps.fleet.shards import shard_of

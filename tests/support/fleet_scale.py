@@ -24,7 +24,7 @@ from busway.apps.fleet.balance import Share, takers
 from busway.apps.fleet.lease_times import LeaseTimes
 from busway.apps.fleet.shards import shard_of
 from busway.codes import Table
-from busway.framing.timing import SerialTiming
+from busway.framing.character_times import SerialTiming
 
 POINTS_OF_A_LINK = 500
 POINTS_OF_A_COLLECTOR = 10_000

@@ -12,7 +12,7 @@ from dataclasses import dataclass, field
 from itertools import count
 
 from busway.apps.fleet.coordinator import Entry
-from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, Step
+from busway.apps.fleet.lease_holder import LeaseHolder, NotConfirmed, OwnershipChange, Proposal
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
 
 
@@ -45,7 +45,7 @@ class Wire:
 class Driver:
     """What drives one member in the world."""
 
-    member: FleetMember
+    member: LeaseHolder
     rate: float
     offset: float
     begun: float
@@ -89,7 +89,7 @@ class World:
         drift: float = 0.0,
         poll: float | None = 0.5,
         worst: float = 0.8,
-        member_kind: type[FleetMember] = FleetMember,
+        member_kind: type[LeaseHolder] = LeaseHolder,
     ) -> None:
         self.costs = dict(costs)
         self.times = times or LeaseTimes()
@@ -285,10 +285,10 @@ class World:
         for proposal in driver.member.turn(driver.local(self.now)):
             self._propose(driver, proposal)
         for event in driver.member.events():
-            if event.step is Step.GAINED:
+            if event.change is OwnershipChange.GAINED:
                 self.gains += 1
                 self._poll_soon(driver, event.shard, event.epoch)
-            elif event.step is Step.LEAVE:
+            elif event.change is OwnershipChange.LEAVE:
                 shard = event.shard
                 wire = self.wires.get(shard)
                 ended = self.now if wire is None else max(self.now, wire.until)
@@ -317,7 +317,7 @@ class World:
         owned = driver.member.owned.get(shard)
         if owned is None or owned.epoch != epoch or owned.has_left:
             return
-        if owned.leaving is None and driver.member.may_begin(shard, driver.local(self.now), self.worst):
+        if owned.leaving is None and driver.member.permits(shard, driver.local(self.now), self.worst):
             self._judge(driver.member.name, shard, epoch)
         self._poll_soon(driver, shard, epoch)
 
@@ -337,7 +337,7 @@ class World:
         wire.last = self.now
 
 
-def random_walk(seed: int, steps: int = 25, member_kind: type[FleetMember] = FleetMember) -> World:
+def random_walk(seed: int, steps: int = 25, member_kind: type[LeaseHolder] = LeaseHolder) -> World:
     """A zone of 16 shards and four collectors to which everything happens; at its end all is well again for a minute.
 
     Args:

@@ -16,7 +16,7 @@ from collected import at, meter_read
 
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.commit_thread import Committer
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 READS = 4000

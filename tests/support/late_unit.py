@@ -16,9 +16,9 @@ from collections.abc import Callable, Container
 from types import TracebackType
 from typing import Self
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.frame_direction import LineRole
 from busway.framing.received import SerialFrame
-from busway.framing.timing import SerialTiming
 from busway.session.line_framing import line_framing
 
 PROMPT = 0.03

@@ -13,8 +13,8 @@ from busway.testing import known_device
 
 
 @contextlib.contextmanager
-def played(board: FaultSwitchboard, url: str, **options: Any) -> Iterator[str]:
-    """Units 1 and 2, each a `known_device`, with the faults of a board. Gives the endpoint; options as of `serve`."""
+def played(switchboard: FaultSwitchboard, url: str, **options: Any) -> Iterator[str]:
+    """Two units, each a `known_device`, with the faults of a switchboard; yields the endpoint."""
     units = {1: known_device(), 2: known_device()}
     ready = threading.Event()
     loops: list[asyncio.AbstractEventLoop] = []
@@ -23,7 +23,7 @@ def played(board: FaultSwitchboard, url: str, **options: Any) -> Iterator[str]:
 
     async def serve() -> None:
         server = busway.serve(url, units=units, **options)
-        board.attach(server)
+        switchboard.attach(server)
         async with server:
             loops.append(asyncio.get_running_loop())
             ends.append(asyncio.Event())

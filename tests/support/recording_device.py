@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from busway.codes import ExceptionCode, Table
 from busway.pdu.bits import slice_bits, splice_bits
 from busway.pdu.device_interface import Refusal
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 
 
 @dataclass

@@ -17,7 +17,7 @@ from typing import Any
 from busway.access.audit_log import AuditLog
 from busway.apps.collector.command_targets import CollectedTargets
 from busway.apps.collector.commands.command import CommandResult
-from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandMessageHandler, InputMessage, InputRights
 from busway.apps.collector.commands.journal import CommandJournal
 from busway.apps.collector.commands.runner import CommandRunner
 from busway.apps.collector.commands.sparkplug import PLACE
@@ -30,9 +30,9 @@ from busway.apps.collector.schedule import LinkSchedule
 from busway.apps.collector.sinks.mqtt import topic_level
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.fleet.fleet_commands import FleetCommands, command_subject
-from busway.apps.web.access import AccessToken, PageAccess, PageAccessRules, Role
 from busway.apps.web.application import page_resources
 from busway.apps.web.collector_commands import CommandsApi
+from busway.apps.web.request_guard import AccessToken, PageAccess, PageAccessRules, Role
 from busway.codes import Table
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.write_items import WriteSingleRegister
@@ -70,7 +70,7 @@ def configuration_of(points: Sequence[Point]) -> CollectorConfiguration:
 
 
 class HandedInput:
-    """The input of commands of one sink; the test itself hands each message to its `CommandReceiver`."""
+    """The input of commands of one sink; the test itself hands each message to its `CommandMessageHandler`."""
 
     separator: str = "/"
 
@@ -83,7 +83,7 @@ class HandedInput:
     def join(self, group: str, member: str) -> bool:
         return True
 
-    async def run(self, receiver: CommandReceiver) -> None:
+    async def run(self, receiver: CommandMessageHandler) -> None:
         """Receive nothing."""
 
 
@@ -177,7 +177,7 @@ class RuledPlant:
         self._page = PageAccess(page_resources("page", "", [routes]), rules, lambda path: False)
         fleet: Any = SimpleNamespace(collector=self)
         self._fleet = FleetCommands(fleet, None, "hall", now=lambda: self.now)
-        self.inputs: dict[str, tuple[str, CommandReceiver]] = {}
+        self.inputs: dict[str, tuple[str, CommandMessageHandler]] = {}
 
     def _access_tokens(self) -> tuple[AccessToken, ...]:
         return tuple(AccessToken.of(token, name, Role[role.upper()]) for token, (name, role) in self.tokens.items())
@@ -207,7 +207,7 @@ class RuledPlant:
     def add_input(self, name: str, kind: str, patterns: Sequence[str], role: str) -> None:
         """Take messages of a sink from now on, instead of those that it had before."""
         where = PLACE if kind == "sparkplug" else "plant/{device}/{point}"
-        receiver = CommandReceiver(
+        receiver = CommandMessageHandler(
             name,
             HandedInput(kind, InputRights(where, tuple(patterns), 10.0, role)),
             self.commands,
@@ -253,7 +253,7 @@ class RuledPlant:
         where, receiver = self.inputs[sink]
         name = point if where == PLACE else topic_level(point)
         topic = where.replace("{device}", "boiler").replace("{point}", name)
-        answer = await receiver.take(InputMessage(topic, payload, **{"arrived": self.moment, **more}))
+        answer = await receiver.handle(InputMessage(topic, payload, **{"arrived": self.moment, **more}))
         assert answer is not None
         content: dict[str, Any] = json.loads(answer)
         return content

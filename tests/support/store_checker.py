@@ -7,7 +7,7 @@ from collected import METER, NOON, SECOND, at
 from store_worker import HANDED_ON, READS_PER_COMMIT, SECONDS_PER_COMMIT
 
 from busway.apps.collector.samples import Gap
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 

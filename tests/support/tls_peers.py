@@ -7,6 +7,7 @@ from collections.abc import Iterator, Mapping
 
 from busway.options.tls import TlsVersion
 from busway.testing.certificates import CertificateFiles
+from busway.transport.tls.failures import FailureKind, failure_of
 
 VERSIONS = (TlsVersion.TLS_1_2, TlsVersion.TLS_1_3)
 OF_SSL = {TlsVersion.TLS_1_2: ssl.TLSVersion.TLSv1_2, TlsVersion.TLS_1_3: ssl.TLSVersion.TLSv1_3}
@@ -38,6 +39,27 @@ def foreign_context(
     if shows is not None:
         context.load_cert_chain(shows.certificate, shows.key)
     return context
+
+
+def agreed(server: ssl.SSLContext, client: ssl.SSLContext) -> FailureKind | None:
+    """What came of a handshake: None where both sides agreed, or else what the side that refused says."""
+    to_server, to_client = ssl.MemoryBIO(), ssl.MemoryBIO()
+    sides = {
+        True: server.wrap_bio(to_server, to_client, server_side=True),
+        False: client.wrap_bio(to_client, to_server, server_hostname="localhost"),
+    }
+    left = set(sides)
+    for _ in range(10):
+        for server_side in sorted(left):
+            try:
+                sides[server_side].do_handshake()
+            except ssl.SSLWantReadError:
+                continue
+            except ssl.SSLError as error:
+                return failure_of(error, server_side=server_side).kind
+            left.discard(server_side)
+    assert not left
+    return None
 
 
 @contextlib.contextmanager

@@ -13,16 +13,16 @@ from collections.abc import Callable, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
+from busway.framing.character_times import SerialTiming
 from busway.framing.echo import Echo
 from busway.framing.frame_direction import LineRole
-from busway.framing.timing import SerialTiming
 from busway.options.client import ClientParameters
 from busway.options.lines import BreakerParameters, FramingParameters, SerialClientParameters
 from busway.pdu.message import Message, Request
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
 from busway.session.call import Call
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.line_framing import LineFraming, line_framing
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, Responder, SerialUnits
@@ -256,7 +256,7 @@ class MasterEnd:
 
 
 class ServerEnd:
-    """The servers of one port, driven as `busway.server.line` does it."""
+    """The servers of one port, driven as `busway.server.serial_listener` does it."""
 
     def __init__(self, port: VirtualPort, responder: Responder, units: Container[int], framing: LineFraming) -> None:
         self.port = port

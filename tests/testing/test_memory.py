@@ -5,10 +5,10 @@ import asyncio
 import pytest
 
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 from busway.testing import MemoryPair, Passage, golden_adu, known_device
 
 
@@ -171,7 +171,7 @@ class Answering(asyncio.Protocol):
         self.session = TcpServerSession(
             RequestPipeline(DeviceResponder({1: known_device()})),
             diagnostics=LineDiagnostics(),
-            slots=TransactionSlots(1),
+            slots=ServerTransactionSlots(1),
             deliver=lambda adu: None,
         )
 

@@ -243,7 +243,7 @@ def test_a_fault_is_on_within_its_block_and_strikes_what_it_was_chosen_for() -> 
         assert caught.value.code == 6
         assert fault.struck == 1
         assert unit.read("4x9") == 43
-        assert device.simulation.board.list() == []
+        assert device.simulation.switchboard.list() == []
         with device.fault("busy", addresses=range(8, 9), skip=1, times=1):
             assert unit.read("4x9") == 43
             with pytest.raises(ExceptionReply):
@@ -286,7 +286,7 @@ def test_a_fault_ends_with_its_block_also_where_that_fails() -> None:
     with simulated_device({"4x1": 42}) as device:
         with pytest.raises(RuntimeError), device.fault("busy"):
             raise RuntimeError
-        assert device.simulation.board.list() == []
+        assert device.simulation.switchboard.list() == []
 
 
 def test_delays_of_faults_and_behaviours_follow_a_clock_that_is_moved_by_hand() -> None:

@@ -2,8 +2,8 @@
 
 import pytest
 
+from busway.framing.character_times import Parity
 from busway.framing.echo import Echo
-from busway.framing.timing import Parity
 from busway.options import ports
 
 

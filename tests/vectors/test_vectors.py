@@ -9,23 +9,23 @@ import pytest
 
 from busway import Device
 from busway.framing.ascii import AsciiReceiver, encode_ascii
+from busway.framing.character_times import SerialTiming
 from busway.framing.crc import crc_bytes
 from busway.framing.frame_direction import LineRole
 from busway.framing.lrc import lrc
 from busway.framing.mbap import FrameKind, MbapReceiver, encode_mbap
 from busway.framing.received import SerialFrame
 from busway.framing.rtu import RtuReceiver, encode_rtu
-from busway.framing.timing import SerialTiming
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.file_records import FileData
 from busway.pdu.functions import STANDARD
 from busway.pdu.message import Message
 from busway.server.cells import Cells
 from busway.server.device_responder import DeviceResponder
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_server import TcpServerSession
 
 VECTORS: list[dict[str, Any]] = json.loads((Path(__file__).parent / "vectors.json").read_text("utf-8"))
 ASKED = [vector for vector in VECTORS if "expect" in vector and vector.get("map") == "S"]
@@ -188,7 +188,7 @@ class Asked:
         self.session = TcpServerSession(
             RequestPipeline(DeviceResponder({1: example_device()})),
             diagnostics=self.diagnostics,
-            slots=TransactionSlots(1),
+            slots=ServerTransactionSlots(1),
             deliver=self.late.append,
         )
 

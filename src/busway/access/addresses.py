@@ -5,11 +5,13 @@ Knows hosts; knows no request. A host is checked before a byte of it is parsed.
 1. The deny list goes before the allow list, however specific their entries are, so that the two lists can be read one
    by one.
 2. In secure mode every host that is not in the allow list is refused. An allow list switches secure mode on, unless
-   ``secure=False`` is given too.
+   ``secure=False`` is given too. An empty allow list is an error, unless ``secure`` is given: it could mean that no
+   host may connect.
 """
 
 from collections.abc import Callable, Iterable
 
+from ..errors import ConfigError
 from ..options.networks import Networks
 
 HostAuthorizer = Callable[[str], bool]
@@ -39,26 +41,30 @@ class AddressList:
     Calling it with the numeric address of a host returns whether the host may connect: ``access("10.0.0.7")``.
 
     Args:
-        allow: addresses and networks that may connect, as `Networks` takes them.
+        allow: addresses and networks that may connect, as `Networks` takes them; None: no list.
         deny: addresses and networks that may not connect, even if ``allow`` has them.
-        secure: whether a host that is in neither list is refused; None: only if ``allow`` is not empty.
+        secure: whether a host that is in neither list is refused; None: only if ``allow`` is given.
 
     Attributes:
         allow, deny, secure: the same; ``secure`` is True or False.
 
     Raises:
-        ConfigError: an entry is no address or network; the error names the entry.
+        ConfigError: an entry is no address or network; the error names the entry. Or ``allow`` is empty, and ``secure``
+            is None.
     """
 
     __slots__ = ("allow", "deny", "secure")
 
     def __init__(
         self,
-        allow: Networks | Iterable[str] = (),
+        allow: Networks | Iterable[str] | None = None,
         deny: Networks | Iterable[str] = (),
         secure: bool | None = None,
     ) -> None:
-        self.allow: Networks = allow if isinstance(allow, Networks) else Networks(allow, key="allow")
+        is_given = allow is not None
+        self.allow: Networks = allow if isinstance(allow, Networks) else Networks(allow or (), key="allow")
+        if is_given and not self.allow and secure is None:
+            raise ConfigError("is empty: leave it out for all hosts, or add secure = true for none", key="allow")
         self.deny: Networks = deny if isinstance(deny, Networks) else Networks(deny, key="deny")
         self.secure: bool = bool(self.allow) if secure is None else secure
 

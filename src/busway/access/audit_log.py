@@ -233,7 +233,7 @@ class AuditLog:
         """
         with self._lock:
             if self._repeated_due is not None and self._clock() > self._repeated_due + _LATE:
-                self._tell_repeated()  # whose event loop has gone
+                self._append_repeated()  # whose event loop has gone
             if not self._repeat_interval:
                 self._append_denied(line, 0)
                 return
@@ -241,7 +241,7 @@ class AuditLog:
                 self._append_denied(line, 0)
             if self._repeated_due is None:
                 self._repeated_due = self._clock() + self._repeat_interval
-                self._schedule(self._repeat_interval, self._tell_repeated)
+                self._schedule(self._repeat_interval, self._append_repeated)
 
     def flush(self) -> None:
         """Write the buffered audit lines to the file now. Raises nothing: a failure is counted, logged and retried.
@@ -264,7 +264,7 @@ class AuditLog:
         with self._lock:
             if self._file is None:
                 return
-            self._tell_left_out()
+            self._append_left_out()
             self.flush()
             fresh = self._open()
             os.close(self._file)
@@ -280,8 +280,8 @@ class AuditLog:
         Lines that cannot be written now, and lines appended later, are lost, and counted in ``lost``.
         """
         with self._lock:
-            self._tell_repeated()
-            self._tell_left_out()
+            self._append_repeated()
+            self._append_left_out()
             self.flush()
             file, self._file = self._file, None
             if file is not None:
@@ -311,13 +311,13 @@ class AuditLog:
         ``line`` creates the line. ``repeated``: how many denials the line stands for; 0 for a single one.
         """
         if self._has_room_for_denials():
-            self._tell_left_out()
+            self._append_left_out()
             self.append(line(repeated))
         else:
             self.denials_left_out += repeated or 1
             self._left_out += repeated or 1
 
-    def _tell_repeated(self) -> None:
+    def _append_repeated(self) -> None:
         """Append an audit line for each client and rule whose denials were only counted since the last call.
 
         One more line is for all denials that were not counted by client and rule. The next call is scheduled if a
@@ -332,9 +332,9 @@ class AuditLog:
                 self._append_denied(lambda repeated: _others_line(self.timestamp(), repeated), others)
             if self._repeated and self._file is not None:
                 self._repeated_due = self._clock() + self._repeat_interval
-                self._schedule(self._repeat_interval, self._tell_repeated)
+                self._schedule(self._repeat_interval, self._append_repeated)
 
-    def _tell_left_out(self) -> None:
+    def _append_left_out(self) -> None:
         """If denials were left out since the last such line, append an audit line with their number."""
         if self._left_out:
             left_out, self._left_out = self._left_out, 0

@@ -185,7 +185,7 @@ class Rule:
         action: str | Action = Action.ALLOW,
         peers: Iterable[str] | Networks | None = None,
         roles: Iterable[str] | None = None,
-        listeners: Iterable[str] = (),
+        listeners: Iterable[str] | None = None,
         units: str | int | Iterable[str | int] | None = None,
         functions: str | int | Iterable[str | int] | None = None,
         table: str | Table | Iterable[str | Table] | None = None,
@@ -217,7 +217,7 @@ class Rule:
             code: exception code of a refusal: 1, or 2 for a rule that names tables or addresses and no roles.
 
         Raises:
-            ConfigError: an argument is invalid; its key names it.
+            ConfigError: an argument is invalid, or an empty list; its key names it.
         """
         limits = Limits(*values, signed=signed) if isinstance(values, tuple) else values
         given_units = given_functions = given_files = None
@@ -230,12 +230,17 @@ class Rule:
         if files is not None:
             with _about("files"):
                 given_files = parse_files(files)
+                if not given_files:
+                    raise ConfigError(_EMPTY)
+        given_listeners = () if listeners is None else tuple(map(listener_name, _texts(listeners, "listeners")))
+        if listeners is not None and not given_listeners:
+            raise ConfigError(_EMPTY, key="listeners")
         return cls(
             name=name,
             action=_one_of(Action, action, "action"),
             peers=peers if peers is None or isinstance(peers, Networks) else Networks(peers, key="peers"),
             roles=None if roles is None else frozenset(_texts(roles, "roles")),
-            listeners=tuple(listener_name(each) for each in _texts(listeners, "listeners")),
+            listeners=given_listeners,
             units=given_units,
             functions=given_functions,
             items=_items(table, addresses),

@@ -19,8 +19,8 @@ from .arguments import whole_number
 from .output import warn
 
 if TYPE_CHECKING:
+    from ..observe.capture_files.frame_extraction import CapturedTraffic
     from ..observe.capture_files.packet_file import PacketFile
-    from ..observe.capture_files.traffic import CapturedTraffic
 
 PORT = typer.Option(None, "--port", metavar="LIST", help="Of a capture: ports of Modbus servers: 502,5020. 502.")
 STDIN: Final = "-"
@@ -74,7 +74,7 @@ def traffic_of(ports: str | None, framing: str | None) -> "CapturedTraffic":
     Raises:
         ConfigError: a port or the framing is invalid.
     """
-    from ..observe.capture_files.traffic import MODBUS_PORT, CapturedTraffic
+    from ..observe.capture_files.frame_extraction import MODBUS_PORT, CapturedTraffic
     from ..observe.dissect import Framing
 
     if framing is not None and framing not in _FRAMINGS:

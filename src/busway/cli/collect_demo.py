@@ -67,7 +67,7 @@ async def collect_demo(limit: float, page: str) -> None:
 
 def _written(folder: Path, url: str, page: str) -> Path:
     """Write the demonstration's collector file and device profiles into a folder; return the path of the file."""
-    from ..apps.simulator.plant import PLANT_FILE
+    from ..apps.simulator.demo_plant import PLANT_FILE
     from ..config.files.device import parse_device_file
     from .demo import BAUD
 

@@ -161,10 +161,12 @@ def _show(file: str) -> None:
     kind = _kind_of(file)
     if kind != "server":
         raise ConfigError(f"this is a file of a {kind}, which is shown by: {_SHOWN_BY[kind].format(file)}", file=file)
-    from ..apps.server.configuration import load_configuration
+    from ..apps.server.configuration import parse_configuration
     from ..apps.server.effective import effective
+    from ..config.reading import read_text
 
-    for line in effective(load_configuration(file)):
+    text = read_text(file)
+    for line in effective(parse_configuration(text, file), tomllib.loads(text)):
         print(line)
 
 

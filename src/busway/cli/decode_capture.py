@@ -16,8 +16,8 @@ from .exits import ExitCode
 from .output import print_json
 
 if TYPE_CHECKING:
+    from ..observe.capture_files.frame_extraction import CapturedFrame, CapturedTraffic, FaultyBytes, TrafficEvent
     from ..observe.capture_files.packet_file import PacketFile
-    from ..observe.capture_files.traffic import CapturedFrame, CapturedTraffic, FaultyBytes, TrafficEvent
     from ..observe.dissect import Dissection, Dissector
 
 _MOST_ASKED: Final = 4096
@@ -39,7 +39,7 @@ def decode_capture(name: str, *, ports: str | None, framing: str | None, as_json
     Raises:
         ConfigError: an option is invalid, or the file is broken; the frames before the broken place are printed.
     """
-    from ..observe.capture_files.traffic import ChannelEnd
+    from ..observe.capture_files.frame_extraction import ChannelEnd
 
     traffic = traffic_of(ports, framing)
     explaining = _Explaining(as_json)
@@ -76,7 +76,7 @@ class _Explaining:
 
     def show(self, event: "CapturedFrame | FaultyBytes") -> None:
         """Print one frame, field by field; or what is broken or missing at one place of the capture."""
-        from ..observe.capture_files.traffic import FaultyBytes
+        from ..observe.capture_files.frame_extraction import FaultyBytes
 
         said = event.text if isinstance(event, FaultyBytes) else ""
         dissection = self._dissected(event)
@@ -94,7 +94,7 @@ class _Explaining:
 
     def _dissected(self, event: "CapturedFrame | FaultyBytes") -> "Dissection | None":
         from ..framing.received import Direction
-        from ..observe.capture_files.traffic import CapturedFrame
+        from ..observe.capture_files.frame_extraction import CapturedFrame
         from ..observe.dissect import Dissector, MessageDirection
 
         channel = event.channel
@@ -126,7 +126,7 @@ def _ends(event: "CapturedFrame | FaultyBytes") -> str:
 def _addresses(event: "CapturedFrame | FaultyBytes") -> tuple[str, str]:
     """Return source and destination of a frame as text; for a serial line, its name and an empty text."""
     from ..framing.received import Direction
-    from ..observe.capture_files.traffic import node_text
+    from ..observe.capture_files.frame_extraction import node_text
 
     channel = event.channel
     if channel.client is None or channel.server is None:

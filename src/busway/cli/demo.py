@@ -29,7 +29,7 @@ from .signals import on_hangup, stop_event
 
 if TYPE_CHECKING:
     from ..apps.gateway.gateway import Gateway
-    from ..apps.simulator.plant import Plant
+    from ..apps.simulator.demo_plant import Plant
     from ..client.aio import AsyncLink, AsyncUnit
     from ..config.files.points import PointSection
     from ..server.server import Server
@@ -133,7 +133,7 @@ async def started_plant(stack: AsyncExitStack, port: int) -> "tuple[Plant, str]"
     Returns:
         The plant and the gateway's URL.
     """
-    from ..apps.simulator.plant import Plant
+    from ..apps.simulator.demo_plant import Plant
 
     plant = Plant()
     near, far = _line(stack)
@@ -173,17 +173,17 @@ def _devices(plant: "Plant", url: str) -> "Server":
 
     By faults, the meter answers slowly, and the thermometer stops answering from time to time.
     """
-    from ..apps.simulator.plant import METER, THERMOMETER
-    from ..faults.fault import Schedule
+    from ..apps.simulator.demo_plant import METER, THERMOMETER
+    from ..faults.applied_faults import Schedule
     from ..faults.switchboard import FaultSwitchboard
     from ..server.serving import serve
 
-    board = FaultSwitchboard()
-    board.add("late", units={METER}, parameters={"delay": METER_DELAY})
+    switchboard = FaultSwitchboard()
+    switchboard.add("late", units={METER}, parameters={"delay": METER_DELAY})
     death = Schedule(after=DEATH_AFTER, lasts=DEATH_LASTS, every=DEATH_EVERY)
-    board.add("wedged", units={THERMOMETER}, schedule=death)
+    switchboard.add("wedged", units={THERMOMETER}, schedule=death)
     server = serve(url, units=plant.devices)
-    board.attach(server)
+    switchboard.attach(server)
     return server
 
 

@@ -41,8 +41,8 @@ if TYPE_CHECKING:
     from ..apps.fleet.fleet_collector import FleetCollector
     from ..apps.fleet.fleet_status import ZoneStatus
     from ..apps.fleet.lease_times import LeaseTimes
-    from ..apps.fleet.records import LeaseHole
     from ..apps.fleet.streams import SinkLag
+    from ..apps.fleet.table_records import LeaseHole
 
 EXAMPLES = """\b
 Examples:
@@ -222,8 +222,8 @@ def fleet(
     }
     from ..server.loops import run
 
-    tell = partial(_tell_durability, url, options, system) if action in ("apply", "run", "sink") else None
-    return run(_with_coordinator(url, zone, options, works[action], tell)) or ExitCode.DONE
+    prepare = partial(_print_durability, url, options, system) if action in ("apply", "run", "sink") else None
+    return run(_with_coordinator(url, zone, options, works[action], prepare)) or ExitCode.DONE
 
 
 def _action(words: list[str]) -> list[str]:
@@ -277,7 +277,7 @@ async def _with_coordinator(
     zone: str,
     options: "CoordinatorOptions",
     work: Any,
-    tell: "Callable[[Coordinator], Awaitable[None]] | None" = None,
+    prepare: "Callable[[Coordinator], Awaitable[None]] | None" = None,
 ) -> int | None:
     """Open the coordinator of a zone, await ``work(coordinator)``, close it, and return the result of ``work``.
 
@@ -286,14 +286,14 @@ async def _with_coordinator(
         zone: name of the zone.
         options: options of the connection.
         work: coroutine function that returns an exit code, or None for success.
-        tell: coroutine function that prints warnings about the coordinator, awaited before ``work``; None for none.
+        prepare: coroutine function that prints warnings about the coordinator, awaited before ``work``; None for none.
     """
     from ..apps.fleet.coordinators import open_coordinator
 
     table = await open_coordinator(url, zone, options)
     try:
-        if tell is not None:
-            await tell(table)
+        if prepare is not None:
+            await prepare(table)
         doing: Coroutine[Any, Any, int | None] = work(table)
         return await doing
     finally:
@@ -314,7 +314,7 @@ async def _durability(
     return await server_durability(table, url, options, system) if isinstance(table, NatsCoordinator) else []
 
 
-async def _tell_durability(url: str, options: "CoordinatorOptions", system: str | None, table: "Coordinator") -> None:
+async def _print_durability(url: str, options: "CoordinatorOptions", system: str | None, table: "Coordinator") -> None:
     """Print warnings if NATS servers may lose entries that they have acknowledged, or if too few servers keep them.
 
     If the system account cannot be used, that is a warning too, and only what the coordinator's own connection shows is

@@ -106,7 +106,7 @@ async def fleet_demo(limit: float) -> None:
             await asyncio.gather(playing, stopped, return_exceptions=True)
             if not playing.cancelled():
                 playing.result()
-            demo.tell_outcome()
+            demo.print_outcome()
 
 
 class FleetDemo:
@@ -149,7 +149,7 @@ class FleetDemo:
             await self._start_collector(name)
         await self._until_shared(watch, set(COLLECTORS))
         for name in COLLECTORS:
-            self._tell_page(name)
+            self._print_page(name)
         await asyncio.sleep(CALM)
         await self._kill_one(watch)
         await asyncio.sleep(CALM)
@@ -157,7 +157,7 @@ class FleetDemo:
         await self._until_shared(watch, set(COLLECTORS))
         await asyncio.sleep(CALM)
 
-    def tell_outcome(self) -> None:
+    def print_outcome(self) -> None:
         """Print how many samples have reached the sink; nothing if the sink has written none."""
         archive = self._folder / "archive.jsonl"
         if archive.exists():
@@ -270,7 +270,7 @@ class FleetDemo:
             await asyncio.sleep(0.2)
         raise LinkDown(f"the shards were not shared in {START_SECONDS:g} s: {self._shown}", kind="timeout")
 
-    def _tell_page(self, name: str) -> None:
+    def _print_page(self, name: str) -> None:
         for line in (self._folder / f"{name}.log").read_text(encoding="utf-8").splitlines():
             if "page on " in line:
                 say(f"page of {name}: {line.partition('page on ')[2].partition(' ')[0]} (tab Fleet shows links move)")

@@ -56,12 +56,12 @@ async def open_stream(stack: AsyncExitStack, table: "Coordinator", zone: str, re
     await make_stream(client, zone, StreamOptions(replicas=replicas))
     stream = NatsStream(client, zone)
     watch = asyncio.create_task(stream.watch_cursors(table), name="busway fleet cursors")
-    watch.add_done_callback(_tell_end_of_cursors)
+    watch.add_done_callback(_warn_without_cursors)
     stack.push_async_callback(end_tasks, [watch])
     return stream
 
 
-def _tell_end_of_cursors(watch: "asyncio.Task[None]") -> None:
+def _warn_without_cursors(watch: "asyncio.Task[None]") -> None:
     error = None if watch.cancelled() else watch.exception()
     if error is not None:
         warn(f"what the sinks of the stream have is not known any more, so nothing is dropped: {error}")

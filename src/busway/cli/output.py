@@ -20,6 +20,9 @@ from typing import Any, Protocol
 from ..errors import ConfigError
 from ..values import Address, ValueType, format_address, printable
 
+NOT_READ_BACK = "written, not read back"
+"""Outcome of a write that ``--verify`` could not read back."""
+
 
 @dataclass(frozen=True, slots=True)
 class TableRow:
@@ -33,9 +36,10 @@ class TableRow:
         type: name of its value type; ``bit`` for one bit.
         reason: why it could not be read; empty if it was read or written.
         written: True for a value that was written, False for one that was read.
-        verified: for a written value, whether the device holds it, as reading back has shown; None if it was not read
-            back.
-        holds: the value that the device holds instead, if ``verified`` is False.
+        verified: for a written value, whether the device holds it, as reading back has shown; None if it was not to be
+            read back.
+        read_back: False if ``verified`` is False because the value could not be read back.
+        holds: the value that the device holds instead, if ``verified`` is False and the value was read back.
     """
 
     address: Address
@@ -45,6 +49,7 @@ class TableRow:
     reason: str = ""
     written: bool = False
     verified: bool | None = None
+    read_back: bool = True
     holds: Any = None  # what its type says
 
     @property
@@ -54,6 +59,8 @@ class TableRow:
             return ""
         if self.verified is None:
             return "written"
+        if not self.read_back:
+            return NOT_READ_BACK
         return "written, read back" if self.verified else f"written, but the device holds {shown_value(self.holds)}"
 
     @property
@@ -231,7 +238,7 @@ class JsonWriter:
                 fields["written"] = True
             if row.verified is not None:
                 fields["verified"] = row.verified
-            if row.verified is False:
+            if row.verified is False and row.read_back:
                 fields["holds"] = json_value(row.holds)
             print_json(fields)
         sys.stdout.flush()

@@ -25,7 +25,7 @@ from .output import float32_digits, json_value, print_aligned, print_csv, print_
 if TYPE_CHECKING:
     from ..apps.collector.alarms.events import AlarmEvent
     from ..apps.collector.store.query_results import BucketTable, SampleTable
-    from ..apps.collector.store.reading import Store
+    from ..apps.collector.store.store_reader import Store
 
 EXAMPLES = """\b
 Examples:
@@ -60,7 +60,7 @@ def query(
     quiet: bool = QUIET,
 ) -> int:
     """Show what a store of the collector holds."""
-    from ..apps.collector.store.reading import Store
+    from ..apps.collector.store.store_reader import Store
 
     given = [name for name, on in (("--json", as_json), ("--csv", as_csv), ("--parquet", parquet is not None)) if on]
     if len(given) > 1:

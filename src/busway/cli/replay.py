@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from ..apps.replay.item_ranges import ItemRanges
     from ..apps.replay.recorded_devices import RecordedDevices
     from ..codes import Table
+    from ..observe.capture_files.frame_extraction import CapturedTraffic
     from ..observe.capture_files.packet_file import PacketFile
-    from ..observe.capture_files.traffic import CapturedTraffic
 
 EXAMPLES = """\b
 Examples:

@@ -165,7 +165,7 @@ class _Scan:
     ) -> None:
         self._scan = UnitScan(endpoint, units, longest, learn=learns, identify=names, asking=self._show)
         self._port = self._scan.line
-        self._adaptive_timeout = self._scan.adaptive_timeout
+        self._timeout = self._scan.scan_timeout
         self._endpoint = endpoint
         self._units = units
         self._as_json = as_json
@@ -178,7 +178,7 @@ class _Scan:
 
     def run(self) -> int:
         """Ask all units behind the endpoint, print those that answer and a summary, and return how many answered."""
-        most = len(self._units) * self._adaptive_timeout.longest
+        most = len(self._units) * self._timeout.longest
         say(f"asking {counted(len(self._units), 'unit')} of {self._where}, {_duration(most)} at most")
         try:
             for present in self._scan.found():
@@ -218,7 +218,7 @@ class _Scan:
         sys.stdout.flush()
 
     def _conclude(self) -> None:
-        timeout = self._adaptive_timeout.timeout
+        timeout = self._timeout.timeout
         alike = len(self._found) == len(self._units) >= MANY and len({_identity(each) for each in self._found}) == 1
         if self._as_json:
             print_json(
@@ -228,7 +228,7 @@ class _Scan:
                     "line": None if self._port is None else str(self._port),
                     "asked": len(self._units),
                     "found": [each.unit for each in self._found],
-                    "slowest": round(self._adaptive_timeout.slowest, 6) if self._found else None,
+                    "slowest": round(self._timeout.slowest, 6) if self._found else None,
                     "timeout": round(timeout, 3) if self._found else None,
                     "all_alike": alike,
                 }
@@ -239,7 +239,7 @@ class _Scan:
             return
         several = "unit answers" if len(self._found) == 1 else "units answer"
         print(f"{len(self._found)} {several} on {self._where}")
-        print(f"the slowest took {self._adaptive_timeout.slowest * 1000:.0f} ms; a timeout of {timeout:.2f} s is safe")
+        print(f"the slowest took {self._timeout.slowest * 1000:.0f} ms; a timeout of {timeout:.2f} s is safe")
         if alike:
             print("all of them answer alike: this is one device, which does not look at the unit")
 

@@ -76,7 +76,7 @@ def address_list(allow: list[str] | None, deny: list[str] | None) -> "AddressLis
 
     if not allow and not deny:
         return None
-    return AddressList(Networks(allow or (), key="--allow"), Networks(deny or (), key="--deny"))
+    return AddressList(Networks(allow, key="--allow") if allow else None, Networks(deny or (), key="--deny"))
 
 
 def listener_changes(priority: list[str] | None) -> dict[str, Any]:  # Any: options of several types

@@ -13,6 +13,7 @@
 import asyncio
 import math
 import re
+import sys
 from collections.abc import Callable, Collection, Iterable
 from contextlib import AsyncExitStack, suppress
 from dataclasses import replace
@@ -66,7 +67,7 @@ if TYPE_CHECKING:
     from ..apps.server.service import Service
     from ..apps.simulator.simulation import Simulation
     from ..apps.web.simulation_page import ControlPage
-    from ..faults.fault import AppliedFault
+    from ..faults.applied_faults import AppliedFault
     from ..faults.switchboard import FaultStatus
 
 EXAMPLES = """\b
@@ -165,7 +166,7 @@ def simulate(
     from ..apps.server.service import Service
     from ..server.loops import run
 
-    source = chosen_source(file, device, map_file, unit, listener_changes(priority))
+    source = chosen_source(file, device, map_file, unit, listener_changes(priority), preflight=check)
     simulation = _loaded(source, fault or (), listen or (), keeps_state=not check, **options)
     if check:
         _print_units(simulation)
@@ -221,12 +222,12 @@ def _loaded(
     endpoints = listen or [str(one.endpoint) for one in simulation.listeners]
     for words in faults:
         try:
-            status = simulation.board.status(put_on_by_words(simulation.board, words))
+            status = simulation.switchboard.status(put_on_by_words(simulation.switchboard, words))
         except ConfigError as error:
             raise ConfigError(str(error), key=f"--fault {words}") from error
         if why := why_it_never_strikes(status, endpoints, simulation.units):
             raise ConfigError(f"it would never strike: {why}", key=f"--fault {words}")
-    for status in simulation.board:
+    for status in simulation.switchboard:
         if status.is_on and (why := why_it_never_strikes(status, endpoints, simulation.units)):
             warn(f"fault {status.name} never strikes: {why}")
     return simulation
@@ -280,7 +281,7 @@ def check_file(file: str) -> None:
     from ..apps.simulator.includes import load_declaration
     from ..apps.simulator.simulation import Simulation
 
-    _print_units(Simulation(replace(load_declaration(file), state=None)))
+    _print_units(Simulation(replace(load_declaration(file, preflight=True), state=None)))
 
 
 def _print_units(simulation: "Simulation") -> None:
@@ -290,10 +291,12 @@ def _print_units(simulation: "Simulation") -> None:
         moving = sum(point.behaviour != "" for point in unit.points.values())
         name = f" {unit.name}:" if unit.name else ""
         print(f"unit {unit.unit}:{name} {counted(len(unit.points), 'point')}, {moving} with a behaviour")
-    for each in simulation.board:
+    for each in simulation.switchboard:
         details = fault_details(each)
         with_them = f"; {details}" if details else ""
         print(f"fault {each.name}: {each.fault_profile}, {'on' if each.is_on else 'off'}{with_them}")
+    for warning in simulation.declaration.configuration.warnings:
+        print(warning, file=sys.stderr)
 
 
 def _announce_fault(status: "FaultStatus") -> None:
@@ -305,14 +308,14 @@ def _announce_fault(status: "FaultStatus") -> None:
     say(f"fault {status.name}: {'; '.join(told)}")
 
 
-def _tell_fault_time(fault: "AppliedFault", begins: bool) -> None:
+def _print_fault_time(fault: "AppliedFault", begins: bool) -> None:
     say(f"fault {fault.label} {'begins' if begins else 'ends'}")
 
 
 async def _simulate(
     simulation: "Simulation", service: "Service", page: "ControlPage | None", limit: float | None
 ) -> None:
-    from ..apps.simulator.fault_times import tell_fault_times
+    from ..apps.simulator.fault_times import report_fault_times
 
     with stop_event() as stop:
         async with AsyncExitStack() as stack:
@@ -328,11 +331,11 @@ async def _simulate(
                 say(f"unit {unit.unit}{name}: {counted(len(unit.points), 'point')}")
             for sentence in simulation.warnings:
                 warn(sentence)
-            for each in simulation.board:
+            for each in simulation.switchboard:
                 if each.is_on:
                     _announce_fault(each)
             announce(service)
-            times = asyncio.create_task(tell_fault_times(simulation.board, _tell_fault_time))
+            times = asyncio.create_task(report_fault_times(simulation.switchboard, _print_fault_time))
             stack.callback(times.cancel)
             with suppress(TimeoutError):
                 await asyncio.wait_for(stop.wait(), limit)

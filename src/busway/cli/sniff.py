@@ -61,9 +61,9 @@ def sniff(
 ) -> int:
     """Listen to a line, never send."""
     from ..observe.pairing import Pairing
-    from ..observe.sniffing import Listening, line_to_hear
+    from ..observe.sniffing import Listening, sniffed_line
 
-    line = line_to_hear(url)
+    line = sniffed_line(url)
     window = seconds(reply_window, "--reply-window", low=0.001, high=60)
     lasting = None if duration is None else seconds(duration, "--for", low=0.01, high=10 * 365 * 86_400)
     with ExitStack() as stack:

@@ -69,7 +69,13 @@ class Chosen:
 
 
 def chosen_source(
-    file: str | None, device: str | None, map_file: str | None, unit: str | None, changes: dict[str, Any]
+    file: str | None,
+    device: str | None,
+    map_file: str | None,
+    unit: str | None,
+    changes: dict[str, Any],  # Any: of different types
+    *,
+    preflight: bool = False,
 ) -> Chosen:
     """Return the source that the arguments of ``busway simulate`` name; it is not read yet.
 
@@ -80,6 +86,7 @@ def chosen_source(
         unit: text of ``--unit``: number for the register map, or for a file whose only unit has none. None if not
             given.
         changes: options of listeners that override those of the file.
+        preflight: whether loading opens the files that a simulation file names for its server, such as certificates.
 
     Raises:
         ConfigError: none of the three sources is named or several are, there is no such device, ``unit`` is given with
@@ -102,14 +109,14 @@ def chosen_source(
             raise ConfigError(error.message, key=f"--device {device}") from None
     name = file if file is not None else f"{PREFIX}{device}"
     asked = unit_number(unit)
-    return Chosen(name, lambda: _of_file(name, asked, changes))
+    return Chosen(name, lambda: _of_file(name, asked, changes, preflight))
 
 
-def _of_file(name: str, unit: int | None, changes: dict[str, Any]) -> "SimulationDeclaration":
+def _of_file(name: str, unit: int | None, changes: dict[str, Any], preflight: bool) -> "SimulationDeclaration":
     from ..apps.simulator.includes import load_declaration
 
     with hint_at_unit():
-        found = load_declaration(name, changes=changes, unit=unit)
+        found = load_declaration(name, changes=changes, unit=unit, preflight=preflight)
     refuse_other_unit(name, unit, (number for each in found.units for number in each.section.unit))
     return found
 

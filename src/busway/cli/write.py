@@ -35,7 +35,7 @@ from .arguments import (
 )
 from .exits import ExitCode
 from .files import capturing
-from .output import TableRow, choose_writer, print_csv, print_json, shown_value, value_rows, warn
+from .output import NOT_READ_BACK, TableRow, choose_writer, print_csv, print_json, shown_value, value_rows, warn
 
 if TYPE_CHECKING:
     from ..client.blocking import BlockingUnit
@@ -91,6 +91,9 @@ def write(
     if chosen is None:
         raise ConfigError(f"one of {', '.join(_FUNCTIONS)} is needed, not {function!r}", key="--function")
     place = parse_address(address)
+    if chosen != "auto" and (mask is not None or place.bit is not None):
+        what = "--mask" if mask is not None else f"{place}, one bit of a register"
+        raise ConfigError(f"has no effect on {what}, which is written by function 22", key="--function")
     if (
         verify
         and unit is not None
@@ -116,6 +119,8 @@ def write(
         held = _read_back(lambda: _held(asked, place, form, raw)) if verify else None
     if held is not None:
         rows = _compared(rows, value_rows(place, form, *held))
+    elif verify:
+        rows = [replace(row, verified=False, read_back=False) for row in rows]
     writer.write(rows)
     return ExitCode.NOT_VERIFIED if verify and not all(row.verified for row in rows) else ExitCode.DONE
 
@@ -188,7 +193,7 @@ def _write_mask(
     code, outcome = ExitCode.DONE, "written"
     told: dict[str, Any] = {}  # what `holds` and `verified` are
     if verify:
-        code = ExitCode.NOT_VERIFIED
+        code, outcome, told["verified"] = ExitCode.NOT_VERIFIED, NOT_READ_BACK, False
         found = _read_back(lambda: unit.read_holding_registers(place.offset, count=1)[0])
         if found is not None:
             told["verified"] = not (found ^ or_mask) & ~and_mask & 0xFFFF  # the bits that AND does not keep

@@ -128,7 +128,7 @@ class AsyncUnit:
             raise
         outcome = call.outcomes[0]
         if isinstance(outcome, ModbusError):
-            self._tell_assumed(outcome)
+            self._add_hint(outcome)
             try:
                 raise outcome
             finally:
@@ -151,7 +151,7 @@ class AsyncUnit:
             outcomes = refused(refusal, requests)
         for outcome in outcomes:
             if isinstance(outcome, ModbusError):
-                self._tell_assumed(outcome)
+                self._add_hint(outcome)
                 if return_errors:
                     continue
                 try:
@@ -160,7 +160,7 @@ class AsyncUnit:
                     del outcome, outcomes  # as in `_ask`
         return outcomes
 
-    def _tell_assumed(self, error: ModbusError) -> None:
+    def _add_hint(self, error: ModbusError) -> None:
         """Add a hint to the message of an error that an assumed unit, baud rate or parity may have caused.
 
         Assumed are those that the user did not give. Other errors stay unchanged.

@@ -122,7 +122,7 @@ class BlockingUnit:
         outcome: Any
         (outcome,) = self._link.run(self._number, requests, call_options)
         if isinstance(outcome, ModbusError):
-            self._tell_assumed(outcome)
+            self._add_hint(outcome)
             raise outcome
         reply: Reply = outcome
         return reply
@@ -151,12 +151,12 @@ class BlockingUnit:
             outcomes = refused(refusal, requests)
         for outcome in outcomes:
             if isinstance(outcome, ModbusError):
-                self._tell_assumed(outcome)
+                self._add_hint(outcome)
                 if not return_errors:
                     raise outcome
         return outcomes
 
-    def _tell_assumed(self, error: ModbusError) -> None:
+    def _add_hint(self, error: ModbusError) -> None:
         """Add a hint to the message of an error that an assumed unit, baud rate or parity may have caused.
 
         Assumed are those that the user did not give. Other errors stay unchanged.

@@ -32,10 +32,10 @@ from ..errors import LinkDown, ModbusError
 from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..session.call import Call
-from ..session.client import TcpClientSession
 from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState
 from ..session.serial_client import SerialClientSession
+from ..session.tcp_client import TcpClientSession
 from ..transport.buffers import RECEIVE_SIZE
 from ..transport.tcp import link_down, network_reason
 from .blocking_connection import BlockingConnection
@@ -694,7 +694,7 @@ class BlockingLinkDriver:
     def _done(self) -> None:
         """Remove the calls that have ended from ``_calls``, and wake their threads."""
         if self._line is not None and self._line.notes:
-            self._tell_notes(self._line.notes)
+            self._trace_notes(self._line.notes)
         finished = self.session.finished
         if finished:
             for call in finished:
@@ -751,7 +751,7 @@ class BlockingLinkDriver:
             # With one connection per request (hold=request), opening and closing are no news for an operator.
             _log.log(logging.INFO if self._hold else logging.DEBUG, "%s: %s", self.name, news)
         if self.observers is not None:
-            self.observers.tell(self.reconnect.state, reason)
+            self.observers.notify(self.reconnect.state, reason)
 
     def _close_connection(self) -> None:
         connection, self._connection = self._connection, None
@@ -768,7 +768,7 @@ class BlockingLinkDriver:
             if refusal is not None:
                 raise refusal
 
-    def _tell_notes(self, notes: list[str]) -> None:
+    def _trace_notes(self, notes: list[str]) -> None:
         if TRACE.level:
             for note in notes:
                 self._traced().note(note)

@@ -12,8 +12,8 @@ from ..errors import ConfigError
 from ..framing.datagram import WHOLE
 from ..options.endpoints import Endpoint
 from ..options.sockets import SocketParameters
-from ..session.client import TcpClientSession
 from ..session.serial_client import SerialClientSession
+from ..session.tcp_client import TcpClientSession
 from ..transport.tcp import configure, link_down
 from .channel import Channel, LinkEnd
 from .settings import LinkSettings

@@ -12,7 +12,7 @@ import threading
 from collections import OrderedDict
 from typing import Final
 
-from ..session.late_replies import Doubts
+from ..session.serial_late_replies import Doubts
 
 KEPT_AT_MOST: Final = 1024
 """Most endpoints that are remembered; beyond that, the one whose link was closed longest ago is forgotten."""

@@ -24,10 +24,10 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..options.client import ON_STREAMS
 from ..session.call import Call
-from ..session.client import TcpClientSession
 from ..session.connection_life import ConnectionLife
 from ..session.reconnect import ConnectionEvent, ConnectionState, Reconnect
 from ..session.serial_client import SerialClientSession
+from ..session.tcp_client import TcpClientSession
 from ..transport.buffers import receive_buffer
 from ..transport.tcp import discard_on_close, link_down, network_reason, takes_bytes
 from .connector import Connector
@@ -610,7 +610,7 @@ class AsyncLinkDriver:
         if self.told is not None:
             self.told(event, reason)
         if self.observers is not None:
-            self.observers.tell(self.reconnect.state, reason)
+            self.observers.notify(self.reconnect.state, reason)
 
     def _ensure_connection(self, now: float, *, by_name: bool = False) -> None:
         if self._connecting is not None:
@@ -690,7 +690,7 @@ class AsyncLinkDriver:
 
     def _rearm(self) -> None:
         if self._line is not None and self._line.notes:
-            self._tell_notes(self._line.notes)
+            self._trace_notes(self._line.notes)
         deadline = self.session.deadline()
         if self._transport is None and self.reconnect.state is ConnectionState.BACKING_OFF and self.session.has_calls:
             deadline = min(deadline or self.reconnect.not_before, self.reconnect.not_before)
@@ -701,7 +701,7 @@ class AsyncLinkDriver:
             self._timer.cancel()
             self._timer = None
 
-    def _tell_notes(self, notes: list[str]) -> None:
+    def _trace_notes(self, notes: list[str]) -> None:
         if TRACE.level:
             for note in notes:
                 self._traced().note(note)

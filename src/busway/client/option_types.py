@@ -5,8 +5,8 @@ Written by ``scripts/option_types.py`` from `busway.options`, where each option 
 
 from typing import Literal, TypedDict
 
+from ..framing.character_times import Parity
 from ..framing.echo import Echo
-from ..framing.timing import Parity
 from ..options.client import Hold, MismatchPolicy, TransactionScope
 from ..options.ports import Rs485
 from ..options.presets import Preset

@@ -3,7 +3,7 @@
 1. Each unit is asked for one holding register. A unit that answers in any way is present, also with an exception or a
    damaged reply; the exceptions 0A and 0B of a gateway mean that the unit is absent. Nothing is ever written.
 2. A line is listened to first, and nothing is sent if there is traffic: two masters disturb each other.
-3. The time to wait for a unit is learnt from the answers (`session.adaptive_timeout`). If an answer comes late, silent
+3. The time to wait for a unit is learnt from the answers (`session.scan_timeout`). If an answer comes late, silent
    units that were given less than the full time are asked again.
 4. A unit that answers is asked for its identification (43/14, 17).
 """
@@ -21,7 +21,7 @@ from ..options.offer import MONITORS, Offer, canonical
 from ..options.ports import SerialSettings
 from ..pdu.compiler import as_integer
 from ..pdu.read_items import ReadHoldingRegisters
-from ..session.adaptive_timeout import AdaptiveTimeout, floor_for
+from ..session.scan_timeout import ScanTimeout, floor_for
 from .blocking import BlockingLink, connect
 from .sessions import timing_of
 from .settings import link_settings
@@ -136,9 +136,9 @@ def refuse_busy_line(
     """
     if endpoint.framing == "mbap" or endpoint.carrier not in ("serial", "tcp"):
         return
-    from ..observe.sniffing import Listening, line_to_hear
+    from ..observe.sniffing import Listening, sniffed_line
 
-    with Listening(line_to_hear(replace(endpoint, options={}), _for_listening(endpoint, options or {}))) as listening:
+    with Listening(sniffed_line(replace(endpoint, options={}), _for_listening(endpoint, options or {}))) as listening:
         begun()
         until = time.monotonic() + listen
         while time.monotonic() < until and not listening.bytes_heard:
@@ -171,7 +171,7 @@ class UnitScan:
 
     Attributes:
         line: settings of the serial port, such as its baud rate; None over a network.
-        adaptive_timeout: its ``timeout`` is the present wait for a unit in seconds, learnt from the answers so far.
+        scan_timeout: its ``timeout`` is the present wait for a unit in seconds, learnt from the answers so far.
 
     Raises:
         ConfigError: an option is invalid, or this process uses the serial port already.
@@ -194,7 +194,7 @@ class UnitScan:
         line = link_settings(endpoint, chosen).line
         self.line: SerialSettings | None = None if line is None else line.port
         character = 0.0 if self.line is None else timing_of(self.line).character
-        self.adaptive_timeout: AdaptiveTimeout = AdaptiveTimeout(longest, floor_for(character), learns=learn)
+        self.scan_timeout: ScanTimeout = ScanTimeout(longest, floor_for(character), learns=learn)
         self._units = units
         self._identifies = identify
         self._asking = asking
@@ -211,9 +211,9 @@ class UnitScan:
         with self._link:
             self._link.connect()
             yield from self._ask(self._units)
-            if self.adaptive_timeout.was_late:
+            if self.scan_timeout.was_late:
                 yield from self._ask(
-                    [unit for unit, waited in self._waited.items() if waited < self.adaptive_timeout.timeout]
+                    [unit for unit, waited in self._waited.items() if waited < self.scan_timeout.timeout]
                 )
 
     def _ask(self, units: Iterable[int]) -> Iterator[FoundUnit]:
@@ -232,7 +232,7 @@ class UnitScan:
         Returns None if there was no answer, if a gateway answered instead (exceptions 0A and 0B), or if the connection
         was closed; then a new one is opened. Raises `LinkDown` if that fails.
         """
-        counters, timeout = self._link.counters, self.adaptive_timeout.timeout
+        counters, timeout = self._link.counters, self.scan_timeout.timeout
         late_before = counters.late_replies
         began = time.monotonic()
         answer = ""
@@ -242,7 +242,7 @@ class UnitScan:
         except ExceptionReply as error:
             # Also a gateway's answer tells how long it takes to get one.
             answer = "" if error.from_gateway else f"answers with exception {error.code:02X}"
-            self.adaptive_timeout.answered(time.monotonic() - began)
+            self.scan_timeout.answered(time.monotonic() - began)
         except BadReply as error:
             answer = f"answers, but broken: {error.reason}"
         except NoReply as error:
@@ -252,11 +252,11 @@ class UnitScan:
             self._link.connect()  # some devices close the connection for a unit that they do not have
         took = time.monotonic() - began
         if counters.late_replies > late_before:
-            self.adaptive_timeout.late()
+            self.scan_timeout.late()
         if not answer:
             return None
         if answer == "answers":
-            self.adaptive_timeout.answered(took)
+            self.scan_timeout.answered(took)
         return FoundUnit(unit, answer, took)
 
     def _identify(self, found: FoundUnit) -> None:

@@ -17,8 +17,9 @@ from ..options.endpoints import Endpoint
 from ..options.ports import OpeningParameters, SerialSettings
 from ..session.serial_client import SerialClientSession
 from ..transport.serial.blocking import BlockingSerialPort
-from ..transport.serial.opening import Claim, reopen_policy
 from ..transport.serial.overruns import Overruns
+from ..transport.serial.port_claims import PortClaim
+from ..transport.serial.reopen import ReopenPolicy
 from .channel import Channel, LinkEnd
 
 if TYPE_CHECKING:
@@ -57,7 +58,7 @@ class SerialConnector:
         self._port = port
         self._opening = opening
         self._session = session
-        self._claim = Claim(endpoint.path, user)
+        self._claim = PortClaim(endpoint.path, user)
 
     async def connect(self, protocol: Callable[[], LinkEnd]) -> Any:
         """Open the port for an asyncio link and return its transport, a `SerialStream`.
@@ -114,7 +115,7 @@ class _Waited:
     """One wait for a missing serial port, which begins with its creation: how long to pause, and when to give up."""
 
     def __init__(self, opening: OpeningParameters) -> None:
-        self._policy = reopen_policy(opening)
+        self._policy = ReopenPolicy.of(opening)
         self._until = time.monotonic() + opening.port_wait
         self._failures = 0
 

@@ -7,15 +7,15 @@ import random
 from typing import Protocol
 
 from ..errors import ModbusError
+from ..framing.character_times import Parity, SerialTiming
 from ..framing.echo import Echo
 from ..framing.frame_direction import LineRole
-from ..framing.timing import Parity, SerialTiming
 from ..options.ports import SerialSettings
 from ..session.call import Call, FreeSlots
-from ..session.client import TcpClientSession
 from ..session.reconnect import Reconnect
 from ..session.retries import ClientCounters
 from ..session.serial_client import SerialClientSession
+from ..session.tcp_client import TcpClientSession
 from ..session.unit_breaker import Breakers
 from .settings import LinkSettings
 

@@ -21,7 +21,7 @@ OnState = Callable[[str, str], None]
 
 
 class StateObservers:
-    """The callbacks of one link, which `tell` calls for each new state.
+    """The callbacks of one link, which `notify` calls for each new state.
 
     ``state`` is the state of the connection when the object is created; no callback is called for it.
     """
@@ -43,7 +43,7 @@ class StateObservers:
 
         return remove
 
-    def tell(self, state: ConnectionState, reason: str) -> None:
+    def notify(self, state: ConnectionState, reason: str) -> None:
         """Call the callbacks with the new state and its reason; do nothing if the state is the same as before."""
         if state is self._state:
             return

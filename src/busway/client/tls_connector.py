@@ -25,8 +25,9 @@ from ..options.endpoints import Endpoint
 from ..options.sockets import SocketParameters
 from ..options.tls import TlsParameters, Verify
 from ..transport.tcp import configure, link_down
-from ..transport.tls.context import WatchedContext, client_context, timeless_context
+from ..transport.tls.context import client_context, timeless_context
 from ..transport.tls.failures import FailureKind, TlsFailure, dated
+from ..transport.tls.renewal import WatchedContext
 
 if TYPE_CHECKING:
     import asyncio

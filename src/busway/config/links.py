@@ -13,8 +13,9 @@ from dataclasses import dataclass
 from typing import Any
 
 from ..client.settings import LinkSettings, link_settings, options_of
+from ..options.declaration import declared
 from ..options.endpoints import parse_endpoint
-from ..options.offer import options_for
+from ..options.offer import LINKS, options_for
 from ..options.tls import TlsParameters
 from .files.lines import KeyPath
 from .files.system import LinkSection, SystemFile
@@ -106,5 +107,7 @@ def _named_link(
             made.security.check_client()
         return made
 
+    known = {name: option for kind in LINKS for name, option in declared(kind).items() if name in offered}
+    report.check_numbers(known, options, place)
     settings = report.make(make, place)
     return None if settings is None else NamedLink(section.name, section.url, options, settings)

@@ -3,10 +3,12 @@
 Knows that an error of a component names its key; knows no component.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
+from functools import partial
 from typing import TypeVar
 
 from ..errors import ConfigError
+from ..options.declaration import Option
 from .files.file_error import FileError
 from .files.lines import KeyPath
 from .files.schema import Source, in_order
@@ -45,6 +47,23 @@ class ConfigurationReport:
         except ConfigError as error:
             self.problems.append(self._source.problem(place(error.key), error.message))
         return None
+
+    def check_numbers(
+        self, known: Mapping[str, Option], options: Mapping[str, object], place: Callable[[str | None], KeyPath]
+    ) -> None:
+        """Add a problem for each number that is out of the range of its option.
+
+        `make` adds the first one only: that of the parameter class, which may add the same problem again.
+
+        Args:
+            known: the options that are checked, by name.
+            options: their values.
+            place: as of `make`.
+        """
+        for name, value in options.items():
+            option = known.get(name)
+            if option is not None:
+                self.make(partial(option.check_number, value), place)
 
     def refuse(self, path: KeyPath, sentence: str) -> None:
         """Add a problem to the report: what ``sentence`` says is wrong at ``path`` in the configuration file."""

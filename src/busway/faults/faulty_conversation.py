@@ -18,7 +18,8 @@ from typing import Final
 from ..framing.ascii import encode_ascii
 from ..framing.mbap import HEAD
 from ..framing.rtu import encode_rtu
-from .fault import SAME_MOMENT, AppliedFault, Contact, Emission, Exchange, Faults
+from .applied_faults import SAME_MOMENT, AppliedFault, Faults
+from .fault import Contact, Emission, Exchange
 
 Struck = Sequence[tuple[AppliedFault, Exchange]]
 """The faults that apply to a request, in order, each with the request as that fault sees it."""

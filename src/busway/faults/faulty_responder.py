@@ -28,8 +28,9 @@ from ..session.responder import (
     ResponderAnswer,
     ServedUnit,
 )
-from .connections import FaultyConnection, FaultyTap
-from .fault import Exchange, Faults
+from .applied_faults import Faults
+from .fault import Exchange
+from .faulty_connections import FaultyConnection, FaultyTap
 from .faulty_conversation import Struck
 
 

@@ -4,10 +4,10 @@ Knows fault profiles, names and the server's side of faults; knows no file and n
 
 ::
 
-    board = FaultSwitchboard(seed=7)
-    board.add("late", units={3}, parameters={"delay": 2.0})
-    board.attach(server)
-    board.switch("late", on=False)
+    switchboard = FaultSwitchboard(seed=7)
+    switchboard.add("late", units={3}, parameters={"delay": 2.0})
+    switchboard.attach(server)
+    switchboard.switch("late", on=False)
 
 1. A switchboard serves one server: its faults apply to the connections of that server.
 2. All methods may be called from any thread. Changes apply from the next request on.
@@ -20,9 +20,10 @@ from typing import Any
 from ..codes import Table
 from ..server.server import Server
 from ..session.responder import Responder
+from .applied_faults import AppliedFault, Faults, Schedule, Selection
 from .clock import Clock
-from .connections import FaultyTap
-from .fault import EVERYWHERE, AppliedFault, Carrier, Faults, Schedule, Selection
+from .fault import EVERYWHERE, Carrier
+from .faulty_connections import FaultyTap
 from .faulty_responder import FaultyResponder
 from .profile import FaultProfileTable
 from .profiles import FAULT_PROFILES

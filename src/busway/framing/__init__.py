@@ -3,6 +3,7 @@
 =================  =====================================================================================================
 `ascii`            ASCII framing: between a colon and the end delimiter, two characters for each byte
 `bursts`           Estimates when each received byte was on the serial line, from the times at which bytes were read
+`character_times`  Times on a serial line: characters, t1.5, t3.5 and whole frames
 `crc`              CRC-16 of RTU frames
 `datagram`         Checks whether a datagram is exactly one whole frame
 `echo`             Removes the echo of a two-wire serial line: a station first receives the bytes that it sent itself
@@ -12,10 +13,9 @@
 `lrc`              LRC of ASCII frames
 `mbap`             MBAP framing: the seven-byte header before a PDU on TCP
 `received`         What receivers of serial lines return (frames, damaged bytes)
-`rtu`              RTU receiver: finds frames, which have no start and end marks, by length and CRC
+`rtu`              RTU receiver that tolerates gaps inside frames: finds their ends by length and CRC
 `rtu_search`       Search for the next frame inside damaged RTU bytes: the only work that grows with the noise on a line
-`rtu_strict`       Strict RTU receiver: the state diagram of the specification to the letter
-`timing`           Times on a serial line: characters, t1.5, t3.5 and whole frames
+`rtu_strict`       Strict RTU receiver, of the option `strict_timing`: a gap above t1.5 spoils a frame
 =================  =====================================================================================================
 
 A receiver takes bytes with the time at which they were read, and returns the frames that they complete
@@ -25,5 +25,5 @@ A receiver takes bytes with the time at which they were read, and returns the fr
 Where it is decided: where a frame ends: `lengths` by function, `rtu` by length and CRC, `rtu_strict` by silence,
 `ascii` by its delimiter, `mbap` by its header. Where the next frame begins after damaged bytes: `rtu_search`. Whether a
 frame is a request or a reply: `frame_direction`. Whether received bytes are an echo: `echo`. How long t1.5 and t3.5
-are: `timing`.
+are: `character_times`.
 """

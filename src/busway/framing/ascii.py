@@ -18,12 +18,12 @@ from typing import Final
 from ..codes import ASCII_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import UNKNOWN_LENGTH
+from .character_times import SerialTiming
 from .echo import Echo, EchoFilter
 from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import AROUND_PDU, lengths_of
 from .lrc import lrc
 from .received import Damage, Damaged, Direction, FrameOrDamage, SerialFrame
-from .timing import SerialTiming
 
 COLON: Final = 0x3A
 CR: Final = 0x0D

@@ -1,4 +1,4 @@
-"""RTU receiver: finds frames, which have no start and end marks, by length and CRC (Serial Line V1.02 §2.5.1).
+"""RTU receiver that tolerates gaps inside frames: finds their ends by length and CRC (Serial Line V1.02 §2.5.1).
 
 Knows bytes and the times at which they were read; knows no port, no request table and no device.
 
@@ -31,6 +31,7 @@ from ..codes import RTU_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import NEED_MORE, UNKNOWN_LENGTH
 from .bursts import NEVER, Bursts
+from .character_times import SerialTiming
 from .crc import crc_bytes, running_states, span_check
 from .echo import Echo, EchoFilter
 from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
@@ -38,7 +39,6 @@ from .lengths import AROUND_PDU, SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, FrameOrDamage, SerialFrame
 from .rtu_search import DEAD, WAITS, find_any, find_reply
-from .timing import SerialTiming
 
 DEFAULT_GAP_LIMIT: Final = 0.050
 """Seconds that an unfinished frame waits for its rest: USB adapters deliver every 16 ms, slow systems later."""

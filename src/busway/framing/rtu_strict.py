@@ -1,9 +1,10 @@
-"""Strict RTU receiver: the state diagram of the specification to the letter (Serial Line V1.02 §2.5.1.1).
+"""Strict RTU receiver, of the option ``strict_timing``: a gap above t1.5 spoils a frame (Serial Line V1.02 §2.5.1.1).
 
 Knows bytes and the times at which they were received; uses length rules only to guess the direction of a frame.
 
-1. Initial –t3.5→ idle –character→ reception –t1.5→ control and waiting –t3.5→ idle; there the frame is processed, or
-   deleted whole. A character in "control and waiting" marks the frame as not OK.
+1. It follows the state diagram of the specification to the letter: initial –t3.5→ idle –character→ reception –t1.5→
+   control and waiting –t3.5→ idle; there the frame is processed, or deleted whole. A character in "control and waiting"
+   marks the frame as not OK.
 2. A frame ends by silence and is good if its CRC fits; nothing is merged, nothing is looked for inside it.
 3. This receiver is of use only where the times of single characters are known: the driver reads each at once and
    passes its time. Adapters that deliver in bursts need `RtuReceiver`.
@@ -16,13 +17,13 @@ from typing import Final
 from ..codes import RTU_ADU_LIMIT
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.message import UNKNOWN_LENGTH
+from .character_times import SerialTiming
 from .crc import crc16
 from .echo import Echo, EchoFilter
 from .frame_direction import REPLY_WINDOW, Conversation, Due, LineRole
 from .lengths import SHORTEST, lengths_of
 from .lost import LostBytes
 from .received import Damage, Direction, FrameOrDamage, SerialFrame
-from .timing import SerialTiming
 
 
 class LineState(Enum):

@@ -109,12 +109,14 @@ class Capture:
         """
         return StreamCapture(self, Node.of(local), Node.of(peer))
 
-    def connection(self, ends: SocketAddresses) -> "StreamCapture | DatagramCapture":
+    def connection(self, addresses: SocketAddresses) -> "StreamCapture | DatagramCapture":
         """Return a recorder for a TCP connection, or for the datagrams between two UDP addresses.
 
-        An address that is None in ``ends`` is written as 0.0.0.0:0.
+        An address that is None in ``addresses`` is written as 0.0.0.0:0.
         """
-        return DatagramCapture(self, ends) if ends.is_datagram else self.stream(ends.local, ends.peer)
+        return (
+            DatagramCapture(self, addresses) if addresses.is_datagram else self.stream(addresses.local, addresses.peer)
+        )
 
     def datagram(self, local: object, peer: object, data: bytes, *, is_outgoing: bool) -> None:
         """Write a UDP datagram between two socket addresses to the capture file.
@@ -232,19 +234,19 @@ class StreamCapture:
 class DatagramCapture:
     """Recorder of the datagrams between two addresses in a capture file."""
 
-    __slots__ = ("_capture", "_ends")
+    __slots__ = ("_addresses", "_capture")
 
-    def __init__(self, capture: Capture, ends: SocketAddresses) -> None:
+    def __init__(self, capture: Capture, addresses: SocketAddresses) -> None:
         self._capture = capture
-        self._ends = ends
+        self._addresses = addresses
 
     def received(self, data: bytes) -> None:
         """Write a received datagram to the capture file, with the current time."""
-        self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=False)
+        self._capture.datagram(self._addresses.local, self._addresses.peer, data, is_outgoing=False)
 
     def sent(self, data: bytes) -> None:
         """Write a sent datagram to the capture file, with the current time."""
-        self._capture.datagram(self._ends.local, self._ends.peer, data, is_outgoing=True)
+        self._capture.datagram(self._addresses.local, self._addresses.peer, data, is_outgoing=True)
 
 
 class LineCapture:
@@ -303,6 +305,6 @@ class LineCapture:
         info: str = "",
     ) -> None:
         master, device = Node(IPv4Address(0), _MASTER_PORT), Node(IPv4Address(unit), _UNIT_PORT)
-        ends = (device, master) if direction is Direction.REPLY else (master, device)
-        packet = line_pdu(dissector, *ends, raw, info=info)
+        addresses = (device, master) if direction is Direction.REPLY else (master, device)
+        packet = line_pdu(dissector, *addresses, raw, info=info)
         self._capture.line_packet(self._interface, packet, at, flow, comment)

@@ -16,9 +16,9 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import Final, Protocol
 
+from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
-from ..framing.timing import SerialTiming
 from ..pdu.functions import STANDARD, FunctionTable
 from ..pdu.malformed import MalformedPdu
 from .trace import TRACE, StreamTrace, TraceLevel

@@ -16,9 +16,9 @@ from dataclasses import dataclass
 from typing import Final, Protocol, Self
 
 from ..errors import ConfigError, LinkDown
+from ..framing.character_times import SerialTiming
 from ..framing.frame_direction import LineRole
 from ..framing.received import Damaged, FrameOrDamage
-from ..framing.timing import SerialTiming
 from ..options.endpoints import Endpoint, parse_endpoint, require_host
 from ..options.lines import FramingParameters
 from ..options.offer import MONITORS, Offer, canonical
@@ -26,7 +26,8 @@ from ..options.ports import OpeningParameters, SerialSettings
 from ..options.sockets import SocketParameters
 from ..session.line_framing import line_framing
 from ..transport.serial.blocking import BlockingSerialPort
-from ..transport.serial.opening import Claim, reopen_policy
+from ..transport.serial.port_claims import PortClaim
+from ..transport.serial.reopen import ReopenPolicy
 from ..transport.tcp import configure, link_down, network_kind, network_reason, set_buffers
 from ..transport.udp import MAX_DATAGRAM
 from .pairing import Heard, Pairing
@@ -39,7 +40,7 @@ _LAST_READS: Final = 64
 """Most reads at the end, far more than a line needs: a peer that sends without end must not keep the program."""
 
 
-class Ear(Protocol):
+class ByteSource(Protocol):
     """Interface of a source of a serial line's bytes: a port, or a device server that forwards the line's bytes."""
 
     def read(self, timeout: float | None) -> tuple[bytes, int]:
@@ -53,7 +54,7 @@ class Ear(Protocol):
         """Stop listening to the line. May be called twice."""
 
 
-class SocketEar:
+class SocketByteSource:
     """Source of a serial line's bytes: a TCP connection to a device server that forwards them."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
@@ -92,7 +93,7 @@ class SocketEar:
         self._socket.close()
 
 
-class DatagramEar:
+class DatagramByteSource:
     """Source of a serial line's bytes: a local UDP port to which a device server sends them, from any address."""
 
     def __init__(self, endpoint: Endpoint, parameters: SocketParameters) -> None:
@@ -145,8 +146,8 @@ class DatagramEar:
 
 
 @dataclass(frozen=True, slots=True)
-class LineToHear:
-    """A serial line to listen to, as its URL describes it; not opened yet. Created by `line_to_hear`.
+class SniffedLine:
+    """A serial line to listen to, as its URL describes it; not opened yet. Created by `sniffed_line`.
 
     Attributes:
         endpoint: its endpoint.
@@ -167,7 +168,7 @@ class LineToHear:
         """Times of the line, such as the silence between frames: from the port's settings, or fixed over a network."""
         return SerialTiming.of_network() if self.port is None else self.port.timing
 
-    def open(self) -> Ear:
+    def open(self) -> ByteSource:
         """Open the line, and return the source of its bytes.
 
         Raises:
@@ -175,8 +176,8 @@ class LineToHear:
             ConfigError: this process uses the port already, or the port refuses its settings.
         """
         if self.port is None:
-            ear = DatagramEar if self.endpoint.carrier == "udp" else SocketEar
-            return ear(self.endpoint, self.sockets)
+            source = DatagramByteSource if self.endpoint.carrier == "udp" else SocketByteSource
+            return source(self.endpoint, self.sockets)
         return _ClaimedPort(self.endpoint.path, self.port)
 
 
@@ -184,7 +185,7 @@ class _ClaimedPort:
     """A serial port open for listening; other users in this process cannot open it meanwhile."""
 
     def __init__(self, path: str, settings: SerialSettings) -> None:
-        self._claim = Claim(path, "a listener to the line")
+        self._claim = PortClaim(path, "a listener to the line")
         try:
             self._port = BlockingSerialPort(path, settings)
         except BaseException:
@@ -198,7 +199,7 @@ class _ClaimedPort:
         self._claim.release()
 
 
-def line_to_hear(url: str | Endpoint, options: Mapping[str, object] | None = None) -> LineToHear:
+def sniffed_line(url: str | Endpoint, options: Mapping[str, object] | None = None) -> SniffedLine:
     """Return the serial line that a URL describes, to listen to; nothing is opened.
 
     Args:
@@ -220,7 +221,7 @@ def line_to_hear(url: str | Endpoint, options: Mapping[str, object] | None = Non
         require_host(endpoint)
     given = {**canonical(endpoint.options), **canonical(options or {})}
     chosen = Offer.at(endpoint, "monitor", MONITORS).chosen(given, of=endpoint.url)
-    return LineToHear(
+    return SniffedLine(
         endpoint,
         chosen.build(FramingParameters),
         chosen.serial_settings(),
@@ -240,7 +241,7 @@ class Listening:
 
     def __init__(
         self,
-        line: LineToHear,
+        line: SniffedLine,
         pairing: Pairing | None = None,
         *,
         clock: Callable[[], float] = time.monotonic,
@@ -277,7 +278,7 @@ class Listening:
         self._returned = returned
         self._failures = 0
         self._try_at = 0.0
-        self._ear = line.open()
+        self._source = line.open()
 
     def __enter__(self) -> Self:
         return self
@@ -302,7 +303,7 @@ class Listening:
             return self._understand(b"", 0, self._clock())
         due = self._receiver.deadline() or self.pairing.deadline() or until
         try:
-            data, damaged = self._ear.read(max(min(due, until, now + _LONGEST_WAIT) - now, 0.0))
+            data, damaged = self._source.read(max(min(due, until, now + _LONGEST_WAIT) - now, 0.0))
         except LinkDown as error:
             return self._lose(error)
         now = self._clock()
@@ -320,7 +321,7 @@ class Listening:
             if self.lost is not None:
                 break
             try:
-                data, damaged = self._ear.read(0.0)
+                data, damaged = self._source.read(0.0)
             except LinkDown as error:
                 return events + self._lose(error)
             self.bytes_heard += len(data)
@@ -331,7 +332,7 @@ class Listening:
 
     def close(self) -> None:
         """Stop listening to the line. May be called twice."""
-        self._ear.close()
+        self._source.close()
 
     def _lose(self, error: LinkDown) -> list[Heard]:
         """Handle the loss of the port: begin to wait for it, and return the events of an unfinished frame.
@@ -341,7 +342,7 @@ class Listening:
         if self._vanished is None:
             raise error
         self.lost = error
-        self._ear.close()
+        self._source.close()
         self._failures = 0
         self._try_at = self._clock()
         self._vanished(error)
@@ -358,11 +359,11 @@ class Listening:
         if self._clock() < self._try_at:
             return False
         try:
-            self._ear = self._line.open()
+            self._source = self._line.open()
         except LinkDown as error:
             self.lost = error
             self._failures += 1
-            self._try_at = self._clock() + (reopen_policy(self._line.opening).pause(self._failures) or 0.0)
+            self._try_at = self._clock() + (ReopenPolicy.of(self._line.opening).pause(self._failures) or 0.0)
             return False
         self.lost = None
         self._returned()

@@ -60,7 +60,7 @@ class LineRecorder(Protocol):
 class Recorder(Protocol):
     """Interface of an object that records traffic, such as a capture file (`busway.observe.capture.Capture`)."""
 
-    def connection(self, ends: SocketAddresses) -> ConnectionRecorder:
+    def connection(self, addresses: SocketAddresses) -> ConnectionRecorder:
         """Return a recorder for a connection between these addresses."""
 
     def line(self, name: str, *, is_server: bool = True) -> LineRecorder:

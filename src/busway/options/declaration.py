@@ -252,6 +252,10 @@ class Option:
             names.setdefault(_shown(default), []).append({"mbap": "TCP, TLS, UDP"}.get(framing, framing.upper()))
         return "; ".join(f"{text} ({', '.join(framings)})" for text, framings in names.items())
 
+    def has_effect(self, role: str, framing: str, carrier: str) -> bool:
+        """Whether the option has an effect for a role at an endpoint with this framing and transport."""
+        return all(on.fits(role, framing, carrier) for on in self.on)
+
     def check(self, value: object) -> None:
         """Raise `ConfigError` if a value is out of range or not one of the allowed values; its type is not checked.
 
@@ -265,6 +269,11 @@ class Option:
         if self.limits is None or not self.limits.has(value):
             said = _number(value) if isinstance(value, int | float) else shown(value)
             raise ConfigError(f"must be {self.expected}, not {said}", key=self.name)
+
+    def check_number(self, value: object) -> None:
+        """Raise `ConfigError` if a value is a number that is out of range; other values are not checked."""
+        if isinstance(value, int | float) and not isinstance(value, bool):
+            self.check(value)
 
 
 def declared(kind: type[Any]) -> Mapping[str, Option]:  # Any: parameter classes share no base

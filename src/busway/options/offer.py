@@ -68,7 +68,7 @@ class Offer:
         words = (role, endpoint.framing, endpoint.carrier)
         found = {}
         for kind in kinds:
-            options = {name: one for name, one in declared(kind).items() if all(on.fits(*words) for on in one.on)}
+            options = {name: one for name, one in declared(kind).items() if one.has_effect(*words)}
             if options:
                 found[kind] = options
         return cls(found, endpoint.framing)

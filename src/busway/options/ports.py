@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from typing import Annotated, ClassVar, Self
 
 from ..errors import ConfigError
+from ..framing.character_times import Parity, SerialTiming, stop_bits_for
 from ..framing.echo import Echo
-from ..framing.timing import Parity, SerialTiming, stop_bits_for
 from ..values.caseless_enum import CaselessEnum
 from .declaration import Alias, ByFraming, On, OneOf, Range, Strict, check
 from .text import build_parameters

@@ -19,7 +19,7 @@ from enum import Enum
 from typing import Any, Final
 
 from ..errors import ConfigError
-from ..framing.timing import Parity, stop_bits_for
+from ..framing.character_times import Parity, stop_bits_for
 from ..values.caseless_enum import CaselessEnum
 from .declaration import Option, Strict
 from .text import converted

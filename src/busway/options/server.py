@@ -5,12 +5,15 @@ from enum import Enum
 from typing import Annotated, Final
 
 from ..errors import ConfigError
-from .declaration import Name, Range, Strict, check
+from .declaration import Name, On, Range, Strict, check
 from .networks import Networks
 
 NO_NETWORKS: Final = Networks()
 """An empty set of networks, for no priority hosts."""
 _SLOTS = Range(1, 1_000_000)
+_STREAMS = On("tcp", "tls")
+_MBAP_STREAMS = On("mbap tcp", "tls")
+"""Mark of the times of a request; RTU and ASCII framing have times of their own."""
 
 
 class Scope(Enum):
@@ -93,7 +96,9 @@ class ListenerParameters:
     The timeouts and ``request_rate`` do not apply to connections of priority hosts; ``write_buffer`` does.
     """
 
-    backlog: Annotated[int, Range(1, 65_535), "connections that the system may hold before they are accepted."] = 1024
+    backlog: Annotated[
+        int, Range(1, 65_535), _STREAMS, "connections that the system may hold before they are accepted."
+    ] = 1024
     priority: Annotated[
         Networks,
         "addresses and networks of the priority hosts. Their connections make room only for those of priority hosts.",
@@ -120,10 +125,12 @@ class ListenerParameters:
     write_timeout: Annotated[
         float | None,
         Range(0.001, 86_400),
+        _STREAMS,
         "seconds for which a client may take none of its replies, until it is closed. None for ever.",
     ] = 60.0
     single_adu_segments: Annotated[
         bool,
+        _STREAMS,
         Strict("T11", True),
         "whether each reply is written by itself, as Messaging on TCP/IP V1.0b §4.3.2 advises; otherwise replies to",
         "requests that arrived together leave together.",
@@ -131,17 +138,20 @@ class ListenerParameters:
     header_timeout: Annotated[
         float | None,
         Range(0.001, 3600),
+        _MBAP_STREAMS,
         "seconds from the first byte of a request to the last of its header (7 bytes).",
     ] = 5.0
     frame_timeout: Annotated[
         float | None,
         Range(0.001, 3600),
+        _MBAP_STREAMS,
         "seconds from the first byte of a request to its last; a client that begins one and falls silent is closed",
         "then, so that it does not hold a slot for ever. None waits for ever.",
     ] = 10.0
     idle_timeout: Annotated[
         float | None,
         Range(0.001, 31_536_000),
+        _STREAMS,
         "seconds for which a connection may be unused; it is closed then, up to a sixteenth late. None for ever.",
     ] = None
     request_rate: Annotated[
@@ -152,6 +162,7 @@ class ListenerParameters:
     ] = None
     answer_half_closed: Annotated[
         bool,
+        _STREAMS,
         "whether a client that has ended its half of the connection still gets the replies it waits for; otherwise it",
         "is taken to have gone, as most clients have that close.",
     ] = True

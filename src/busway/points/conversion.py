@@ -15,9 +15,10 @@ import struct
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Final
+from typing import Any, Final
 
 from ..errors import InvalidRequest
+from ..values import ValueType
 from ..values.unfit_values import shown
 
 _MOST_STEPS_OFF: Final = Fraction(1, 1_000_000)
@@ -178,6 +179,17 @@ def exact(number: float) -> Fraction:
     `ValueError` for NaN and infinity.
     """
     return Fraction(number) if isinstance(number, int) else Fraction(repr(float(number)))
+
+
+def size_in_bits(form: ValueType[Any]) -> tuple[int, bool]:  # Any: a number
+    """Return the number of bits of a type for whole numbers, and whether it has a sign."""
+    bits = 16 * form.registers
+    if form.name.startswith(("int8", "uint8")):
+        bits = 8
+    elif form.name.startswith("field:"):
+        low, high = form.name.split(":")[1].split("-")
+        bits = int(high) - int(low) + 1
+    return bits, form.name.startswith("int") or form.name.endswith(":signed")
 
 
 def pattern(number: float, *, bits: int, signed: bool) -> float:

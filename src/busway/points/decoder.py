@@ -23,7 +23,7 @@ from ..codes import Table
 from ..errors import BadReply, InvalidRequest
 from ..values.counts import counted
 from ..values.orders import BytesLike, byte_order
-from .conversion import LARGEST_EXPONENT, pattern
+from .conversion import LARGEST_EXPONENT, pattern, size_in_bits
 from .point import Point
 from .quality import Reading, Reason
 
@@ -396,13 +396,7 @@ def _invalid_of(point: Point) -> list[float]:
         for each in point.conversion.invalid:
             found += form.decode(form.encode([float(each)]))  # as near to it as the type comes
         return found
-    signed = name.startswith("int") or name.endswith(":signed")
-    bits = 16 * form.registers
-    if name.startswith(("int8", "uint8")):
-        bits = 8
-    elif name.startswith("field:"):
-        low, high = name.split(":")[1].split("-")
-        bits = int(high) - int(low) + 1
+    bits, signed = size_in_bits(form)
     return [pattern(each, bits=bits, signed=signed) for each in point.conversion.invalid]
 
 

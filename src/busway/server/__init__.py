@@ -5,10 +5,9 @@
 `bound_sockets`          The bound sockets of a listener, their URLs, and whether other hosts can reach them
 `cells`                  Checks how a user declared the items of a table or file: addresses, initial values
 `connection`             The asyncio driver of one accepted connection
-`connection_limits`      Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_management`  Connection management of a TCP or TLS listener: admits, limits and closes connections
+`connection_slots`       Connection slots in two pools: which new connection gets one, and which is closed for it
 `connection_tap`         Lets a simulated device send bytes of its own on the connections of a server
-`counters`               The counters of a server: connections, requests, refusals and bytes
 `deadlines`              Timeouts of a listener's connections: which connections are overdue, and when to check again
 `device`                 A Modbus device: its tables, files, queues and identification, and the hooks of its application
 `device_responder`       The responder of a server with devices in its own process
@@ -17,7 +16,6 @@
 `hooks`                  Hooks: functions of the application that a device calls when Modbus reads or writes its tables
 `identity`               Checks of a device's identification: what functions 07, 17 and 43/14 answer
 `items`                  Converts items of a table between wire order and the values that applications see
-`line`                   A serial port as a listener: the asyncio driver between a port and the session of its line
 `listener`               A listener as it is declared: an endpoint to listen on, with options that hold for it alone
 `listener_context`       What all connections of a network listener, TCP or UDP, share: access list, sessions
 `listener_settings`      Settings of a listener, read from its URL, whichever scheme it has
@@ -28,8 +26,10 @@
 `peers`                  Texts for socket addresses of clients: the host alone, or host and port
 `records`                Files of records and queues of registers
 `responder_failures`     Handles responders that need time or raise an exception: awaits them, logs
-`rtu_over_tcp`           Server sessions for RTU or ASCII frames over TCP or UDP
+`serial_listener`        A serial port as a listener: the asyncio driver between a port and the session of its line
+`serial_over_network`    Server sessions for RTU or ASCII frames over TCP or UDP
 `server`                 The server: listeners with one pipeline for requests; start, stop, reset, status
+`server_counters`        The counters of a server: connections, requests, refusals and bytes
 `server_options`         Applies the preset of a server, such as `strict`, to its options and listeners
 `serving`                Functions that run a server: `serve` in a coroutine, `serve_forever` in a blocking program
 `single_block`           A device with one block of memory: bit functions and word functions reach the same registers
@@ -46,10 +46,11 @@
 =======================  ===============================================================================================
 
 Where it is decided: how many connections there may be, also per host, and which is closed for a new one:
-`connection_limits`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:
-`busway.session.transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
-`connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `line`. Late answers
-and failing responders: `responder_failures`. The way of a request, its policy and its audit: `busway.session.pipeline`
-and `busway.access`. Rules of unit identifiers: `device_responder`. Memory of a device: `device`, `stores`, `blocks`;
-its hooks: `hooks`. Counters and status: `counters`, `status`. Open files of the process: `open_files`.
+`connection_slots`. Which host may connect: `listener_context`. Timeouts of connections: `deadlines`. Requests at once:
+`busway.session.server_transaction_slots`; whose turn it is: `turns`. Graceful stop: `server` (`Server.stop`) and
+`connection_management` (``pause_all``, ``close_all``). Silence and collisions on a serial line: `serial_listener`. Late
+answers and failing responders: `responder_failures`. The way of a request, its policy and its audit:
+`busway.session.pipeline` and `busway.access`. Rules of unit identifiers: `device_responder`. Memory of a device:
+`device`, `stores`, `blocks`; its hooks: `hooks`. Counters and status: `server_counters`, `status`. Open files of the
+process: `open_files`.
 """

@@ -19,14 +19,14 @@ from ..observe.line_trace import ConnectionTrace, trace_for
 from ..observe.trace import TRACE
 from ..transport.buffers import receive_buffer, receive_window
 from ..transport.tcp import peer_has_ended
-from .connection_limits import Pool
 from .connection_management import ConnectionManagement
+from .connection_slots import SlotPool
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
 from .status import ServedConnectionState
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import Session
+    from .serial_over_network import Session
 
 _USUAL_REQUEST: Final = 12
 """Bytes of a read request."""
@@ -113,7 +113,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         self.role: str | None = role
         self.subject: str = subject
         self.is_priority: bool = False
-        self.pool: Pool = Pool.OTHER
+        self.pool: SlotPool = SlotPool.OTHER
         self.is_greedy: bool = False
         self.opened: float = 0.0
         self.last_used: float = 0.0
@@ -322,7 +322,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         if session is not None and session.failures:
             self._report(session)
 
-    def hold(self) -> None:
+    def pause_reading(self) -> None:
         """Stop reading from the client until `go_on` is called."""
         self._transport.pause_reading()
 
@@ -340,7 +340,7 @@ class ServerConnection(asyncio.BufferedProtocol):
             self._end_waits = False
             if not self.eof_received():
                 self._transport.close()
-        elif not self._management.is_held(self):
+        elif not self._management.is_paused(self):
             self._transport.resume_reading()
 
     def close(self) -> None:
@@ -381,7 +381,7 @@ class ServerConnection(asyncio.BufferedProtocol):
         It may not while a request is incomplete or in progress, a reply is unsent, or reading is paused; never if the
         client is a priority host.
         """
-        return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_held(self))
+        return not (self.is_priority or self.is_busy or self.unfinished or self._management.is_paused(self))
 
     @property
     def unfinished(self) -> int:
@@ -395,11 +395,11 @@ class ServerConnection(asyncio.BufferedProtocol):
 
     @property
     def state(self) -> ServedConnectionState:
-        """Return the state of the connection for the server's status, such as closing or held back."""
+        """Return the state of the connection for the server's status, such as closing or paused."""
         if self.session is None or self._transport.is_closing():
             return ServedConnectionState.CLOSING
-        if self._is_stuck or self._management.is_held(self):
-            return ServedConnectionState.HELD
+        if self._is_stuck or self._management.is_paused(self):
+            return ServedConnectionState.PAUSED
         if self.is_busy:
             return ServedConnectionState.BUSY
         return ServedConnectionState.RECEIVING if self.unfinished else ServedConnectionState.IDLE

@@ -3,7 +3,7 @@
 Knows connections and their limits; knows no request.
 
 1. Whether a host may connect is checked before another connection is closed for it.
-2. `busway.server.connection_limits` decides which connection is closed for a new one, `busway.server.deadlines` what is
+2. `busway.server.connection_slots` decides which connection is closed for a new one, `busway.server.deadlines` what is
    overdue.
 3. No timeout, rate or new connection closes or slows a connection of a priority host, nor does the user timeout of its
    socket. It ends with an error, with the server, or when the system finds that its peer has gone.
@@ -21,17 +21,17 @@ from ..access.rates import Rates
 from ..options.server import ListenerParameters
 from ..options.sockets import SocketParameters
 from ..transport.tcp import configure, network_reason
-from .connection_limits import PoolMember, Pools
-from .counters import ServerCounters
+from .connection_slots import ConnectionSlots, SlotHolder
 from .deadlines import Deadlines, Overdue, Timed
 from .listener_context import ConnectedPeer, ListenerContext, add_living
 from .peers import host_of
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, SecurityStatus
 from .status_indicators import Diagnosis
 from .turns import Turns
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import Session
+    from .serial_over_network import Session
 
 _log = logging.getLogger("busway.server")
 
@@ -48,7 +48,7 @@ expensive kind take a millisecond or two. Reads that the fast path knows by all 
 _COUNTED_AS: Final = {one: f"{one.value}s" for one in _SENTENCES}
 
 
-class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
+class ManagedConnection(ConnectedPeer, SlotHolder, Timed, Protocol):
     """Interface of a server connection that a listener's connection management admits and closes.
 
     Attributes:
@@ -57,7 +57,7 @@ class ManagedConnection(ConnectedPeer, PoolMember, Timed, Protocol):
 
     charged: int
 
-    def hold(self) -> None:
+    def pause_reading(self) -> None:
         """Stop reading from the client until `go_on` is called."""
 
     def go_on(self) -> None:
@@ -94,7 +94,7 @@ class ConnectionManagement:
 
     Args:
         listener_context: access list, limits and counters of the listener.
-        pools: connection slots, its own or shared with other listeners.
+        connection_slots: connection slots, its own or shared with other listeners.
         sockets: parameters of the sockets of new connections.
         turns: queue of connections with more requests than one turn allows; None creates one for this listener alone.
 
@@ -105,12 +105,12 @@ class ConnectionManagement:
     def __init__(
         self,
         listener_context: ListenerContext,
-        pools: Pools[ManagedConnection],
+        connection_slots: ConnectionSlots[ManagedConnection],
         sockets: SocketParameters,
         turns: Turns | None = None,
     ) -> None:
         self.listener_context = listener_context
-        self.pools = pools
+        self.connection_slots = connection_slots
         self.turns: Turns = turns or Turns(listener_context.loop)
         self._sockets = sockets
         self._sockets_of_priority_hosts = replace(sockets, user_timeout=None)
@@ -185,7 +185,7 @@ class ConnectionManagement:
         """
         listener_context = self.listener_context
         connection.is_priority = listener_context.is_priority(connection.host)
-        admission = self.pools.admit(connection)
+        admission = self.connection_slots.admit(connection)
         if not admission.accepted:
             self.counters.refused_full += 1
             if connection.has_ended:
@@ -195,7 +195,7 @@ class ConnectionManagement:
                 connection.host,
                 "%s: refused: all %d connection slots are taken by priority hosts",
                 connection.peer,
-                len(self.pools),
+                len(self.connection_slots),
             )
             return None
         if admission.evicted is not None:
@@ -214,7 +214,7 @@ class ConnectionManagement:
             "",
             "%s: closed to make room for a new connection; there are %d now",
             connection.peer,
-            len(self.pools),
+            len(self.connection_slots),
         )
         self._connections.pop(connection, None)
         connection.abort()
@@ -224,7 +224,7 @@ class ConnectionManagement:
 
         ``error``: the error with which it ended, for the log; None for a normal end.
         """
-        self.pools.leave(connection)
+        self.connection_slots.leave(connection)
         self._connections.pop(connection, None)
         self._deadlines.forget(connection)
         if not self._connections:
@@ -291,16 +291,16 @@ class ConnectionManagement:
             self.listener_context.say(
                 logging.INFO,
                 connection.host,
-                "%s: held back, %g requests a second are its rate",
+                "%s: reading is paused, its rate is %g requests a second",
                 connection.peer,
                 self.rates.rate,
             )
-            connection.hold()
-            self._set_timer_by(self._deadlines.hold(connection, now + wait), now)
+            connection.pause_reading()
+            self._set_timer_by(self._deadlines.pause(connection, now + wait), now)
 
-    def is_held(self, connection: ManagedConnection) -> bool:
+    def is_paused(self, connection: ManagedConnection) -> bool:
         """Whether reading from a connection is paused: its host is above its rate, or `pause_all` was called."""
-        return self._is_draining or self._deadlines.is_held(connection)
+        return self._is_draining or self._deadlines.is_paused(connection)
 
     def _set_timer(self, now: float) -> None:
         self._set_timer_by(self._deadlines.next_due(now, has_connections=bool(self._connections)), now)
@@ -323,7 +323,7 @@ class ConnectionManagement:
         self._timer = None
         now = time.monotonic()
         for connection, what in self._deadlines.due(self._connections, now):
-            if what is Overdue.HELD:
+            if what is Overdue.PAUSE:
                 connection.go_on()
             elif connection.session is not None:
                 self._close_overdue(connection, what)
@@ -352,9 +352,9 @@ class ConnectionManagement:
         """Return the status of the listener: indicators, counters, numbers of connections by pool, and TLS status."""
         diagnosis = self.diagnosis
         diagnosis.traffic = max((one.last_used for one in self._connections), default=diagnosis.traffic)
-        pools = [one.pool for one in self._connections]
+        connection_slots = [one.pool for one in self._connections]
         security = self.handshake_acceptor.status() if self.handshake_acceptor is not None else None
-        return self.listener_context.status(pools.count, security=security)
+        return self.listener_context.status(connection_slots.count, security=security)
 
     def add_living(self, counters: ServerCounters) -> None:
         """Add the counters of open connections to ``counters``, which already include closed connections."""
@@ -368,7 +368,7 @@ class ConnectionManagement:
         """Stop reading from all connections, for good; requests in progress are still answered."""
         self._is_draining = True
         for connection in self._connections:
-            connection.hold()
+            connection.pause_reading()
 
     async def wait_until_empty(self) -> None:
         """Wait until all connections of the listener have ended."""

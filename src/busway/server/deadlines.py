@@ -52,13 +52,13 @@ One = TypeVar("One", bound=Timed)
 
 
 class Overdue(Enum):
-    """What has run out for a connection: its header, frame, write or idle timeout, or the pause of reading (HELD)."""
+    """What has run out for a connection: its header, frame, write or idle timeout, or the pause of reading."""
 
     HEADER = "header_timeout"
     FRAME = "frame_timeout"
     WRITE = "write_timeout"
     IDLE = "idle_timeout"
-    HELD = "held"
+    PAUSE = "pause"
 
 
 @dataclass(slots=True)
@@ -74,7 +74,7 @@ class Deadlines(Generic[One]):
         self._parameters = parameters
         self._begun: dict[One, float] = {}
         self._stuck: dict[One, _Stuck] = {}
-        self._held: dict[One, float] = {}
+        self._paused: dict[One, float] = {}
         self._next_look: float | None = None
 
     # What happens.
@@ -103,20 +103,20 @@ class Deadlines(Generic[One]):
         """Stop the write timeout of a client that reads its replies again."""
         self._stuck.pop(one, None)
 
-    def hold(self, one: One, until: float) -> float:
+    def pause(self, one: One, until: float) -> float:
         """Record that reading from a connection is paused until the time ``until`` (seconds). Returns ``until``."""
-        self._held[one] = until
+        self._paused[one] = until
         return until
 
-    def is_held(self, one: One) -> bool:
-        """Whether reading from a connection is paused by `hold`; True until `due` has returned the end of the pause."""
-        return one in self._held
+    def is_paused(self, one: One) -> bool:
+        """Whether reading from a connection is paused by `pause`; True until `due` has returned the end of it."""
+        return one in self._paused
 
     def forget(self, one: One) -> None:
         """Drop all timeouts of a connection that has ended."""
         self._begun.pop(one, None)
         self._stuck.pop(one, None)
-        self._held.pop(one, None)
+        self._paused.pop(one, None)
 
     # What is due.
 
@@ -128,7 +128,7 @@ class Deadlines(Generic[One]):
         """
         times = [self._frame_deadline(one, since) for one, since in self._begun.items()]
         times += [stuck.since + (self._parameters.write_timeout or 0.0) for stuck in self._stuck.values()]
-        times += self._held.values()
+        times += self._paused.values()
         if self._parameters.idle_timeout is not None and has_connections:
             if self._next_look is None:
                 self._next_look = now + self._parameters.idle_timeout / _LOOKS
@@ -143,10 +143,10 @@ class Deadlines(Generic[One]):
         returned again each time until they are closed. A connection can be in the list more than once.
         """
         found = [*self._frames(now), *self._writes(now)]
-        for one, until in list(self._held.items()):
+        for one, until in list(self._paused.items()):
             if now >= until:
-                del self._held[one]
-                found.append((one, Overdue.HELD))
+                del self._paused[one]
+                found.append((one, Overdue.PAUSE))
         idle = self._parameters.idle_timeout
         if idle is not None and self._next_look is not None and now >= self._next_look:
             self._next_look = None

@@ -16,23 +16,23 @@ from ..access.addresses import HostAuthorizer, allow_all
 from ..access.rates import Rates
 from ..log_limiter import LogLimiter, suppressed_note
 from ..options.server import ListenerParameters, Scope, ServerParameters
-from ..session.diagnostics import LineDiagnostics
+from ..session.diagnostic_counters import LineDiagnostics
 from ..session.pipeline import RequestPipeline, ResponderFailure
 from ..session.responder import ClientIdentity
-from ..session.server import TcpServerSession
-from ..session.transaction_slots import TransactionSlots
-from ..transport.interfaces import interfaces_with
-from .connection_limits import Pool
+from ..session.server_transaction_slots import ServerTransactionSlots
+from ..session.tcp_server import TcpServerSession
+from ..transport.network_interfaces import interfaces_with
+from .connection_slots import SlotPool
 from .connection_tap import ConnectionTap, TappedConnection, stay
-from .counters import ServerCounters
 from .listener_settings import ListenerSettings
 from .peers import peer_name
 from .responder_failures import report_failures
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 from .status_indicators import Diagnosis
 
 if TYPE_CHECKING:
-    from .rtu_over_tcp import FramedSession, Session
+    from .serial_over_network import SerialOverNetworkSession, Session
     from .status import SecurityStatus
 
 _log = logging.getLogger("busway.server")
@@ -56,7 +56,7 @@ class ConnectedPeer(Protocol):
     role: str | None
     subject: str
     is_priority: bool
-    pool: Pool
+    pool: SlotPool
     opened: float
     last_used: float
     received: int
@@ -109,7 +109,7 @@ class ListenerContext:
         *,
         session_parameters: ServerParameters,
         counters: ServerCounters,
-        slots: TransactionSlots,
+        slots: ServerTransactionSlots,
         units: Container[int] = (),
         authorize: HostAuthorizer = allow_all,
         tap: ConnectionTap | None = None,
@@ -135,7 +135,7 @@ class ListenerContext:
         self._session_parameters = session_parameters
         self._slots = slots
         if session_parameters.scope is Scope.CONNECTION:
-            self._slots = TransactionSlots(session_parameters.max_transactions, of_each_connection=True)
+            self._slots = ServerTransactionSlots(session_parameters.max_transactions, of_each_connection=True)
         self._framed_session = None if self.framing == "mbap" else _framed_session()
         self._authorize = authorize
         self._log_limiter = LogLimiter()
@@ -290,7 +290,7 @@ class ListenerContext:
             waiting=session.waiting if session else 0,
         )
 
-    def status(self, count: Callable[[Pool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
+    def status(self, count: Callable[[SlotPool], int], *, security: "SecurityStatus | None" = None) -> ListenerStatus:
         """Return the status of the listener.
 
         Args:
@@ -308,18 +308,18 @@ class ListenerContext:
             listen_only_units=tuple(sorted(diagnostics.listen_only_units)),
             requests=diagnostics.requests,
             damaged=self.damaged,
-            priority_connections=count(Pool.PRIORITY),
-            other_connections=count(Pool.OTHER),
+            priority_connections=count(SlotPool.PRIORITY),
+            other_connections=count(SlotPool.OTHER),
             interfaces=tuple(one for host in self.hosts for one in interfaces_with(host)),
             security=security,
         )
 
 
-def _framed_session() -> "type[FramedSession]":
+def _framed_session() -> "type[SerialOverNetworkSession]":
     """Return the class of sessions for RTU and ASCII frames, imported before the first client needs it."""
-    from .rtu_over_tcp import FramedSession
+    from .serial_over_network import SerialOverNetworkSession
 
-    return FramedSession
+    return SerialOverNetworkSession
 
 
 def add_living(counters: ServerCounters, connected_peer: ConnectedPeer, session: "Session") -> None:

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from ..access.addresses import HostAuthorizer
+from ..framing.character_times import SerialTiming
 from ..framing.echo import Echo
-from ..framing.timing import SerialTiming
 from ..options.declaration import declared
 from ..options.endpoints import Endpoint, parse_endpoint
 from ..options.lines import FramingParameters

@@ -16,20 +16,20 @@ from ..options.server import ListenerParameters, ServerParameters
 from ..options.sockets import SocketParameters
 from ..session.pipeline import RequestPipeline
 from ..session.responder import Responder, SerialUnits
-from ..session.transaction_slots import TransactionSlots
+from ..session.server_transaction_slots import ServerTransactionSlots
 from ..transport.epoll.watcher import EpollSet, epoll_set_for
 from ..transport.tcp import network_reason
-from .connection_limits import PoolLimits, Pools
 from .connection_management import ConnectionManagement, ManagedConnection
+from .connection_slots import ConnectionSlots, SlotLimits
 from .connection_tap import ConnectionTap
-from .counters import ServerCounters
 from .listener_context import ListenerContext
 from .listener_settings import ListenerSettings
+from .server_counters import ServerCounters
 from .tcp import TcpListener
 from .turns import Turns
 
 if TYPE_CHECKING:
-    from .line import SerialListener
+    from .serial_listener import SerialListener
     from .udp import UdpListener
 
 _log = logging.getLogger("busway.server")
@@ -49,7 +49,7 @@ class Opening:
         authorize: called with a client's host; returns whether it may connect.
         tap: is told of opened and closed connections, and can send on them; None without one.
         slots: limit of requests at once, for the whole server; used unless each connection has its own.
-        shared_pools: connection slots shared by the listeners that have no limits of their own.
+        shared_slots: connection slots shared by the listeners that have no limits of their own.
         epoll_set: epoll object that all TCP connections share; None if the event loop cannot use one.
         turns: queue of connections with more requests than one turn of the loop allows.
     """
@@ -62,14 +62,14 @@ class Opening:
     counters: ServerCounters
     authorize: HostAuthorizer
     tap: ConnectionTap | None = None
-    slots: TransactionSlots = field(init=False)
-    shared_pools: Pools[ManagedConnection] = field(init=False)
+    slots: ServerTransactionSlots = field(init=False)
+    shared_slots: ConnectionSlots[ManagedConnection] = field(init=False)
     epoll_set: EpollSet | None = field(init=False)
     turns: Turns = field(init=False)
 
     def __post_init__(self) -> None:
-        self.slots = TransactionSlots(self.parameters.max_transactions)
-        self.shared_pools = Pools(PoolLimits.of(self.limits))
+        self.slots = ServerTransactionSlots(self.parameters.max_transactions)
+        self.shared_slots = ConnectionSlots(SlotLimits.of(self.limits))
         self.epoll_set = epoll_set_for(self.loop)
         self.turns = Turns(self.loop)
 
@@ -87,7 +87,7 @@ class Opening:
         shares = limits.shared_slots and limits is self.limits
         management = ConnectionManagement(
             self._listener_context(settings),
-            self.shared_pools if shares else Pools(PoolLimits.of(limits)),
+            self.shared_slots if shares else ConnectionSlots(SlotLimits.of(limits)),
             self.sockets,
             self.turns,
         )
@@ -115,7 +115,7 @@ class Opening:
 
         Raises `LinkDown` and `ConfigError` as `SerialListener.open` does.
         """
-        from .line import SerialListener
+        from .serial_listener import SerialListener
 
         line = SerialListener(
             self.loop,

@@ -13,7 +13,7 @@ from ..errors import ModbusError
 from ..pdu.message import Message
 from ..session.pipeline import ResponderFailure
 from ..session.responder import Refusal
-from ..session.server import Deferred
+from ..session.tcp_server import Deferred
 
 _log = logging.getLogger("busway.server")
 

@@ -25,12 +25,12 @@ from ..transport.opened_connections import dialled_connections
 from ..transport.tcp import network_kind, network_reason
 from .connection_management import ConnectionManagement
 from .connection_tap import ConnectionTap
-from .counters import ServerCounters
 from .exposure import warn_of_exposure
 from .listener import Listener, as_listeners
 from .listener_settings import ListenerSettings, listener_settings
 from .open_files import raise_open_file_limit
 from .opening import Opening, serial_units
+from .server_counters import ServerCounters
 from .standard_port import with_standard_port
 from .status import ServerStatus
 from .tcp import TcpListener, settle
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from ..access.authorizer import PolicyAuthorizer
     from ..access.rules import Policy
     from ..options.tls import TlsParameters
-    from .line import SerialListener
+    from .serial_listener import SerialListener
     from .udp import UdpListener
 
 _STOP_SECONDS: Final = 0.5
@@ -347,13 +347,14 @@ class Server:
     def status(self) -> ServerStatus:
         """Return the current status of the server: listeners, connections and counters."""
         connections = tuple(one for listener in self._with_peers() for one in listener.status())
-        pools = {id(each.management.pools): each.management.pools.limits for each in self._streams}
+        slots = [each.management.connection_slots for each in self._streams]
+        limits_of = {id(one): one.limits for one in slots}  # listeners may share them
         return ServerStatus(
             running=self.is_running,
             uptime=time.monotonic() - self._started if self._started else 0.0,
             endpoints=tuple(self._bound),
             connections=connections,
-            supported_connections=sum(limits.priority + limits.other for limits in pools.values()),
+            supported_connections=sum(limits.priority + limits.other for limits in limits_of.values()),
             remote_connections=len(connections),
             local_connections=self._local_connections(),
             counters=self._counters_now(),

@@ -4,10 +4,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from enum import Enum
 
-from ..session.diagnostics import Counters
-from ..transport.interfaces import Interface
-from .connection_limits import Pool
-from .counters import ServerCounters
+from ..session.diagnostic_counters import DiagnosticCounters
+from ..transport.network_interfaces import Interface
+from .connection_slots import SlotPool
+from .server_counters import ServerCounters
 from .status_indicators import StatusIndicators
 
 
@@ -18,14 +18,14 @@ class ServedConnectionState(Enum):
         IDLE: no request is in progress.
         RECEIVING: a request is received in part.
         BUSY: a request is in progress or waits for its turn, or a reply is unsent.
-        HELD: reading is paused: the host is above its rate, or does not read its replies, or the server stops.
+        PAUSED: nothing is read: the host is above its rate, or does not read its replies, or the server stops.
         CLOSING: the connection is closed as soon as the written replies are sent.
     """
 
     IDLE = "idle"
     RECEIVING = "receiving"
     BUSY = "busy"
-    HELD = "held"
+    PAUSED = "paused"
     CLOSING = "closing"
 
 
@@ -49,7 +49,7 @@ class ConnectionStatus:
     peer: str
     listener: str
     state: ServedConnectionState
-    pool: Pool
+    pool: SlotPool
     role: str | None
     subject: str
     age: float
@@ -114,7 +114,7 @@ class ListenerStatus:
     endpoint: str
     is_open: bool
     indicators: StatusIndicators
-    counters: Counters
+    counters: DiagnosticCounters
     event_count: int
     listen_only: bool
     listen_only_units: tuple[int, ...] = ()

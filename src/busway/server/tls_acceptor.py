@@ -20,9 +20,10 @@ from typing import Final, cast
 
 from ..options.tls import TlsParameters
 from ..transport.tls.certificates.facts import DAY, CertificateFacts, facts_of_der, facts_of_file
-from ..transport.tls.context import WatchedContext, server_context
+from ..transport.tls.context import server_context
 from ..transport.tls.failures import FailureKind, TlsFailure
 from ..transport.tls.layer import TlsLayer, TlsState
+from ..transport.tls.renewal import WatchedContext
 from ..transport.tls.roles import require_cryptography, role_of_certificate
 from .connection import ServerConnection
 from .connection_management import ConnectionManagement

@@ -26,12 +26,12 @@ from ..observe.trace import TRACE
 from ..options.sockets import SocketParameters
 from ..transport.tcp import set_buffers
 from .bound_sockets import bound_name, listening_sockets
-from .connection_limits import Pool, PoolLimits, Pools
-from .counters import ServerCounters
+from .connection_slots import ConnectionSlots, SlotLimits, SlotPool
 from .listener_context import ListenerContext, add_living
 from .peers import host_of, peer_name
 from .responder_failures import begin_late_answers
-from .rtu_over_tcp import Session
+from .serial_over_network import Session
+from .server_counters import ServerCounters
 from .status import ConnectionStatus, ListenerStatus, ServedConnectionState
 
 _MOST_AT_ONCE: Final = 16
@@ -56,7 +56,7 @@ class UdpListener:
         self._parameters = sockets
         self._is_whole = WHOLE[listener_context.framing]
         self._sockets: list[_Socket] = []
-        self._pools: Pools[_Peer] = Pools(PoolLimits.of(listener_context.parameters))
+        self._connection_slots: ConnectionSlots[_Peer] = ConnectionSlots(SlotLimits.of(listener_context.parameters))
         self._peers: dict[Any, _Peer] = {}  # by socket and address
         self._takes_more = True
 
@@ -112,7 +112,7 @@ class UdpListener:
 
     def listener_status(self) -> ListenerStatus:
         """Return the status of this listener: whether it is open, indicators, used slots and counters."""
-        return self.listener_context.status(self._pools.count)
+        return self.listener_context.status(self._connection_slots.count)
 
     def add_living(self, counters: ServerCounters) -> None:
         """Add the counters of current peers to ``counters``, which already include forgotten peers."""
@@ -158,15 +158,15 @@ class UdpListener:
     def leave(self, peer: "_Peer") -> None:
         """Remove a UDP peer: its host may no longer send, its slot is needed, or its socket was closed."""
         del self._peers[peer.socket, peer.address]
-        self._pools.leave(peer)
+        self._connection_slots.leave(peer)
         peer.close()
         self.listener_context.connection_closed(peer, peer.session)
 
     def _admit(self, socket: "_Socket", address: Any) -> "_Peer | None":
         peer = _Peer(self.listener_context, socket, address)
-        admission = self._pools.admit(peer)
+        admission = self._connection_slots.admit(peer)
         if not admission.accepted and self._forget_unused():
-            admission = self._pools.admit(peer)
+            admission = self._connection_slots.admit(peer)
         if not admission.accepted:
             self.listener_context.counters.refused_full += 1
             return None
@@ -178,11 +178,11 @@ class UdpListener:
         return peer
 
     def _forget_unused(self) -> bool:
-        """Forget the longest unused peer in the pool `Pool.OTHER`, to free its slot. Returns whether there was one.
+        """Forget the longest unused peer in the pool `SlotPool.OTHER`, to free its slot. Returns whether there was one.
 
         Called only if priority hosts have all slots of that pool (rule 4). A peer with a request in progress stays.
         """
-        unused = [one for one in self._peers.values() if one.pool is Pool.OTHER and not one.is_busy]
+        unused = [one for one in self._peers.values() if one.pool is SlotPool.OTHER and not one.is_busy]
         if not unused:
             return False
         self.listener_context.counters.evicted += 1
@@ -258,7 +258,7 @@ class _Socket(asyncio.DatagramProtocol):
         if self._transport is not None and not self._is_full and not self._transport.is_closing():
             self._transport.sendto(adu, address)
 
-    def ends(self, address: Any) -> SocketAddresses:
+    def addresses(self, address: Any) -> SocketAddresses:
         """Return the local and remote socket address of datagrams from and to a peer."""
         own = None if self._transport is None else self._transport.get_extra_info("sockname")
         return SocketAddresses(own, address, is_datagram=True)
@@ -284,7 +284,7 @@ class _Peer:
         self.role: str | None = None
         self.subject = ""
         self.is_priority: bool = listener_context.is_priority(self.host)
-        self.pool = Pool.OTHER
+        self.pool = SlotPool.OTHER
         self.opened: float = time.monotonic()
         self.last_used: float = self.opened
         self.received: int = 0
@@ -349,6 +349,6 @@ class _Peer:
     def _traced(self) -> ConnectionTrace:
         if self._trace is None:
             self._trace = trace_for(
-                self._listener_context.framing, self.peer, is_server=True, carrier=self.socket.ends(self.address)
+                self._listener_context.framing, self.peer, is_server=True, carrier=self.socket.addresses(self.address)
             )
         return self._trace

@@ -74,8 +74,8 @@ class Call:
         next: position of the first request that was never sent; the number of requests if all were sent.
         again: positions of requests that were sent and have to be sent once more.
         attempts: for repeated requests only, by position: the number of the present attempt, 2 or more.
-        markers: number of marker requests (`busway.session.late_replies`) that its unit did not answer while this call
-            waited.
+        markers: number of marker requests (`busway.session.serial_late_replies`) that its unit did not answer while
+            this call waited.
         repeated: by position, number of repetitions of a read that do not count as retries, because the reply was not
             used: it could have been a late one.
         places: how much of the queue's limit the call uses while it is queued: 1 for an application's call, whatever

@@ -16,9 +16,9 @@ from collections.abc import Callable
 from weakref import WeakMethod
 
 from ..errors import LinkClosed, LinkDown
-from .client import TcpClientSession
 from .reconnect import ConnectionEvent, ConnectionState, Reconnect
 from .serial_client import SerialClientSession
+from .tcp_client import TcpClientSession
 
 Moved = Callable[[ConnectionEvent, str, str], None]
 """Called as ``moved(event, reason, news)`` with each event, its reason in words, and a message for the operator. The

@@ -21,9 +21,9 @@ from ..framing.mbap import HEAD
 from ..pdu.message import Message, Request
 
 if TYPE_CHECKING:
-    from .diagnostics import LineDiagnostics
+    from .diagnostic_counters import LineDiagnostics
     from .responder import ClientIdentity, ForwardingTarget, RequestContext
-    from .transaction_slots import TransactionSlots
+    from .server_transaction_slots import ServerTransactionSlots
 
 READ_SIZE = 12
 """Bytes of the ADU of a read (functions 01 to 04)."""
@@ -185,7 +185,7 @@ class ForwardedReads:
         forwards: PreparedForwards,
         *,
         client: "ClientIdentity",
-        slots: "TransactionSlots",
+        slots: "ServerTransactionSlots",
         diagnostics: "LineDiagnostics",
         deliver: DeliverTogether,
         observed_by: "ReadObserver | None" = None,

@@ -12,12 +12,12 @@ from functools import partial
 
 from ..errors import ConfigError
 from ..framing.ascii import AsciiReceiver, encode_ascii
+from ..framing.character_times import SerialTiming
 from ..framing.echo import Echo
 from ..framing.frame_direction import LineRole
 from ..framing.received import SerialReceiver
 from ..framing.rtu import RtuReceiver, encode_rtu
 from ..framing.rtu_strict import StrictRtuReceiver
-from ..framing.timing import SerialTiming
 from ..options.lines import FramingParameters
 from ..pdu.functions import STANDARD, FunctionTable
 

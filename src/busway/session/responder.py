@@ -20,7 +20,7 @@ from ..pdu.exception_response import ExceptionResponse
 from ..pdu.fast_answers import DirectModel
 from ..pdu.functions import AnyRequest, FunctionTable
 from ..pdu.message import Message
-from .diagnostics import CommunicationState
+from .diagnostic_counters import CommunicationState
 
 
 class Deferral(Enum):

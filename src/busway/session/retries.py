@@ -39,7 +39,7 @@ class ClientCounters:
         foreign_protocol: TCP frames with a protocol identifier other than 0.
         damaged_frames: frames on a serial line that were damaged.
         overruns: damaged frames with a character overrun.
-        markers: marker requests sent (`busway.session.late_replies`).
+        markers: marker requests sent (`busway.session.serial_late_replies`).
         suspended: calls and queued requests that failed because the circuit breaker of their unit was open.
         cancelled: calls that were cancelled before they had all outcomes.
         overloaded: calls that were refused because the queue was full.

@@ -9,8 +9,8 @@ RTU and ASCII differ only in the framing that is passed in.
 3. After a timeout the line is drained: nothing is sent until it has been silent for ``quiet_window``, at the latest
    until ``drain_limit`` has passed. The unit that did not answer gets no request for ``quiet_window`` from the timeout
    on, unless its late reply comes before. Frames received while the line is drained are late and dropped.
-4. A unit that owes a reply is in doubt (`late_replies`): a request whose reply could be confused with the owed one is
-   sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
+4. A unit that owes a reply is in doubt (`serial_late_replies`): a request whose reply could be confused with the owed
+   one is sent only after a marker, a harmless request of the session. A late reply goes to its own call or is dropped.
    Other units are served meanwhile.
 5. Nothing is sent before t3.5 after the last byte on the line, ``request_gap`` after a reply and ``unit_switch_gap``
    before a request to another unit. A unit with a gap of its own gets no request for that time; others do.
@@ -43,8 +43,8 @@ from ..pdu.exception_response import decode_exception
 from ..pdu.malformed import MalformedPdu
 from ..pdu.message import Message, Request
 from .call import Call
-from .late_replies import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
 from .retries import CallTracker, ClientCounters, function_of
+from .serial_late_replies import CHECK_EVERY, Doubts, Marker, MarkerKind, OwedReply, UnitDoubt, may_answer
 from .unit_breaker import Breakers
 
 if TYPE_CHECKING:
@@ -52,7 +52,7 @@ if TYPE_CHECKING:
 
 OWED_FOR: Final = 2.0
 """Multiple of the timeout, counted from the last byte of a request, after which its late reply no longer delays other
-requests: even a unit that breaks the order of replies has replied by then (rule 5 of `late_replies`).
+requests: even a unit that breaks the order of replies has replied by then (rule 5 of `serial_late_replies`).
 """
 _NOTES_AT_MOST: Final = 16
 _PACE_FORGETS = 0.9
@@ -443,7 +443,7 @@ class SerialClientSession:
     def _waits_for_counting(self, doubt: UnitDoubt, call: Call) -> bool:
         """Whether the next request, a read, must wait while another call's read is repeated to use up late replies.
 
-        Only one call of a unit does that at a time (rule 6 of `late_replies`).
+        Only one call of a unit does that at a time (rule 6 of `serial_late_replies`).
         """
         if doubt.counting is None or doubt.counting.ended:
             doubt.counting = None
@@ -596,7 +596,7 @@ class SerialClientSession:
         return frame.began < awaited.sent + framing.send_gap - framing.timing.character / 10
 
     def _of_awaited_unit(self, awaited: _RequestInFlight, frame: SerialFrame, now: float) -> None:
-        """Handle a frame from the unit that was asked: the expected reply, or a late one (`late_replies`)."""
+        """Handle a frame from the unit that was asked: the expected reply, or a late one (`serial_late_replies`)."""
         doubt = self.doubts.of(awaited.unit)
         if not doubt.owed and not doubt.older:  # the usual case
             if frame.pdu[0] & 0x7F == awaited.request.wire[0]:

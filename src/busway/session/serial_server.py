@@ -30,11 +30,11 @@ from ..framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from ..pdu.exception_response import ExceptionResponse
 from ..pdu.message import Message
 from ..pdu.message import Request as AnyFunction
-from .diagnostics import LineDiagnostics
+from .diagnostic_counters import LineDiagnostics
 from .line_framing import LineFraming
 from .pipeline import NO_FAST_PATH, PREPARED, FastPath, RequestPipeline, ResponderFailure
 from .responder import ALONE, LATER, ClientIdentity, Deferral, Forwarding, RequestContext, ResponderAnswer
-from .server import Deferred
+from .tcp_server import Deferred
 
 _NO_TRANSACTION = bytes(2)
 _UNIT = 4

@@ -22,9 +22,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from ..faults.applied_faults import AppliedFault, Faults, Schedule, Selection
     from ..faults.clients import CLIENT_FAULT_PROFILES, SLOW_LORIS, ClientFaultProfile, misbehaving_client
     from ..faults.clock import Clock, FakeClock, LoopClock
-    from ..faults.fault import SILENCE, AppliedFault, Contact, Emission, Exchange, Fault, Faults, Schedule, Selection
+    from ..faults.fault import SILENCE, Contact, Emission, Exchange, Fault
     from ..faults.faulty_conversation import FaultyConversation
     from ..faults.profile import Carrier, FaultProfile, FaultProfileTable
     from ..faults.profiles import FAULT_PROFILES
@@ -41,17 +42,8 @@ _HOME = {
     ".faults.clock": ("Clock", "FakeClock", "LoopClock"),
     ".faults.faulty_conversation": ("FaultyConversation",),
     "device": ("known_device",),
-    ".faults.fault": (
-        "SILENCE",
-        "AppliedFault",
-        "Contact",
-        "Emission",
-        "Exchange",
-        "Fault",
-        "Faults",
-        "Schedule",
-        "Selection",
-    ),
+    ".faults.applied_faults": ("AppliedFault", "Faults", "Schedule", "Selection"),
+    ".faults.fault": ("SILENCE", "Contact", "Emission", "Exchange", "Fault"),
     "golden": ("GOLDEN_EXCEPTIONS", "GOLDEN_EXCHANGES", "GoldenExchange", "golden_adu"),
     "memory": ("MemoryPair", "MemoryTransport", "Passage"),
     ".faults.profiles": ("FAULT_PROFILES",),

@@ -314,7 +314,7 @@ class PacedLine:
             if self._bell_read in ready:
                 self._obey()
             if self._listeners:
-                self._tell_listeners(now)
+                self._wake_listeners(now)
 
     def _wake_at(self) -> float | None:
         """Return when the line's thread must next deliver characters or report a silence; None if it has neither."""
@@ -374,7 +374,7 @@ class PacedLine:
                 order.failure = failure  # it is the caller's, and raised there
             order.done.set()
 
-    def _tell_listeners(self, now: float) -> None:
+    def _wake_listeners(self, now: float) -> None:
         if self._line.deadline() is not None:
             return
         for listener in [each for each in self._listeners if now - self._last_sound >= each.silence]:

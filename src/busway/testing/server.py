@@ -22,9 +22,10 @@ from types import TracebackType
 from typing import Any, Self
 
 from ..errors import ConfigError
+from ..faults.applied_faults import AppliedFault, Faults, Schedule, Selection
 from ..faults.clock import Clock, LoopClock
-from ..faults.connections import FaultyTap
-from ..faults.fault import AppliedFault, Exchange, Fault, Faults, Schedule, Selection
+from ..faults.fault import Exchange, Fault
+from ..faults.faulty_connections import FaultyTap
 from ..faults.faulty_responder import FaultyResponder
 from ..faults.profiles import FAULT_PROFILES
 from ..options.server import UnitPolicy

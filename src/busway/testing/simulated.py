@@ -32,8 +32,8 @@ if TYPE_CHECKING:
     from ..apps.simulator.includes import SimulationDeclaration
     from ..apps.simulator.simulation import Simulation
     from ..config.files.simulation import SimulatedPointSection
+    from ..faults.applied_faults import AppliedFault
     from ..faults.clock import Clock
-    from ..faults.fault import AppliedFault
     from ..server.hooks import Access, Change
 
 FREE_PORT: Final = "tcp://127.0.0.1:0"
@@ -188,10 +188,10 @@ class SimulatedDevice:
         Raises:
             ConfigError: an unknown name or parameter, or a value out of its range.
         """
-        from ..faults.fault import Schedule
+        from ..faults.applied_faults import Schedule
 
-        board = self.simulation.board
-        name = board.add(
+        switchboard = self.simulation.switchboard
+        name = switchboard.add(
             fault_profile,
             units={units} if isinstance(units, int) else units,
             functions={functions} if isinstance(functions, int) else functions,
@@ -202,9 +202,9 @@ class SimulatedDevice:
             parameters=parameters,
         )
         try:
-            yield board.faults.find(name)
+            yield switchboard.faults.find(name)
         finally:
-            board.remove(name)
+            switchboard.remove(name)
 
     def wait_for_write(self, address: str, *, timeout: float = 10.0) -> Any:  # what its type says
         """Block until a client writes an item after this call. Returns the value that the item has then.

@@ -1,19 +1,19 @@
 """Transports: bytes in and out over sockets, serial ports and pairs in memory. Knows no Modbus.
 
-====================  =================================================================================================
+====================  ==================================================================================================
 `accepting`           Acceptors take new connections from a listening socket: through an `EpollSet` or the event loop
 `buffers`             The one receive buffer that all connections of an event loop share
 `descriptors`         Reserve of file descriptors: the last ones are kept for Modbus connections
 `dialling`            Outgoing TCP connections, from a chosen local address or interface
-`interfaces`          The network interfaces of this host: names, addresses, netmasks and gateways
 `listening_sockets`   Creates bound sockets for listeners, one for each address
+`network_interfaces`  The network interfaces of this host: names, addresses, netmasks and gateways
 `opened_connections`  Counts the connections that this process has opened as a client, for the status of a server in it
 `tcp`                 Sets the options of TCP sockets, and explains their errors
 `udp`                 UDP sockets of clients, for asyncio and for blocking links
 `epoll`               One epoll object for all connections of an event loop, to save CPU
 `serial`              Serial ports: bytes in, bytes out, over a UART, a USB adapter or a pseudo-terminal
 `tls`                 TLS: contexts, certificates, roles of clients, handshakes, and the reasons for which they fail
-====================  =================================================================================================
+====================  ==================================================================================================
 
 Where it is decided: which local and remote address a connection uses: `dialling`. On which addresses a listener
 listens: `listening_sockets`. Which socket options are set: `tcp`. How many connections are accepted at once:

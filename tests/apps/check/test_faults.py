@@ -12,7 +12,7 @@ from checked_device import UNIT, VirtualDialer, target_of
 from busway.apps.check.catalogue import checks_for
 from busway.apps.check.check import CheckResult, Level, Outcome
 from busway.apps.check.run import CheckRun, Pace
-from busway.faults.fault import Selection
+from busway.faults.applied_faults import Selection
 from busway.faults.profiles import FAULT_PROFILES
 from busway.testing import Carrier
 

@@ -4,7 +4,7 @@ import pytest
 
 from busway.apps.collector.cost import ReadCost, baud_cost, line_cost, network_cost
 from busway.codes import Table
-from busway.framing.timing import Parity, SerialTiming
+from busway.framing.character_times import Parity, SerialTiming
 
 REGISTERS = Table.HOLDING_REGISTERS
 

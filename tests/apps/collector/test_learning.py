@@ -204,10 +204,10 @@ class Collecting:
                 outcome, code = self.device.read(read)
                 self.failed += outcome is not ReadOutcome.SUCCESS
                 self.learner.observe(read, outcome, code)
-            for _ in range(3):  # low priority: a few questions between two rounds
-                question = self.learner.question()
-                if question is not None:
-                    self.learner.answered(*self.device.read(question))
+            for _ in range(3):  # low priority: a few test reads between two rounds
+                test_read = self.learner.next_test_read()
+                if test_read is not None:
+                    self.learner.answered(*self.device.read(test_read))
 
 
 def collecting(device: Refusing, places: Sequence[int], width: int = 1) -> Collecting:
@@ -224,10 +224,10 @@ def test_one_item_that_is_refused_is_found_and_not_asked_again(code: int) -> Non
     run.rounds(50)
     assert not [place for place, width in run.device.asked if place <= 37 < place + width]
     assert [one.item.start for one in run.plan().unreadable] == [37]
-    assert len(run.device.asked) == 100  # two reads a round, and no question
+    assert len(run.device.asked) == 100  # two reads a round, and no test read
 
 
-def test_a_hole_costs_few_questions() -> None:
+def test_a_hole_costs_few_test_reads() -> None:
     run = collecting(Refusing(holes=[37]), range(100))
     run.rounds(20)
     assert run.learner.asked <= 16
@@ -321,7 +321,7 @@ def test_other_exceptions_teach_nothing(code: int) -> None:
     assert run.learner.knowledge == DeviceKnowledge()
 
 
-def test_a_question_that_is_answered_with_a_failure_ends_the_search_without_a_finding() -> None:
+def test_a_test_read_that_ends_with_a_failure_ends_the_search_without_a_finding() -> None:
     run = collecting(Refusing(holes=[37]), range(100))
     run.learner.observe(run.plan().reads[0], ReadOutcome.REFUSED, 2)
     assert run.learner.is_asking
@@ -336,8 +336,8 @@ def test_a_refusal_that_does_not_happen_again_is_looked_into_ever_more_rarely() 
     asked = []
     for _ in range(200):
         run.learner.observe(run.plan().reads[0], ReadOutcome.REFUSED, 2)
-        while (question := run.learner.question()) is not None:
-            run.learner.answered(*run.device.read(question))
+        while (test_read := run.learner.next_test_read()) is not None:
+            run.learner.answered(*run.device.read(test_read))
         asked.append(run.learner.asked)
     assert run.learner.knowledge == DeviceKnowledge()
     assert run.learner.inconclusive <= 7

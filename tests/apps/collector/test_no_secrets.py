@@ -26,7 +26,7 @@ from waiting import wait_until
 from websockets.sync.client import connect
 
 from busway.apps.collector.configuration import load_collector
-from busway.apps.web.page_tokens import read_tokens
+from busway.apps.web.access_tokens import read_tokens
 from busway.config.files.file_error import FileError
 
 for package in ("aiomqtt", "google.protobuf", "asyncpg", "httpx", "nats"):

@@ -29,7 +29,7 @@ def read_all(book: PlanBook, truth: ReadCost, source: random.Random, noise: floa
 
 def settle(book: PlanBook, truth: ReadCost, source: random.Random, noise: float) -> None:
     book.plan_for(ALL)
-    while (probe := book.question()) is not None:
+    while (probe := book.next_test_read()) is not None:
         seconds = truth.of(probe.table, probe.width) * (1 + noise * source.random())
         book.answered(probe, ReadOutcome.SUCCESS, seconds)
 

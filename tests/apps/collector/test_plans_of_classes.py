@@ -26,7 +26,7 @@ def book_of(places: list[int], assumed: ReadCost) -> PlanBook:
 def answer(book: PlanBook, true: ReadCost, rounds: int) -> None:
     """Let a device answer its reads and questions, each in exactly the time that it takes."""
     book.plan_for(FAST)
-    while (question := book.question()) is not None:
+    while (question := book.next_test_read()) is not None:
         book.answered(question, ReadOutcome.SUCCESS, true.of(H, question.width))
     for _ in range(rounds):
         for read in book.plan_for(FAST).reads:
@@ -115,7 +115,7 @@ def test_what_a_register_costs_behind_a_network_is_not_forgotten_where_all_reads
     best = plan_reads(items(places), BRIDGED, true)
     book = PlanBook({"fast": items(places)}, BRIDGED, network_cost(), fixed=False)
     for number in range(1000):
-        question = book.question()
+        question = book.next_test_read()
         if question is not None:
             took = true.of(H, question.width) + 0.002 * chance.random()
             book.answered(question, ReadOutcome.SUCCESS, took)
@@ -149,7 +149,7 @@ def test_behind_a_network_no_plan_is_dearer_than_the_best_by_more_than_it_has_to
     for _ in range(200):
         for read in book.plan_for(FAST).reads:
             book.succeeded(read, took(read))
-        question = book.question()
+        question = book.next_test_read()
         if question is not None:
             book.answered(question, ReadOutcome.SUCCESS, took(question))
     best = plan_reads(found, BRIDGED, true)
@@ -190,7 +190,7 @@ def test_a_hole_that_was_learnt_makes_all_plans_anew() -> None:
     plans = {classes: book.plan_for(classes) for classes in (FAST, BOTH)}
     for _ in range(50):
         book.failed(book.plan_for(FAST).reads[0], ReadOutcome.REFUSED, 2)
-        while (question := book.question()) is not None:
+        while (question := book.next_test_read()) is not None:
             refused = question.start <= 7 < question.end
             outcome = ReadOutcome.REFUSED if refused else ReadOutcome.SUCCESS
             book.answered(question, outcome, 0.05, 2 if refused else 0)

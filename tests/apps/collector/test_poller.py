@@ -10,12 +10,12 @@ import pytest
 from waiting import until
 
 import busway
+from busway.apps.collector.adaptive_timeout import SHORTEST
 from busway.apps.collector.cost import network_cost
 from busway.apps.collector.derived_points import DerivedPoints
 from busway.apps.collector.device_status import status_of
 from busway.apps.collector.plan_cache import PlanBook
 from busway.apps.collector.poller import LinkPoller
-from busway.apps.collector.reply_timeout import SHORTEST
 from busway.apps.collector.sample_clock import EARLIEST, NANOSECONDS, SampleClock
 from busway.apps.collector.samples import SampleBatch, StateInterval
 from busway.apps.collector.schedule import LinkSchedule

@@ -71,7 +71,7 @@ class VirtualLink:
                 self.now += 0.001
             else:
                 self.now += sum(read.seconds for read in turn.reads) or 0.005
-            if turn.kind is TurnKind.QUESTION:
+            if turn.kind is TurnKind.TEST_READ:
                 self.schedule.devices[turn.device].book.answered(
                     turn.reads[0], ReadOutcome.SUCCESS if outcome is TurnOutcome.ANSWERED else ReadOutcome.SILENCE, 0.02
                 )
@@ -95,7 +95,7 @@ def test_a_device_is_asked_once_a_period_without_drift() -> None:
     times = link.polled["a"]
     assert len(times) == pytest.approx(1000, abs=2)
     grid = [round((each - times[10]) % 1.0, 6) for each in times[10:]]
-    assert {min(each, 1 - each) <= 0.06 for each in grid} == {True}  # a question of learning may be in the way
+    assert {min(each, 1 - each) <= 0.06 for each in grid} == {True}  # a test read may be in the way
 
 
 def test_devices_do_not_wait_for_each_other_on_a_link_without_silent_ones() -> None:
@@ -106,7 +106,7 @@ def test_devices_do_not_wait_for_each_other_on_a_link_without_silent_ones() -> N
     for device in link.schedule.devices.values():
         device.worst_wait = 0.0
     link.run(200)
-    assert max(device.worst_wait for device in link.schedule.devices.values()) < 0.1  # a question of learning
+    assert max(device.worst_wait for device in link.schedule.devices.values()) < 0.1  # a test read
 
 
 def test_slow_classes_of_devices_do_not_come_all_at_once() -> None:
@@ -193,7 +193,7 @@ def test_a_flood_of_writes_does_not_stop_polling() -> None:
         link.schedule.done(turn, link.now - 0.1, link.now, TurnOutcome.ANSWERED)
     assert kinds.count(TurnKind.ROUND) == 10
     assert kinds[:8] == [TurnKind.WRITE] * 8
-    assert TurnKind.QUESTION not in kinds
+    assert TurnKind.TEST_READ not in kinds
 
 
 def test_writes_go_on_where_no_read_is_due() -> None:

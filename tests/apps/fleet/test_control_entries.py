@@ -24,7 +24,7 @@ from busway.apps.fleet.coordinator import Coordinator
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.fleet.records import ZONE, ZoneRecord
+from busway.apps.fleet.table_records import ZONE, ZoneRecord
 from busway.errors import ConfigError
 
 pytestmark = pytest.mark.real_time

@@ -38,8 +38,8 @@ from busway.apps.fleet.coordinators.opening import CoordinatorOptions
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_status import zone_status
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import LeaseRecord, MemberRecord, ZoneRecord
 from busway.apps.fleet.streams import StreamOptions, make_audit_stream, make_stream
+from busway.apps.fleet.table_records import LeaseRecord, MemberRecord, ZoneRecord
 from busway.errors import ConfigError
 
 SERVED = ["nats", "postgresql"]

@@ -27,10 +27,10 @@ from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_driver import boot_time
-from busway.apps.fleet.lease_holder import OwnedShard, ShardEvent, Step
+from busway.apps.fleet.lease_holder import OwnedShard, OwnershipChange, ShardEvent
 from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.ownership_log import OWNERSHIP, OwnershipLog
-from busway.apps.fleet.records import LeaseRecord
+from busway.apps.fleet.table_records import LeaseRecord
 from busway.errors import ConfigError, LinkDown, NoReply
 from busway.pdu.read_items import ReadHoldingRegisters
 
@@ -332,7 +332,7 @@ async def test_a_frame_that_a_line_keeps_back_does_not_leave_after_the_lease_has
             waiting = asyncio.create_task(asked())  # the unit owes a reply: what was permitted waits on the line
             await asyncio.sleep(0.05)
             assert one._permitted["line"] > frames[-1]
-            monkeypatch.setattr(one.member, "may_begin", lambda *_: False)
+            monkeypatch.setattr(one.member, "permits", lambda *_: False)
             sent = len(frames)
             assert isinstance(await waiting, LinkDown)
             await asyncio.sleep(1.0)
@@ -424,7 +424,9 @@ async def test_a_shard_that_is_gained_while_a_configuration_comes_is_polled_afte
     honest = FleetCollector._apply
 
     async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
-        if one.revision == 0 and any(event.step is Step.GAINED for event in events):  # it comes in this moment
+        if one.revision == 0 and any(
+            event.change is OwnershipChange.GAINED for event in events
+        ):  # it comes in this moment
             one._newer = one._configuration, 7
             one._waiting[:0] = events
             one._wake.set()
@@ -441,9 +443,9 @@ async def test_a_shard_that_is_gained_while_a_configuration_comes_is_polled_afte
         assert gap.end < min(at for at, value in zip(found.time, found.value, strict=True) if value is not None)
 
 
-@pytest.mark.parametrize("step", [Step.LEAVE, Step.LOST])
+@pytest.mark.parametrize("step", [OwnershipChange.LEAVE, OwnershipChange.LOST])
 async def test_a_shard_that_is_gone_again_before_it_was_polled_leaves_the_gap_before_it(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: Step
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, step: OwnershipChange
 ) -> None:
     """The next owner takes it from one that was not silent, so only this one can tell of the gap."""
     coordinator = await open_coordinator(f"local:{tmp_path}/zone", "hall")
@@ -457,9 +459,9 @@ async def test_a_shard_that_is_gone_again_before_it_was_polled_leaves_the_gap_be
 
     async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
         if not brief:
-            brief.extend(event for event in events if event.step is Step.GAINED)
+            brief.extend(event for event in events if event.change is OwnershipChange.GAINED)
             for event in brief:
-                if step is Step.LEAVE:
+                if step is OwnershipChange.LEAVE:
                     one.member.owned[event.shard].leaving = ""
                 else:
                     del one.member.owned[event.shard]
@@ -494,8 +496,8 @@ async def test_a_shard_that_is_gone_again_while_another_one_ends_leaves_the_gap_
 
     async def apply(one: FleetCollector, events: Sequence[ShardEvent]) -> None:
         if not brief:
-            brief.extend(event for event in events if event.step is Step.GAINED)
-            events = [ShardEvent("other", Step.LOST, Epoch(1, 1)), *events] if brief else events
+            brief.extend(event for event in events if event.change is OwnershipChange.GAINED)
+            events = [ShardEvent("other", OwnershipChange.LOST, Epoch(1, 1)), *events] if brief else events
         await honest[0](one, events)
 
     async def record_ends(one: FleetCollector, events: Sequence[ShardEvent]) -> None:

@@ -12,9 +12,9 @@ import fleet_world
 import pytest
 from fleet_world import Driver, World, random_walk
 
-from busway.apps.fleet.lease_holder import NotConfirmed, Proposal, ShardEvent, Step
+from busway.apps.fleet.lease_holder import NotConfirmed, OwnershipChange, Proposal, ShardEvent
 from busway.apps.fleet.lease_times import Epoch
-from busway.apps.fleet.records import LEASES, decode_lease
+from busway.apps.fleet.table_records import LEASES, decode_lease
 
 SLACK = 2.5
 """Seconds between two transactions at most, and a transaction, and the way to the coordinator."""
@@ -44,7 +44,7 @@ class ToldWorld(World):
     def _heard(self, honest: Callable[[], list[ShardEvent]]) -> list[ShardEvent]:
         found = honest()
         for event in found:
-            if event.step is Step.GAINED:
+            if event.change is OwnershipChange.GAINED:
                 self.gained[event.shard] = self.now
                 begin = self.released.pop(event.shard, None) if event.silent_since is None else event.silent_since
                 if begin is not None:

@@ -13,15 +13,15 @@ import pytest
 from fleet_devices import METER, FleetDevice, devices_of, plant
 from waiting import until
 
-from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandMessageHandler, InputMessage, InputRights
 from busway.apps.collector.commands.mqtt import MqttCommands
 from busway.apps.collector.configuration import parse_collector
 from busway.apps.fleet.coordinator import CoordinatorDown, OutcomeUnknown
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.lease_times import LeaseTimes
-from busway.apps.web.access import AccessToken, PageAccessRules, Role
 from busway.apps.web.collector_page import CollectorPage
+from busway.apps.web.request_guard import AccessToken, PageAccessRules, Role
 
 pytestmark = pytest.mark.real_time
 
@@ -104,7 +104,7 @@ async def over_http(fleet: FleetCollector, key: str, value: int) -> dict[str, An
 async def over_mqtt(fleet: FleetCollector, key: str, value: int) -> dict[str, Any]:
     """What a collector answers to a message with this key, as its MQTT input hands it on."""
     made = MqttCommands("127.0.0.1", 1, InputRights("plant/{device}/{point}/set", ("*/*",)))
-    receiver = CommandReceiver(
+    receiver = CommandMessageHandler(
         "broker",
         made,
         fleet.collector.commands,
@@ -112,7 +112,7 @@ async def over_mqtt(fleet: FleetCollector, key: str, value: int) -> dict[str, An
         plant=lambda: fleet._configuration,
     )
     payload = json.dumps({"value": value, "key": key}).encode()
-    answer = await receiver.take(InputMessage("plant/link-0/setpoint/set", payload))
+    answer = await receiver.handle(InputMessage("plant/link-0/setpoint/set", payload))
     return {"state": "silent"} if answer is None else dict(json.loads(answer))
 
 

@@ -11,8 +11,8 @@ from foreign_servers import nats_server
 
 from busway.apps.fleet.coordinators import open_coordinator
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions
-from busway.apps.fleet.lease_driver import MemberDriver, boot_time
-from busway.apps.fleet.lease_holder import FleetMember, ShardEvent, Step
+from busway.apps.fleet.lease_driver import LeaseDriver, boot_time
+from busway.apps.fleet.lease_holder import LeaseHolder, OwnershipChange, ShardEvent
 from busway.apps.fleet.lease_times import LeaseTimes
 
 COSTS = {f"{number:04d}": 0.05 for number in range(8)}
@@ -25,14 +25,14 @@ class Collecting:
     """A member whose links stop at once when they are to."""
 
     def __init__(self, name: str) -> None:
-        self.member = FleetMember(name, f"run of {name}", name, TIMES, random.Random(name))
+        self.member = LeaseHolder(name, f"run of {name}", name, TIMES, random.Random(name))
         self.member.set_shards(COSTS)
         self.events: list[ShardEvent] = []
-        self.driver: MemberDriver | None = None
+        self.driver: LeaseDriver | None = None
 
     def told(self, event: ShardEvent) -> None:
         self.events.append(event)
-        if event.step is Step.LEAVE:
+        if event.change is OwnershipChange.LEAVE:
             assert self.driver is not None
             self.member.left(event.shard)
             self.driver.wake()
@@ -42,7 +42,7 @@ class Collecting:
 async def running(url: str, name: str) -> AsyncIterator[Collecting]:
     one = Collecting(name)
     coordinator = await open_coordinator(url, "hall", CoordinatorOptions(answer=0.5))
-    one.driver = MemberDriver(one.member, coordinator, one.told)
+    one.driver = LeaseDriver(one.member, coordinator, one.told)
     task = asyncio.create_task(one.driver.run())
     try:
         yield one
@@ -68,7 +68,7 @@ async def test_two_collectors_share_and_the_other_takes_over_what_one_has_left_b
             await until(lambda: {len(one.member.owned), len(two.member.owned)} == {4})
         took = await until(lambda: len(one.member.owned) == 8)
         assert took < TIMES.ttl + TIMES.guard + 2.0
-        assert all(event.step is not Step.LOST for event in two.events)
+        assert all(event.change is not OwnershipChange.LOST for event in two.events)
 
 
 async def test_a_collector_that_ends_in_order_hands_everything_on_at_once(tmp_path: Path) -> None:
@@ -92,7 +92,7 @@ async def test_a_server_that_is_away_for_longer_than_a_lease_ends_all_ownership_
             await until(lambda: not one.member.owned)
             assert one.driver is not None
             assert one.driver.error is not None
-            assert not one.member.may_begin("0000", boot_time(), 0.0)
+            assert not one.member.permits("0000", boot_time(), 0.0)
             server.start()
             await until(lambda: len(one.member.owned) == 8)
             assert all(each.epoch > first[shard] for shard, each in one.member.owned.items())

@@ -9,9 +9,9 @@ from fleet_world import Network, World, random_walk
 
 from busway.apps.fleet.balance import BEGIN
 from busway.apps.fleet.coordinator import Entry
-from busway.apps.fleet.lease_holder import FleetMember, NotConfirmed, Proposal, Step, _SeenLease
+from busway.apps.fleet.lease_holder import LeaseHolder, NotConfirmed, OwnershipChange, Proposal, _SeenLease
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
+from busway.apps.fleet.table_records import LEASES, LeaseHole, LeaseRecord, MemberRecord, ZoneRecord, decode_lease
 
 COSTS = {f"{number:04d}": 0.02 + 0.001 * (number % 7) for number in range(32)}
 
@@ -130,7 +130,7 @@ def test_a_second_process_of_the_same_name_owns_nothing_while_the_first_lives() 
 def test_a_table_that_is_read_anew_again_and_again_does_not_keep_a_collector_from_its_name() -> None:
     """As where heartbeats of a watch are missing, so that it begins anew every four seconds."""
     times = LeaseTimes()
-    member = FleetMember("west", "run", "west", times, random.Random(1), shards=4)
+    member = LeaseHolder("west", "run", "west", times, random.Random(1), shards=4)
     dead = Entry("member.west", MemberRecord("west", "another run", "west", 5).encode(), 8)
     begin = now = 100.0
     while now < begin + 60.0:
@@ -191,8 +191,8 @@ def test_a_transaction_that_would_end_exactly_at_the_deadline_does_not_begin() -
     world = settled(1)
     member = world.drivers["c0"].member
     deadline = member.deadline("0000")
-    assert not member.may_begin("0000", deadline - 1.0, 1.0)
-    assert member.may_begin("0000", deadline - 1.0, 0.999)
+    assert not member.permits("0000", deadline - 1.0, 1.0)
+    assert member.permits("0000", deadline - 1.0, 0.999)
 
 
 def test_shards_that_no_link_belongs_to_are_handed_back() -> None:
@@ -235,14 +235,14 @@ def test_many_walks() -> None:
 # What the walks must find: members that break one rule each.
 
 
-class WithoutDeadline(FleetMember):
+class WithoutDeadline(LeaseHolder):
     def turn(self, now: float) -> list[Proposal]:
         for each in self.owned.values():
             each.asked = max(each.asked, now - 1.0)
         return super().turn(now)
 
 
-class RenewedByAnUnansweredRenewal(FleetMember):
+class RenewedByAnUnansweredRenewal(LeaseHolder):
     def outcome(self, proposal: Proposal, result: int | NotConfirmed, now: float) -> None:
         owned = self.owned.get(proposal.key.removeprefix(LEASES))
         if result is NotConfirmed.UNKNOWN and owned is not None:
@@ -250,12 +250,12 @@ class RenewedByAnUnansweredRenewal(FleetMember):
         super().outcome(proposal, result, now)
 
 
-class TakesTooEarly(FleetMember):
+class TakesTooEarly(LeaseHolder):
     def _free_at(self, seen: _SeenLease) -> float:
         return super()._free_at(seen) - 3 * self.times.guard
 
 
-class HandsOnBeforeItsLinksStopped(FleetMember):
+class HandsOnBeforeItsLinksStopped(LeaseHolder):
     def turn(self, now: float) -> list[Proposal]:
         for shard, owned in self.owned.items():
             if owned.leaving is not None and not owned.has_left:
@@ -263,7 +263,7 @@ class HandsOnBeforeItsLinksStopped(FleetMember):
         return super().turn(now)
 
 
-class NeverTakesOver(FleetMember):
+class NeverTakesOver(LeaseHolder):
     def _free_at(self, seen: _SeenLease) -> float:
         return super()._free_at(seen) if seen.record is None or not seen.record.held else float("inf")
 
@@ -278,7 +278,7 @@ class NeverTakesOver(FleetMember):
         NeverTakesOver,
     ],
 )
-def test_the_walks_find_a_member_that_breaks_a_rule(kind: type[FleetMember]) -> None:
+def test_the_walks_find_a_member_that_breaks_a_rule(kind: type[LeaseHolder]) -> None:
     assert any(judged(random_walk(seed, member_kind=kind)) for seed in range(60))
 
 
@@ -297,9 +297,9 @@ CLOCK = 1_000_000.0
 """The time by the coordinator's clock, where that of leases is 0."""
 
 
-def clocks(ahead: float, *others: float) -> FleetMember:
+def clocks(ahead: float, *others: float) -> LeaseHolder:
     """A member whose clock is so far ahead of the coordinator's, with others whose clocks are too."""
-    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(1))
+    member = LeaseHolder("west", "run", "west", LeaseTimes(), random.Random(1))
     member.wall_ahead = CLOCK + ahead
     member.set_shards({"0001": 0.1})
     for number, each in enumerate(others):
@@ -340,15 +340,15 @@ def test_an_answer_that_takes_long_makes_no_clock_wrong() -> None:
     assert member.clock_error == 0.0
 
 
-def alone(times: LeaseTimes | None = None, *, shards: int = 4) -> FleetMember:
+def alone(times: LeaseTimes | None = None, *, shards: int = 4) -> LeaseHolder:
     """A member that has seen a table without entries, and whose own record is confirmed."""
-    member = FleetMember("west", "run", "west", times or LeaseTimes(), random.Random(1), shards=shards)
+    member = LeaseHolder("west", "run", "west", times or LeaseTimes(), random.Random(1), shards=shards)
     member.set_shards({"0001": 0.1})
     member.end_snapshot(0.0)
     return member
 
 
-def proposed(member: FleetMember, now: float) -> dict[str, Proposal]:
+def proposed(member: LeaseHolder, now: float) -> dict[str, Proposal]:
     return {each.key: each for each in member.turn(now)}
 
 
@@ -357,7 +357,7 @@ def acted(seed: int) -> dict[str, float]:
 
     All that it sees, and when, is the same for each seed.
     """
-    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(seed), shards=8)
+    member = LeaseHolder("west", "run", "west", LeaseTimes(), random.Random(seed), shards=8)
     member.set_shards({f"{number:04d}": 0.1 for number in range(8)})
     member.end_snapshot(0.0)
     found: dict[str, float] = {}
@@ -373,7 +373,7 @@ def acted(seed: int) -> dict[str, float]:
             member.outcome(each, revision, now)
             if each.key == f"{LEASES}0000":
                 found.setdefault("renews" if "takes" in found else "takes", now)
-        if any(event.step is Step.LEAVE for event in member.events()):
+        if any(event.change is OwnershipChange.LEAVE for event in member.events()):
             found.setdefault("gives", now)
     return found
 
@@ -428,7 +428,7 @@ def test_other_figures_of_the_zone_count_also_where_a_table_that_is_read_anew_ha
     is_there: bool,
 ) -> None:
     """As after the coordinator has lost its entries, when a collector with other figures came first."""
-    member = FleetMember("west", "run", "west", LeaseTimes(), random.Random(1), shards=256)
+    member = LeaseHolder("west", "run", "west", LeaseTimes(), random.Random(1), shards=256)
     member.entry(Entry("zone", ZoneRecord(256, 15.0, 1.0).encode(), 500), 0.0)
     member.end_snapshot(0.0)
     member.turn(0.0)
@@ -459,7 +459,7 @@ def test_what_is_owned_is_given_back_where_the_figures_of_the_zone_change() -> N
 def test_revisions_that_were_shown_too_high_are_replaced_when_the_table_is_read_anew() -> None:
     """As where the watch of a server with another count was left for that of the server that leads."""
     times = LeaseTimes()
-    member = FleetMember("west", "run", "west", times, random.Random(1), shards=4)
+    member = LeaseHolder("west", "run", "west", times, random.Random(1), shards=4)
     member.set_shards({"0001": 0.1})
     held = LeaseRecord("east", "dead", True, 3, 0.1, None)
     dead = MemberRecord("west", "another run", "west", 5)
@@ -611,7 +611,7 @@ def test_a_shard_that_was_owned_and_lapsed_has_a_gap_since_its_own_last_renewal(
     again = proposed(member, 40.0)["lease.0001"]
     member.outcome(again, 10, 40.0)
     lost, gained = member.events()
-    assert (lost.step, gained.step) == (Step.LOST, Step.GAINED)
+    assert (lost.change, gained.change) == (OwnershipChange.LOST, OwnershipChange.GAINED)
     assert lost.silent_since == gained.silent_since == 1017.5
 
 

@@ -23,7 +23,7 @@ from busway.apps.fleet.coordinator import (
 )
 from busway.apps.fleet.coordinators.local import LocalCoordinator, open_local
 from busway.apps.fleet.key_table import KeyTable
-from busway.apps.fleet.records import MemberRecord
+from busway.apps.fleet.table_records import MemberRecord
 from busway.apps.fleet.zone_watch import ZoneWatch
 
 

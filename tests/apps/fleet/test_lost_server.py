@@ -14,8 +14,8 @@ from waiting import until
 from busway.apps.fleet.coordinator import CoordinatorDown
 from busway.apps.fleet.coordinators.nats import NatsCoordinator, open_nats
 from busway.apps.fleet.coordinators.opening import CoordinatorOptions, until_up
-from busway.apps.fleet.lease_driver import MemberDriver, end_tasks
-from busway.apps.fleet.lease_holder import FleetMember, ShardEvent, Step
+from busway.apps.fleet.lease_driver import LeaseDriver, end_tasks
+from busway.apps.fleet.lease_holder import LeaseHolder, OwnershipChange, ShardEvent
 from busway.apps.fleet.lease_times import LeaseTimes
 
 pytest.importorskip("nats")
@@ -36,9 +36,9 @@ async def leader_of(table: NatsCoordinator) -> str:
         await asyncio.sleep(0.1)
 
 
-def hand_on(member: FleetMember, event: ShardEvent) -> None:
+def hand_on(member: LeaseHolder, event: ShardEvent) -> None:
     """Let a shard go that is to move: it has no links here."""
-    if event.step is Step.LEAVE:
+    if event.change is OwnershipChange.LEAVE:
         member.left(event.shard)
 
 
@@ -57,13 +57,13 @@ async def lapsed_after_kills(folder: Path, kills: int) -> int:
             stack.push_async_callback(table.close)
             return table
 
-        members: list[FleetMember] = []
+        members: list[LeaseHolder] = []
         for number in range(MEMBERS):
             name = f"c{number}"
-            member = FleetMember(name, f"run-{number}", name, LeaseTimes(), random.Random(number), shards=SHARDS)
+            member = LeaseHolder(name, f"run-{number}", name, LeaseTimes(), random.Random(number), shards=SHARDS)
             member.set_shards({f"{shard:04d}": 0.1 for shard in range(SHARDS)})
             members.append(member)
-            driver = MemberDriver(member, await opened(), partial(hand_on, member))
+            driver = LeaseDriver(member, await opened(), partial(hand_on, member))
             stack.push_async_callback(end_tasks, [asyncio.create_task(driver.run())])
         watching = await opened()
         await until(lambda: all(len(each.owned) > SHARDS // 6 for each in members), 90)

@@ -17,7 +17,7 @@ from shifted_clock import set_shift
 from waiting import until
 
 from busway.apps.fleet.fleet_collector import FleetCollector
-from busway.apps.fleet.lease_driver import MemberDriver, boot_time
+from busway.apps.fleet.lease_driver import LeaseDriver, boot_time
 from busway.apps.fleet.zone_watch import ZoneWatch
 
 SOURCE = Path(__file__).parents[2] / "support" / "slept_clock.c"
@@ -49,7 +49,7 @@ def test_the_clock_of_leases_counts_while_the_machine_sleeps(monkeypatch: pytest
     assert (boot_time(), asked) == (7.0, [time.CLOCK_BOOTTIME])
 
 
-@pytest.mark.parametrize("part", [FleetCollector, MemberDriver, ZoneWatch])
+@pytest.mark.parametrize("part", [FleetCollector, LeaseDriver, ZoneWatch])
 def test_all_parts_have_that_clock_if_none_is_given(part: type) -> None:
     assert part.__init__.__kwdefaults__["now"] is boot_time
 

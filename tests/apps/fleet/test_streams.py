@@ -32,9 +32,9 @@ from busway.apps.fleet.lease_times import Epoch
 from busway.apps.fleet.messages import Chain, SampleMessage, decode_message
 from busway.apps.fleet.outbox import Outbox, SinkPlace
 from busway.apps.fleet.ownership_gaps import OwnershipGap
-from busway.apps.fleet.records import LeaseRecord
 from busway.apps.fleet.shards import shard_of
 from busway.apps.fleet.streams import CursorBook, NatsStream, StreamSink, make_stream
+from busway.apps.fleet.table_records import LeaseRecord
 from busway.errors import ConfigError
 
 pytest.importorskip("nats")

@@ -14,8 +14,8 @@ from busway.apps.fleet.coordinators.local import LocalCoordinator
 from busway.apps.fleet.fleet_collector import FleetCollector
 from busway.apps.fleet.fleet_metrics import fleet_families
 from busway.apps.fleet.lease_times import Epoch, LeaseTimes
-from busway.apps.fleet.records import LeaseHole, LeaseRecord, MemberRecord
 from busway.apps.fleet.streams import SinkCursors
+from busway.apps.fleet.table_records import LeaseHole, LeaseRecord, MemberRecord
 from busway.apps.fleet.zone_watch import OwnershipHole, ZoneWatch
 from busway.errors import ConfigError
 

@@ -18,7 +18,7 @@ from busway.options.client import ClientParameters
 from busway.pdu.exception_response import ExceptionResponse
 from busway.pdu.message import Message
 from busway.session.call import Call
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ALONE, ClientIdentity, Deferral, Forwarding, RequestContext
 
 UNITS = range(1, 11)

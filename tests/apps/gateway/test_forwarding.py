@@ -25,13 +25,13 @@ from busway.pdu.functions import AnyRequest, FunctionTable
 from busway.pdu.message import Touch
 from busway.pdu.read_items import ReadRegisters
 from busway.session.call import Call
-from busway.session.client import TcpClientSession
-from busway.session.diagnostics import LineDiagnostics
+from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.forwarded_reads import ReadForwarder
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import ClientIdentity, RequestContext, ResponderAnswer, ServedUnit
-from busway.session.server import TcpServerSession
-from busway.session.transaction_slots import TransactionSlots
+from busway.session.server_transaction_slots import ServerTransactionSlots
+from busway.session.tcp_client import TcpClientSession
+from busway.session.tcp_server import TcpServerSession
 
 SIZE = 500
 """Registers of the device; each holds its address."""
@@ -176,7 +176,7 @@ class Client:
     """A client in front, by its conversation."""
 
     def __init__(self, handler: Any, name: str, *, slots: int = 16, is_priority: bool = False) -> None:
-        self.slots = TransactionSlots(slots)
+        self.slots = ServerTransactionSlots(slots)
         self.diagnostics = LineDiagnostics()
         self.writes: list[list[bytes]] = []
         self.session = TcpServerSession(
@@ -308,12 +308,12 @@ def test_each_read_is_answered_once_and_nothing_is_left_whatever_happens_to_line
     share_reads: bool,
     room: int,
     retries: int,
-    adaptive_timeout: float | None,
+    deadline: float | None,
     queue: int,
 ) -> None:
     options = {"max_transactions": room, "retries": retries, "queue": queue, "recycle_after_timeouts": 1000}
     plant = Plant(share_reads=share_reads, **options)
-    plant.listener.deadline = adaptive_timeout
+    plant.listener.deadline = deadline
     clients = [plant.client(f"10.0.0.{number}:500") for number in range(3)]
     asked: list[dict[int, bytes]] = [{}, {}, {}]
 

@@ -22,9 +22,9 @@ from busway.observe.metrics.observer import MetricsObserver
 from busway.observe.metrics.request_tally import RequestTally
 from busway.server.connection import ServerConnection
 from busway.server.listener import Listener
-from busway.session.client import TcpClientSession
 from busway.session.responder import RequestContext
 from busway.session.serial_client import SerialClientSession
+from busway.session.tcp_client import TcpClientSession
 
 ROOT = Path(__file__).resolve().parents[3]
 SOURCES = f"{ROOT / 'src' / 'busway'}/"
@@ -90,7 +90,12 @@ async def test_a_read_that_was_routed_before_goes_by_eight_functions_and_comes_b
     assert len(DOWN) <= MOST_NAMES
     back = [name for _, name in answers[-1]]
     assert back[0] == "_LinkProtocol.buffer_updated"
-    assert back[-4:] == ["Forwarder.look", "Forwarder.send", "ForwardedReads.send", "ServerConnection.deliver_together"]
+    assert back[-4:] == [
+        "Forwarder.answer_completed",
+        "Forwarder.send",
+        "ForwardedReads.send",
+        "ServerConnection.deliver_together",
+    ]
     assert AsyncLinkDriver.__name__ not in "".join(back[4:])  # from the link up, and not down again
 
 

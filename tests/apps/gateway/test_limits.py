@@ -23,7 +23,7 @@ from busway.framing.mbap import MbapFrame
 from busway.options.server import ListenerParameters
 from busway.server.listener import Listener
 from busway.session.call import Call
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ALONE, ClientIdentity, Forwarding, RequestContext
 
 ANY_PORT = "tcp://127.0.0.1:0"

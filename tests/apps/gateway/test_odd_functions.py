@@ -37,7 +37,7 @@ class Serving(ScriptedHandler):
 
 @contextlib.asynccontextmanager
 async def between(
-    listener: str, line: str, handler: Responder, functions: FunctionTable = STANDARD, adaptive_timeout: float = 2.0
+    listener: str, line: str, handler: Responder, functions: FunctionTable = STANDARD, line_timeout: float = 2.0
 ) -> AsyncIterator[busway.AsyncUnit]:
     """Unit 3 of ``handler`` on a line, seen through a gateway."""
     with contextlib.ExitStack() as wires:
@@ -52,7 +52,7 @@ async def between(
         async with busway.serve(inner[0], responder=handler) as server:
             plan = GatewayPlan(
                 (GatewayListener("office", Listener(outer[0])),),
-                (UpstreamSettings.of("line", inner[1] or server.endpoints[0], timeout=adaptive_timeout),),
+                (UpstreamSettings.of("line", inner[1] or server.endpoints[0], timeout=line_timeout),),
                 RoutingTable((Route(upstream="line", units=frozenset({3})),)),
                 functions=functions,
                 own_unit=None,
@@ -106,7 +106,7 @@ async def test_an_unknown_function_is_a_write_as_far_as_anybody_can_tell(listene
         asked.append(request.encode())
         return busway.SILENCE
 
-    async with between(listener, line, Serving(silent), adaptive_timeout=0.2) as unit:
+    async with between(listener, line, Serving(silent), line_timeout=0.2) as unit:
         with pytest.raises((busway.WriteOutcomeUnknown, busway.NoReply)):
             await unit.execute(OpaqueRequest(0x41, b"\1"))
         assert len(asked) == 1

@@ -22,7 +22,7 @@ from busway.codes import Table
 from busway.faults.clock import FakeClock
 from busway.pdu.message import Message
 from busway.session.call import Call
-from busway.session.diagnostics import CommunicationState
+from busway.session.diagnostic_counters import CommunicationState
 from busway.session.responder import ALONE, SILENCE, ClientIdentity, Deferral, Forwarding, RequestContext
 
 SIZE = 3000

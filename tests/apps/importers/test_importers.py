@@ -208,6 +208,85 @@ def test_the_three_styles_of_telegraf_become_points() -> None:
     assert not any("agent" in each for each in report)
 
 
+SHARED_UNIT = """
+[[inputs.modbus]]
+name = "east"
+controller = "tcp://10.0.0.7:502"
+coils = [{ name = "run", address = [4] }]
+[[inputs.modbus]]
+name = "west"
+controller = "tcp://10.0.0.8:502"
+coils = [{ name = "stop", address = [5] }]
+[[inputs.modbus]]
+controller = "tcp://10.0.0.7:502"
+interval = "60s"
+coils = [{ name = "door", address = [6] }]
+"""
+
+
+def test_one_unit_number_at_two_controllers_of_telegraf_is_two_devices() -> None:
+    found = read_telegraf(SHARED_UNIT, "telegraf.conf")
+    assert sorted(points_of(found)) == [(1, "door"), (1, "run")]
+    (stop, interval) = said(found)
+    assert "stop: unit 1 is another device, at tcp://10.0.0.7:502: convert each from a file of its own" in stop
+    assert "line 12: interval" in interval
+    assert "# Telegraf's controller of west: tcp://10.0.0.8:502" in found.text("telegraf.conf")
+
+
+def test_one_unit_number_at_two_hubs_of_home_assistant_is_two_devices() -> None:
+    hub = "- name: {}\n  type: tcp\n  host: {}\n  sensors:\n    - {{name: {}, address: 1, slave: 2}}\n"
+    text = hub.format("a", "10.0.0.7", "level") + hub.format("b", "10.0.0.8", "flow")
+    found = read_home_assistant(text, "modbus.yaml")
+    assert sorted(points_of(found)) == [(2, "level")]
+    (flow,) = said(found)
+    assert "flow: unit 2 is another device, at 10.0.0.7:502" in flow
+
+
+def test_a_unit_of_home_assistant_in_quotes_is_that_unit_and_one_that_is_no_number_is_reported() -> None:
+    sensor = "    - {{name: {}, address: 1, slave: {}}}\n"
+    text = (
+        "- type: serial\n  port: /dev/ttyUSB0\n  sensors:\n"
+        + sensor.format("level", "'3'")
+        + sensor.format("flow", "x")
+    )
+    found = read_home_assistant(text, "modbus.yaml")
+    assert sorted(points_of(found)) == [(3, "level")]
+    (flow,) = said(found)
+    assert "flow: has a value that cannot be read" in flow
+    assert "/dev/ttyUSB0" in found.text("modbus.yaml")
+
+
+@pytest.mark.parametrize(
+    ("field", "why"),
+    [
+        (
+            '{ name = "x", address = [6, 8], data_type = "INT32" }',
+            "has addresses that do not follow each other: [6, 8]",
+        ),
+        (
+            '{ name = "x", address = [5, 4], data_type = "INT32" }',
+            "has addresses that do not follow each other: [5, 4]",
+        ),
+        ('{ name = "x", address = [5], data_type = "INT32" }', "is of 2 registers as INT32: [5]"),
+    ],
+)
+def test_registers_of_telegraf_that_are_not_those_of_the_type_are_reported_and_not_guessed(
+    field: str, why: str
+) -> None:
+    kept = '{ name = "y", address = [1], data_type = "INT16" }'
+    found = read_telegraf(f"[[inputs.modbus]]\nholding_registers = [\n{kept},\n{field},\n]\n", "telegraf.conf")
+    assert sorted(points_of(found)) == [(1, "y")]
+    assert [line.partition(": x: ")[2].strip() for line in said(found)] == [why]
+
+
+def test_a_field_of_telegraf_in_a_table_that_there_is_not_is_reported_and_no_holding_register() -> None:
+    fields = '{ register = "inputs", address = 0, name = "x" }, { register = "input", address = 1, name = "y" }'
+    found = read_telegraf(f"[[inputs.modbus]]\n[[inputs.modbus.metric]]\nfields = [{fields}]\n", "telegraf.conf")
+    assert sorted(points_of(found)) == [(1, "y")]
+    (line,) = said(found)
+    assert "x: has no address or register that is known" in line
+
+
 def test_home_assistant_s_sensors_and_switches_become_points() -> None:
     found = read_home_assistant(HOME_ASSISTANT, "configuration.yaml")
     points = points_of(found)
@@ -220,7 +299,8 @@ def test_home_assistant_s_sensors_and_switches_become_points() -> None:
     assert [str(points[1, name].address) for name in ("Row", "Row_1", "Row_2")] == ["4x31", "4x33", "4x35"]
     assert decode_point(points[1, "Both"], bytes.fromhex("FFFF 0001 FFFFFFFE")).value == (-1, 1, -2)
     assert str(points[1, "Door"].address) == "1x8"
-    assert str(points[1, "Bits_17"].address) == "4x52.1"
+    # Home Assistant reads 18 registers, and takes the lowest bit of each (`result[index] & 1` of its SlaveSensor).
+    assert [str(points[1, name].address) for name in ("Bits", "Bits_1", "Bits_17")] == ["4x51.0", "4x52.0", "4x68.0"]
     fan = points[1, "Fan"]
     assert fan.writing is not None
     assert (str(fan.writing.verify), fan.encode(True), fan.encode(False)) == ("input:14", b"\x00\xff", b"\x00\x00")
@@ -274,6 +354,43 @@ def test_modpoll_s_references_become_points() -> None:
     assert [str(points[5, f"status.{bit}"].address) for bit in (0, 15)] == ["4x108.0", "4x108.15"]
     assert str(points[5, "relay"].address) == "0x4"
     assert any(each.startswith("line 7: odd") for each in said(found))
+
+
+def test_coils_of_modpoll_are_addressed_by_bytes_from_the_first_of_their_poll() -> None:
+    """As in modpoll's own example, whose comment calls the second one the coils 9 to 12."""
+    lines = [
+        "device,modsim01,1", "poll,coil,100,12,BE_BE", "ref,low,100,bool8,rw", "ref,high,101,bool8,rw",
+        "ref,none,102,bool8,rw", "ref,own,103,bool,rw", "poll,discrete_input,0,16,BE_BE", "ref,all,0,bool16,r",
+    ]  # fmt: skip
+    found = read_modpoll("\n".join(lines), "modsim.csv")
+    points = {name: str(point.address) for (_, name), point in points_of(found).items()}
+    assert [points[f"low.{bit}"] for bit in (0, 7)] == ["0x101", "0x108"]
+    assert [points[f"high.{bit}"] for bit in (0, 3)] == ["0x109", "0x112"]
+    assert "high.4" not in points
+    assert [points[f"all.{bit}"] for bit in (0, 15)] == ["1x1", "1x16"]
+    assert points["own"] == "0x104"
+    assert [line for line in said(found) if ": poll," not in line] == [
+        "line 5: none: is outside of what its poll reads",
+        "line 6: own.bool: eight bits in modpoll; taken as coil:103 alone",
+    ]
+
+
+def test_bits_and_texts_of_modpoll_s_registers_are_those_that_it_reads() -> None:
+    lines = [
+        "device,a,1", "poll,holding_register,0x10,10,LE_LE", "ref,byte,16,bool8,r", "ref,alarm,0x11:15,bool,r",
+        "ref,text,18,string4,r", "ref,number,20,uint32,r", "ref,odd,21:3,uint16,r",
+        "poll,holding_register,0,10,BE_BE", "ref,bit,1:3,bool,r", "ref,flag,2,bool,r",
+    ]  # fmt: skip
+    found = read_modpoll("\n".join(lines), "a.csv")
+    points = {name: point for (_, name), point in points_of(found).items()}
+    assert {name for name in points if name.startswith("byte")} == {f"byte.{bit}" for bit in range(8, 16)}
+    assert str(points["byte.8"].address) == "4x17.8"
+    assert str(points["alarm"].address) == "4x18.7"  # bytes exchanged
+    assert (points["text"].order, points["number"].order) == ("AB", "DCBA")
+    assert [str(points[name].address) for name in ("bit", "flag")] == ["4x2.3", "4x3.0"]
+    told = [line for line in said(found) if ": poll," not in line]
+    assert [line.partition(":")[0] for line in told] == ["line 7", "line 10"]
+    assert "flag.bool: eight bits in modpoll; taken as holding:2.0 alone" in told[1]
 
 
 def test_a_reference_of_modpoll_below_an_invalid_device_or_poll_is_left_out_and_not_put_elsewhere() -> None:

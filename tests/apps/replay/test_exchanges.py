@@ -10,8 +10,8 @@ from hypothesis import strategies as st
 
 from busway.apps.replay.exchanges import CapturedExchange, Exchanges, TroubleKind
 from busway.framing.rtu import encode_rtu
+from busway.observe.capture_files.frame_extraction import CapturedTraffic
 from busway.observe.capture_files.packet_file import CapturedPacket
-from busway.observe.capture_files.traffic import CapturedTraffic
 from busway.observe.dissect import Framing
 from busway.pdu.read_items import ReadHoldingRegisters
 

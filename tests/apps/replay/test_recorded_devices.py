@@ -16,8 +16,8 @@ from busway.apps.replay.recorded_devices import RecordedDevices
 from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
 from busway.errors import ConfigError
+from busway.observe.capture_files.frame_extraction import CapturedTraffic
 from busway.observe.capture_files.packet_file import CapturedPacket
-from busway.observe.capture_files.traffic import CapturedTraffic
 from busway.observe.capture_headers import Node
 from busway.testing import simulated_device
 

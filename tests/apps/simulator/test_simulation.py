@@ -440,6 +440,43 @@ async def test_values_are_kept_over_a_restart_and_go_on_where_they_were(tmp_path
     assert second.points["1/level"].is_held
 
 
+INPUTS_AND_SETPOINT = """
+[[unit]]
+unit = 1
+[[unit.point]]
+name = "inflow"
+address = "3x1"
+value = 5
+[[unit.point]]
+name = "setpoint"
+address = "4x1"
+value = 20
+"""
+
+
+def test_a_value_that_was_set_is_kept_over_restarts_where_clients_can_only_read_it(tmp_path: Path) -> None:
+    file = kept(tmp_path, INPUTS_AND_SETPOINT)
+    first = Simulation(file)
+    first.set("1/inflow", 77)
+    first.keep()
+    for _ in range(2):
+        again = Simulation(file)
+        assert again.points["1/inflow"].value == 77
+        assert again.points["1/inflow"].last_writer == "api"
+        again.keep()
+
+
+def test_a_first_value_that_changed_in_the_file_holds_after_a_restart_unless_the_point_was_set(tmp_path: Path) -> None:
+    file = kept(tmp_path, INPUTS_AND_SETPOINT)
+    Simulation(file).keep()
+    file.write_text(file.read_text().replace("value = 20", "value = 25"))
+    simulation = Simulation(file)
+    assert simulation.points["1/setpoint"].value == 25
+    simulation.set("1/setpoint", 30)
+    simulation.keep()
+    assert Simulation(file).points["1/setpoint"].value == 30
+
+
 @pytest.mark.parametrize(
     "content",
     [

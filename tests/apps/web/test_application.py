@@ -8,8 +8,8 @@ import httpx
 import pytest
 from fastapi import Depends, FastAPI
 
-from busway.apps.web.access import AccessToken, Caller, PageAccessRules, Role, require
 from busway.apps.web.application import guarded, page_resources
+from busway.apps.web.request_guard import AccessToken, Caller, PageAccessRules, Role, require
 
 PAGE = files("busway.apps.web") / "page"
 PROGRAMS = [["simulation"], ["collector"], ["collector", "fleet"]]

@@ -16,8 +16,8 @@ from commanded_plant import RecordedDevice, commanded_plant
 
 import busway
 from busway.apps.collector.collector import Collector
+from busway.apps.web.access_tokens import TOKEN_FILE
 from busway.apps.web.collector_page import CollectorPage
-from busway.apps.web.page_tokens import TOKEN_FILE
 
 
 class Plant:

@@ -17,9 +17,9 @@ from busway.apps.collector.samples import PointGroup, SampleBatch
 from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.writer import Commit
 from busway.apps.web import collector_stream, viewers
-from busway.apps.web.access import Caller, Role
 from busway.apps.web.collector_stream import CollectorStream
 from busway.apps.web.live_values import LiveValues
+from busway.apps.web.request_guard import Caller, Role
 
 
 @pytest.fixture(scope="module")
@@ -171,7 +171,7 @@ def test_events_reach_all_viewers(plant: WatchedCollector) -> None:
     with stream_of(plant) as one, stream_of(plant) as other:
         for socket in (one, other):
             socket.recv(timeout=20)
-        plant.loop.call_soon_threadsafe(plant.page.api.stream.tell, "command", {"key": "one", "state": "done"})
+        plant.loop.call_soon_threadsafe(plant.page.api.stream.queue_event, "command", {"key": "one", "state": "done"})
         for socket in (one, other):
             found = until(socket, lambda message: "command" in message)
             assert found == {"command": {"key": "one", "state": "done"}}
@@ -256,7 +256,7 @@ def test_a_viewer_whose_token_is_removed_or_permits_something_else_is_closed_and
             assert caught.value.rcvd is not None
             assert (caught.value.rcvd.code, caught.value.rcvd.reason) == (1008, "what its token permits has changed")
             wait_until(lambda: len(plant.page.api.stream) == 1)
-            plant.loop.call_soon_threadsafe(plant.page.api.stream.tell, "command", {"key": "later"})
+            plant.loop.call_soon_threadsafe(plant.page.api.stream.queue_event, "command", {"key": "later"})
             until(without, lambda message: message.get("command") == {"key": "later"})
     finally:
         path.write_text(first)
@@ -272,7 +272,7 @@ def test_an_event_that_waits_for_a_viewer_is_not_sent_once_its_token_is_removed(
 
         def at_once() -> None:  # before any tick
             monkeypatch.setattr(viewers, "current_caller", lambda scope: None)
-            stream.tell("command", {"key": "secret"})
+            stream.queue_event("command", {"key": "secret"})
 
         plant.loop.call_soon_threadsafe(at_once)
         told: list[str] = []

@@ -8,9 +8,9 @@ import pytest
 from page_collector import watched_collector
 from page_plant import watched
 
-from busway.apps.web.access import BODY_LIMIT
 from busway.apps.web.connections import SEND_SECONDS
 from busway.apps.web.hosting import SHORTEST_TOKEN
+from busway.apps.web.request_guard import BODY_LIMIT
 from busway.apps.web.simulation_stream import FRAMES_AT_ONCE, MOST_POINTS
 
 DOCS = Path(__file__).parents[3] / "docs"

@@ -20,7 +20,7 @@ from page_plant import watched
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
-from busway.apps.web.access import (
+from busway.apps.web.request_guard import (
     CHANGING,
     AccessToken,
     Caller,

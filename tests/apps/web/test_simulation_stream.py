@@ -79,11 +79,11 @@ def test_a_write_by_modbus_comes_with_its_writer(plant):
 def test_a_fault_that_is_switched_comes_at_once(plant):
     with stream_of(plant) as socket:
         collect(socket, lambda found: found["status"])
-        name = plant.simulation.board.add("busy")
+        name = plant.simulation.switchboard.add("busy")
         try:
             found = collect(socket, lambda found: found["faults"])
         finally:
-            plant.simulation.board.remove(name)
+            plant.simulation.switchboard.remove(name)
     assert found["faults"][0]["name"] == "busy"
 
 

@@ -86,6 +86,10 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
             ["x.toml:8: route[0].units: "],
         ),
         (
+            LISTENER + LINE + ROUTE + 'link = "hall"\nfunctions = []\n',
+            ["x.toml:8: route[0].functions: is empty, so the route would take no request"],
+        ),
+        (
             LISTENER + LINE + ROUTE + 'link = "hall"\ntable = "holding"\n',
             ["x.toml:6: route[0].addresses: is missing: a table is named, and no addresses of it"],
         ),
@@ -107,6 +111,13 @@ def test_a_rule_of_the_policy_names_listeners_as_a_route_does_or_by_urls() -> No
             ["x.toml:7: server.unlisted: has no effect: a gateway has"],
         ),
         (LISTENER + LINE + "[server]\nshared_slots = true\n", ["x.toml:7: server.shared_slots: has no effect: each"]),
+        (
+            LISTENER + "answer_half_closed = true\n" + LINE + "[server]\nanswer_half_closed = true\n",
+            [
+                "x.toml:3: listener[0].answer_half_closed: has no effect: a client that ends its half",
+                "x.toml:8: server.answer_half_closed: has no effect: a client that ends its half",
+            ],
+        ),
         (LISTENER + LINE + "[[unit]]\nunit = 1\n", ["x.toml:6: unit: a gateway has no units of its own"]),
         (
             '[[listener]]\nurl = "rtu:///dev/x"\nname = "plc"\nsilent_broadcasts = true\n' + LINE,

@@ -118,6 +118,15 @@ def test_units_alone_are_served_on_the_usual_endpoint_and_links_alone_need_no_un
         (UNIT + "[server]\nidle_timeout = 0\n", "x.toml:4: server.idle_timeout: must be 0.001…"),
         (UNIT + '[server]\nidle_timeout = "never"\n', "x.toml:4: server.idle_timeout: must be a number, not 'never'"),
         (UNIT + '[[listener]]\nurl = "rtu:///dev/x"\nallow = []\n', "x.toml:5: listener[0].allow: has no effect on a"),
+        (
+            UNIT + '[[listener]]\nurl = "udp://h"\nidle_timeout = 5\nrequest_rate = 5\n',
+            "x.toml:5: listener[0].idle_timeout: has no effect on a udp:// listener",
+        ),
+        (
+            UNIT + '[[listener]]\nurl = "rtu+tcp://h:1"\nidle_timeout = 5\nframe_timeout = 5\n',
+            "x.toml:6: listener[0].frame_timeout: has no effect on a rtu+tcp:// listener",
+        ),
+        (UNIT + '[[listener]]\nurl = "tcp://h"\nallow = []\n', "x.toml:5: listener[0].allow: is empty: leave it out"),
         (UNIT + '[[listener]]\nurl = "tcp://h"\nkey = "k"\n', "x.toml:5: listener[0].key: is for tls:// listeners"),
         (UNIT + '[[listener]]\nurl = "tls://h"\n', "x.toml:3: listener[0]: a tls:// listener needs a certificate"),
         (UNIT + '[[listener]]\nurl = "tcp://h?baud=1"\n', "x.toml:4: listener[0].url: unknown option of a listener"),
@@ -180,6 +189,23 @@ def test_all_that_components_refuse_is_said_at_once_in_the_order_of_the_lines() 
         "[server]\nrequest_rate = 0\n" + UNIT
     )
     assert [sentence.split(": ")[0] for sentence in problems_of(text)] == [f"x.toml:{n}" for n in (1, 3, 6, 8)]
+
+
+def test_each_number_of_a_section_that_is_out_of_range_is_said_beside_its_other_faults() -> None:
+    early = "[server]\nmax_transactions = 17\nkeepalive_idle = 0\n[client]\nretries = 500\nqueue = 0\n"
+    assert [sentence.split(": ")[1] for sentence in problems_of(early + UNIT)] == [
+        "server.max_transactions",
+        "server.keepalive_idle",
+        "client.retries",
+        "client.queue",
+    ]
+    later = "[server]\nbacklog = 0\nidle_timeout = -1\n[[link]]\nname = 'a'\nurl = 'tcp://h'\nqueue = 0\nretries = -1\n"
+    assert [sentence.split(": ")[1] for sentence in problems_of(later + UNIT)] == [
+        "server.backlog",
+        "server.idle_timeout",
+        "link[0].queue",
+        "link[0].retries",
+    ]
 
 
 @pytest.mark.parametrize(

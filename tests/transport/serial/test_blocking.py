@@ -14,7 +14,7 @@ from busway.errors import ConfigError, LinkDown
 from busway.options.ports import Parity, Rs485, SerialSettings
 from busway.transport.serial import blocking
 from busway.transport.serial.blocking import BlockingSerialPort
-from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
+from busway.transport.serial.driver_counters import TIOCGICOUNT, DriverCounters
 from busway.transport.serial.emission import TIOCOUTQ
 from busway.transport.serial.lock import TIOCEXCL, TIOCNXCL
 from busway.transport.serial.rs485 import TIOCMBIC, TIOCMBIS
@@ -119,7 +119,7 @@ def test_the_counters_come_from_the_driver(pty: Pty) -> None:
     driver = FakeDriver()
     driver.answers[TIOCGICOUNT] = lambda buffer: struct.pack_into("11i", buffer, 0, *range(11))
     with BlockingSerialPort(pty.path, FAST, ioctl=driver) as port:
-        assert port.counters() == LineCounters(4, 5, 6, 8, 7, 10, 9)
+        assert port.counters() == DriverCounters(4, 5, 6, 8, 7, 10, 9)
     with BlockingSerialPort(pty.path, FAST) as port:
         assert port.counters() is None
 

@@ -16,7 +16,7 @@ from handles import settled_handles
 from busway.errors import ConfigError, LinkDown
 from busway.options.ports import Rs485, SerialSettings
 from busway.transport.serial.connection import SerialConnection
-from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
+from busway.transport.serial.driver_counters import TIOCGICOUNT, DriverCounters
 from busway.transport.serial.emission import TIOCOUTQ
 from busway.transport.serial.ioctl import Ioctl, system_ioctl
 from busway.transport.serial.rs485 import TIOCMBIC, TIOCMBIS
@@ -167,7 +167,7 @@ async def test_the_counters_come_from_the_driver(pty: Pty) -> None:
     driver = FakeDriver()
     driver.answers[TIOCGICOUNT] = lambda buffer: struct.pack_into("11i", buffer, 0, *range(11))
     connection, _ = await connected(pty, ioctl=driver)
-    assert connection.counters() == LineCounters(4, 5, 6, 8, 7, 10, 9)
+    assert connection.counters() == DriverCounters(4, 5, 6, 8, 7, 10, 9)
     driver.refusal = errno.EIO
     del driver.answers[TIOCGICOUNT]
     with pytest.raises(LinkDown):

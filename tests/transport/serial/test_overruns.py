@@ -8,14 +8,14 @@ from fake_port import FakeDriver, Pty
 from busway.errors import LinkDown
 from busway.options.ports import SerialSettings
 from busway.transport.serial.blocking import BlockingSerialPort
-from busway.transport.serial.counters import TIOCGICOUNT, LineCounters
+from busway.transport.serial.driver_counters import TIOCGICOUNT, DriverCounters
 from busway.transport.serial.overruns import Overruns
 
 
-def counting(counters: list[LineCounters | LinkDown | None]) -> Overruns:
+def counting(counters: list[DriverCounters | LinkDown | None]) -> Overruns:
     """What a driver says, one after the other."""
 
-    def read() -> LineCounters | None:
+    def read() -> DriverCounters | None:
         said = counters.pop(0)
         if isinstance(said, LinkDown):
             raise said
@@ -28,11 +28,11 @@ def counting(counters: list[LineCounters | LinkDown | None]) -> Overruns:
 def test_a_loss_in_the_port_or_in_the_buffer_is_seen_once() -> None:
     overruns = counting(
         [
-            LineCounters(overruns=7),
-            LineCounters(overruns=7, received=100),
-            LineCounters(overruns=8),
-            LineCounters(overruns=8),
-            LineCounters(overruns=8, buffer_overruns=1),
+            DriverCounters(overruns=7),
+            DriverCounters(overruns=7, received=100),
+            DriverCounters(overruns=8),
+            DriverCounters(overruns=8),
+            DriverCounters(overruns=8, buffer_overruns=1),
         ]
     )
     assert [overruns.more() for _ in range(4)] == [False, True, False, True]
@@ -45,7 +45,7 @@ def test_a_port_that_counts_nothing_is_asked_once() -> None:
 
 
 def test_a_port_that_has_gone_has_lost_nothing_here() -> None:
-    overruns = counting([LineCounters(overruns=1), LinkDown("gone"), LineCounters(overruns=2)])
+    overruns = counting([DriverCounters(overruns=1), LinkDown("gone"), DriverCounters(overruns=2)])
     assert not overruns.more()
     assert overruns.more()
     assert not counting([LinkDown("gone")]).more()

@@ -3,6 +3,7 @@
 import pytest
 
 from busway.errors import ConfigError, LinkDown
+from busway.options.ports import OpeningParameters
 from busway.transport.serial.reopen import ReopenPolicy, open_when_there
 
 POLICY = ReopenPolicy(first=0.1, most=1.0)
@@ -71,3 +72,22 @@ async def test_the_last_failure_is_raised_when_it_is_enough() -> None:
     with pytest.raises(LinkDown):
         await open_when_there(Opener(9).open, ReopenPolicy(attempts=3), sleep=sleep)
     assert len(slept) == 2
+
+
+@pytest.mark.parametrize(
+    ("options", "key"),
+    [
+        ({"port_wait": -1.0}, "port_wait"),
+        ({"reopen_first": 0.0}, "reopen_first"),
+        ({"reopen_first": 3.0, "reopen_most": 2.0}, "reopen_most"),
+    ],
+)
+def test_impossible_settings_are_refused_under_their_own_names(options: dict[str, float], key: str) -> None:
+    with pytest.raises(ConfigError) as caught:
+        OpeningParameters(**options)  # type: ignore[arg-type]
+    assert caught.value.key == key
+
+
+def test_pauses_of_the_options_double_up_to_the_longest() -> None:
+    policy = ReopenPolicy.of(OpeningParameters(reopen_first=0.1, reopen_most=0.3))
+    assert [policy.pause(failures) for failures in (1, 2, 3, 50)] == pytest.approx([0.1, 0.2, 0.3, 0.3])

@@ -116,7 +116,7 @@ class _Conversation:
     def reopen(self) -> None:
         """Close the connection and open a new one; a serial port stays open. Raises `LinkDown` if that fails."""
         if self._dialer.has_connections:
-            self._tell("the connection is closed and made again")
+            self._note_words("the connection is closed and made again")
             self.close()
         self.open()
 
@@ -127,7 +127,7 @@ class _Conversation:
 
     def idle(self) -> None:
         """Open the connection if there is none, and send nothing for the idle time of the run. May raise `LinkDown`."""
-        self._tell(f"nothing is sent for {self._pace.idle:g} s")
+        self._note_words(f"nothing is sent for {self._pace.idle:g} s")
         self.open()
         self._dialer.sleep(self._pace.idle)
 
@@ -138,7 +138,7 @@ class _Conversation:
         """
         if change is None:
             return _Conversation(self._dialer, self._target, self._pace)
-        self._tell(f"a connection {change.value} is made")
+        self._note_words(f"a connection {change.value} is made")
         return _Conversation(self._dialer.changed(change), self._target, self._pace)
 
     # Evidence.
@@ -152,7 +152,7 @@ class _Conversation:
         """Append evidence that another conversation has collected, such as that over a second connection."""
         self._evidence += more
 
-    def _tell(self, words: str) -> None:
+    def _note_words(self, words: str) -> None:
         self._evidence.append(Evidence(True, b"", words))
 
     def _note(self, data: bytes, *, sent: bool) -> None:
@@ -226,7 +226,7 @@ class _Conversation:
         self.open()
         frame = encode_frame(self._target.framing, self._target.unit, pdu, self._next_transaction())
         self._sent(frame[:size], ())
-        self._tell("the connection is closed")
+        self._note_words("the connection is closed")
         self.close()
 
     def _next_transaction(self) -> int:

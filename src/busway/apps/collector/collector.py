@@ -30,12 +30,12 @@ from ...config.files.sinks import PrometheusSinkSection
 from ...errors import ConfigError
 from ...points.point import Point
 from . import time_service
-from .alarms.collected import CollectorAlarms
+from .alarms.collector_alarms import CollectorAlarms
 from .command_targets import CollectedTargets
 from .commands.audit import revision_of
 from .commands.claims import KeyClaims
 from .commands.command import CommandResult, CommandValue
-from .commands.inputs import CommandInput, CommandReceiver, InputStatus
+from .commands.command_messages import CommandInput, CommandMessageHandler, InputStatus
 from .commands.journal import CommandJournal
 from .commands.other_owners import OtherOwners
 from .commands.runner import CommandRunner
@@ -154,7 +154,7 @@ class Collector:
         self._links: dict[str, _RunningLink] = {}
         self._readers = SampleReaders()
         self._upkeep: asyncio.Task[None] | None = None
-        self._systems = ConnectedSystems(self._made_page, self._made_receiver)
+        self._systems = ConnectedSystems(self._made_page, self._made_handler)
         # Families of prometheus-client, whose types are not there without its extra.
         self.more_metrics: list[Callable[[], Iterable[Any]]] = []
         self.on_mending: list[Callable[[ClockCorrection], None]] = []
@@ -284,8 +284,8 @@ class Collector:
             more=lambda: [family for give in self.more_metrics for family in give()],
         )
 
-    def _made_receiver(self, name: str, made: CommandInput) -> CommandReceiver:
-        return CommandReceiver(
+    def _made_handler(self, name: str, made: CommandInput) -> CommandMessageHandler:
+        return CommandMessageHandler(
             name, made, self.commands, lambda: self.configuration, plant=self._plant, others=self._others
         )
 

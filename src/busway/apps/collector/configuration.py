@@ -28,7 +28,7 @@ from ...config.profiles.loading import load_profile
 from ...config.reading import read_text
 from ...config.report import ConfigurationReport
 from ...errors import ConfigError, InvalidRequest
-from ...framing.timing import Parity, SerialTiming
+from ...framing.character_times import Parity, SerialTiming
 from ...options.declaration import Mark
 from ...options.sinks import DeliveryOptions
 from ...points.name_patterns import is_meant
@@ -36,8 +36,8 @@ from ...points.point import Point
 from ...points.point_rules import ItemRange, ReadRules
 from ..server.configuration import Configuration, put_together
 from .admission import LinkLoad, admit
+from .commands.command_messages import CommandInput
 from .commands.input_options import make_input
-from .commands.inputs import CommandInput
 from .cost import ReadCost, baud_cost, line_cost, network_cost
 from .held_values import hold_limits
 from .knowledge import DeviceKnowledge, Knowledge

@@ -15,7 +15,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 from ...config.files.sinks import PrometheusSinkSection, SinkSection
 from ...errors import ConfigError, LinkDown
-from .commands.inputs import CommandInput, CommandReceiver, InputStatus
+from .commands.command_messages import CommandInput, CommandMessageHandler, InputStatus
 from .configuration import CollectorConfiguration
 from .report_rules import points_of, sink_rules
 from .sinks.delivery import SinkStatus
@@ -32,22 +32,22 @@ class ConnectedSystems:
 
     Args:
         page: makes a page for Prometheus from its section of the file; the page listens at once.
-        receiver: makes the receiver of the commands from one server, from the name of its sink and its input.
+        handler: makes the handler of the commands from one server, from the name of its sink and its input.
     """
 
     def __init__(
         self,
         page: Callable[[PrometheusSinkSection], PrometheusPage],
-        receiver: Callable[[str, CommandInput], CommandReceiver],
+        handler: Callable[[str, CommandInput], CommandMessageHandler],
     ) -> None:
-        self._page, self._receiver = page, receiver
+        self._page, self._handler = page, handler
         self._keys: Mapping[str, SinkSection] = {}
         self._input_keys: Mapping[str, SinkSection] = {}
         self._thread: SinkThread | None = None
         self._pages: dict[str, PrometheusPage] = {}
         self._prepared: dict[str, PrometheusPage] = {}
         self._inherited: dict[str, str] = {}
-        self._receiving: dict[str, tuple[CommandReceiver, asyncio.Task[None]]] = {}
+        self._receiving: dict[str, tuple[CommandMessageHandler, asyncio.Task[None]]] = {}
 
     def begin(self, writer: StoreWriter, configuration: CollectorConfiguration) -> None:
         """Begin to send samples to the sinks of the first configuration, and to listen on its pages.
@@ -68,10 +68,10 @@ class ConnectedSystems:
         self._input_keys = configuration.input_keys
         for name, made in configuration.inputs.items():
             if name not in self._receiving:
-                receiver = self._receiver(name, made)
-                task = asyncio.create_task(receiver.run(), name=f"busway commands of {name}")
+                handler = self._handler(name, made)
+                task = asyncio.create_task(handler.run(), name=f"busway commands of {name}")
                 task.add_done_callback(log_defect)
-                self._receiving[name] = receiver, task
+                self._receiving[name] = handler, task
 
     def prepare(self, configuration: CollectorConfiguration) -> None:
         """Bind the ports of new or moved pages of another configuration, and list its new sinks in the store.
@@ -171,7 +171,7 @@ class ConnectedSystems:
             await asyncio.wait(tasks)
 
     async def end_inputs(self) -> None:
-        """Stop receiving commands: cancel all receivers, and wait until they have ended."""
+        """Stop receiving commands: cancel all tasks, and wait until they have ended."""
         await self._end_inputs(set(self._receiving))
 
     def close_sinks(self) -> None:
@@ -199,4 +199,4 @@ class ConnectedSystems:
 
     def input_statuses(self) -> Sequence[InputStatus]:
         """Return the status of each input of commands: of the connection to each server that commands come from."""
-        return [receiver.status() for receiver, _ in self._receiving.values()]
+        return [handler.status() for handler, _ in self._receiving.values()]

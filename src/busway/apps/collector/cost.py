@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from typing import Final, Literal
 
 from ...codes import Table
-from ...framing.timing import Parity, SerialTiming
+from ...framing.character_times import Parity, SerialTiming
 
 TURNAROUND: Final = 0.010
 """Assumed seconds between the last character of a request and the first of its reply, used until learnt."""

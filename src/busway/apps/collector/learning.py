@@ -56,7 +56,7 @@ LEAST_BASE: Final = 0.25
 """Least base, as a fraction of the quickest read's time. At 9600 baud, a read of 43 registers has this fraction."""
 SILENCES: Final = 3
 """Number of silences in a row after which test reads examine a read (rules 3 and 4)."""
-QUESTIONS: Final = 64
+TEST_READS: Final = 64
 """Most test reads that one refusal causes; further holes of the device are found after the next refusal."""
 
 MOST_IGNORED: Final = 1024
@@ -294,7 +294,7 @@ class _Purpose(Enum):
 
 
 @dataclass(slots=True)
-class _Question:
+class _TestRead:
     """A test read: sent only to find out, from its result, what a device refuses.
 
     Attributes:
@@ -326,7 +326,8 @@ class _Wait:
 class MapLearner:
     """Learns which reads one device refuses, and why, by test reads of parts of refused reads.
 
-    Results of ordinary reads go to `observe`. `question` gives the test read to send; its result goes to `answered`.
+    Results of ordinary reads go to `observe`. `next_test_read` gives the test read to send, whose result goes to
+    `answered`.
 
     Args:
         knowledge: facts already known about the device.
@@ -345,7 +346,7 @@ class MapLearner:
         self._cost = cost
         self._silences: dict[tuple[Table, int, int], int] = {}
         self._waits: dict[tuple[Table, int, int], _Wait] = {}
-        self._questions: deque[_Question] = deque()
+        self._test_reads: deque[_TestRead] = deque()
         self._cause: PlannedRead | None = None
         self._by_silence = False
         self._code = 0
@@ -355,18 +356,18 @@ class MapLearner:
 
     @property
     def is_asking(self) -> bool:
-        """Whether `question` has a test read to send."""
-        return bool(self._questions)
+        """Whether `next_test_read` has a test read to send."""
+        return bool(self._test_reads)
 
-    def question(self) -> PlannedRead | None:
+    def next_test_read(self) -> PlannedRead | None:
         """Return the test read to send next, at low priority; None if there is none.
 
         The same read is returned until `answered` has its result.
         """
-        return self._questions[0].read if self._questions else None
+        return self._test_reads[0].read if self._test_reads else None
 
     def observe(self, read: PlannedRead, outcome: ReadOutcome, code: int = 0) -> None:
-        """Learn from the result of an ordinary read; after a failure, `question` may have test reads.
+        """Learn from the result of an ordinary read; after a failure, `next_test_read` may have test reads.
 
         It has some after a refusal, and after `SILENCES` silences in a row of one read. It has none if the read has no
         items, or for silence if no narrower read is known. Failures are ignored while earlier test reads are still to
@@ -381,7 +382,7 @@ class MapLearner:
         if outcome is ReadOutcome.SUCCESS:
             self._note_success(read)
             return
-        if self._questions or not read.items:
+        if self._test_reads or not read.items:
             return
         if outcome is ReadOutcome.REFUSED:
             wait = self._waits.get(place)
@@ -396,7 +397,7 @@ class MapLearner:
                 self._ask_control(read)
 
     def answered(self, outcome: ReadOutcome, code: int = 0) -> bool:
-        """Learn from the result of the test read that `question` returns. To be called only while `is_asking`.
+        """Learn from the result of the test read of `next_test_read`. To be called only while `is_asking`.
 
         If test reads examine a silence, a test read without a reply stays the next one; `SILENCES` silences of it in a
         row count as a refusal. Any other failure that is no refusal ends all test reads, and so does each failure of
@@ -409,22 +410,22 @@ class MapLearner:
         Returns:
             Whether `knowledge` has changed, so that the device's read plans are out of date.
         """
-        question = self._questions[0]
+        test_read = self._test_reads[0]
         self.asked += 1
         self._left -= 1
-        if outcome is ReadOutcome.SILENCE and question.purpose is not _Purpose.CONTROL and self._by_silence:
-            question.silences += 1
-            if question.silences < SILENCES:
+        if outcome is ReadOutcome.SILENCE and test_read.purpose is not _Purpose.CONTROL and self._by_silence:
+            test_read.silences += 1
+            if test_read.silences < SILENCES:
                 return False
             outcome = ReadOutcome.REFUSED
-        self._questions.popleft()
+        self._test_reads.popleft()
         before = self.knowledge
         if outcome is ReadOutcome.SUCCESS:
-            self._note_success(question.read)
-            self._when_good(question)
-        elif outcome is ReadOutcome.REFUSED and question.purpose is not _Purpose.CONTROL:
+            self._note_success(test_read.read)
+            self._when_good(test_read)
+        elif outcome is ReadOutcome.REFUSED and test_read.purpose is not _Purpose.CONTROL:
             self._code = code
-            self._when_refused(question)
+            self._when_refused(test_read)
         else:
             self._end()
         if self._left <= 0:
@@ -439,7 +440,7 @@ class MapLearner:
             self._narrowest = read
 
     def _begin(self, read: PlannedRead, code: int) -> None:
-        self._cause, self._by_silence, self._code, self._left = read, False, code, QUESTIONS
+        self._cause, self._by_silence, self._code, self._left = read, False, code, TEST_READS
         self._split(read)
 
     def _give_up(self) -> None:
@@ -463,8 +464,8 @@ class MapLearner:
             control = read_of(read.table, [min(read.items, key=lambda one: one.width)], self._cost)
         if control.width >= read.width:
             return  # nothing narrower is known: silence of the one item that there is teaches nothing
-        self._cause, self._by_silence, self._code, self._left = read, True, 0, QUESTIONS
-        self._questions.append(_Question(_Purpose.CONTROL, control))
+        self._cause, self._by_silence, self._code, self._left = read, True, 0, TEST_READS
+        self._test_reads.append(_TestRead(_Purpose.CONTROL, control))
 
     def _split(self, read: PlannedRead) -> None:
         """Queue test reads of the two halves of a refused read, before all others; or a test read of its only item.
@@ -473,7 +474,7 @@ class MapLearner:
         """
         bundles = _bundles(read.items)
         if len(bundles) == 1:
-            self._questions.append(_Question(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
+            self._test_reads.append(_TestRead(_Purpose.ITEM, read_of(read.table, bundles[0], self._cost)))
             return
         middle = (read.start + read.end) / 2
         cut = min(range(1, len(bundles)), key=lambda at: abs(bundles[at][0].start - middle))
@@ -483,36 +484,36 @@ class MapLearner:
         ]
         part = _Part(read, halves)
         # The parts of a part come first: the narrowest read that is refused says most.
-        self._questions.extendleft(_Question(_Purpose.HALF, half, part) for half in reversed(halves))
+        self._test_reads.extendleft(_TestRead(_Purpose.HALF, half, part) for half in reversed(halves))
 
-    def _when_good(self, question: _Question) -> None:
-        part = question.part
-        if question.purpose is _Purpose.CONTROL:
+    def _when_good(self, test_read: _TestRead) -> None:
+        part = test_read.part
+        if test_read.purpose is _Purpose.CONTROL:
             assert self._cause is not None
             self._split(self._cause)
-        elif question.purpose is _Purpose.ITEM:
+        elif test_read.purpose is _Purpose.ITEM:
             self._give_up()
-        elif question.purpose is _Purpose.HALF:
+        elif test_read.purpose is _Purpose.HALF:
             assert part is not None
             part.succeeded += 1
             if part.succeeded == len(part.halves):
                 self._both_good(part)
-        elif question.purpose is _Purpose.GAP:
+        elif test_read.purpose is _Purpose.GAP:
             assert part is not None
             if self._has_been_as_wide(part.read):
                 self._give_up()
             else:
                 self._too_wide(part.read)
         else:
-            self._narrow_limit(question.read.table, good=question.read.width)
+            self._narrow_limit(test_read.read.table, good=test_read.read.width)
 
-    def _when_refused(self, question: _Question) -> None:
-        read = question.read
-        if question.purpose is _Purpose.WIDTH:
+    def _when_refused(self, test_read: _TestRead) -> None:
+        read = test_read.read
+        if test_read.purpose is _Purpose.WIDTH:
             self._narrow_limit(read.table, bad=read.width)
-        elif question.purpose is _Purpose.GAP:
-            assert question.part is not None
-            self._learn_gap(question.part)
+        elif test_read.purpose is _Purpose.GAP:
+            assert test_read.part is not None
+            self._learn_gap(test_read.part)
         elif len(_bundles(read.items)) == 1:
             self._learn_hole(read.table, read.start, read.end)
         else:
@@ -523,7 +524,7 @@ class MapLearner:
         left, right = part.halves
         across = read_of(part.read.table, [*_bundles(left.items)[-1], *_bundles(right.items)[0]], self._cost)
         if across.width < part.read.width:
-            self._questions.appendleft(_Question(_Purpose.GAP, across, part))
+            self._test_reads.appendleft(_TestRead(_Purpose.GAP, across, part))
         elif right.start > left.end or self._has_been_as_wide(part.read):
             self._learn_gap(part)
         else:
@@ -544,7 +545,7 @@ class MapLearner:
         good = self._widest.get(kind, 0)
         if good < read.width:
             self.knowledge = self.knowledge.with_limit(LearntLimit(kind, good, read.width))
-            self._questions.clear()  # the limit may be why the other parts were refused
+            self._test_reads.clear()  # the limit may be why the other parts were refused
             assert self._cause is not None
             self._ask_width(self._cause)
 
@@ -563,7 +564,11 @@ class MapLearner:
         It is a part of ``read``. None is queued if no part has a width between the two, or if one is queued already.
         """
         limit = self.knowledge.limit(read.table.holds_bits)
-        if limit is None or limit.bad - limit.good < 2 or any(one.purpose is _Purpose.WIDTH for one in self._questions):
+        if (
+            limit is None
+            or limit.bad - limit.good < 2
+            or any(one.purpose is _Purpose.WIDTH for one in self._test_reads)
+        ):
             return
         middle = (limit.good + limit.bad) / 2
         best: list[Any] | None = None  # Any: the caller's kind of ReadItem
@@ -574,10 +579,10 @@ class MapLearner:
                     continue
                 best, nearest = run, abs(width - middle)
         if best is not None:
-            self._questions.append(_Question(_Purpose.WIDTH, read_of(read.table, best, self._cost)))
+            self._test_reads.append(_TestRead(_Purpose.WIDTH, read_of(read.table, best, self._cost)))
 
     def _end(self) -> None:
-        self._questions.clear()
+        self._test_reads.clear()
         self._silences.clear()
 
 

@@ -61,7 +61,7 @@ class MaintenanceBook:
             raise ConfigError(f"the maintenance of {device} cannot be noted: {error}", key="device") from error
         self._rows[device] = row
         _log.warning("device %s is in maintenance: %s, by %s", device, why or "no reason given", by)
-        self._tell(row, "begin", by, why, 0.0)
+        self._audit_change(row, "begin", by, why, 0.0)
         return row
 
     def end(self, device: str, at: int, by: str, why: str) -> StateInterval:
@@ -94,7 +94,7 @@ class MaintenanceBook:
             row.by,
             row.why or "no reason given",
         )
-        self._tell(row, "end", by, why, seconds)
+        self._audit_change(row, "end", by, why, seconds)
         return StateInterval(device, row.begin, end, Reason.MAINTENANCE)
 
     def mend(self, correction: ClockCorrection) -> None:
@@ -105,7 +105,7 @@ class MaintenanceBook:
         for row in list(self._rows.values()):
             self._rows[row.device] = replace(row, begin=correction.corrected(row.begin))
 
-    def _tell(self, row: MaintenanceRow, what: str, by: str, why: str, seconds: float) -> None:
+    def _audit_change(self, row: MaintenanceRow, what: str, by: str, why: str, seconds: float) -> None:
         line = {
             "time": self._audit.timestamp(),
             "event": "maintenance",

@@ -267,16 +267,16 @@ class PlanBook:
 
     @property
     def may_ask(self) -> bool:
-        """Whether `question` possibly returns a test read: about refused ranges, or about what reads cost."""
+        """Whether `next_test_read` possibly returns a test read: about refused ranges, or about what reads cost."""
         return self._probes is None or bool(self._probes) or self._map.is_asking
 
-    def question(self) -> PlannedRead | None:
+    def next_test_read(self) -> PlannedRead | None:
         """Return the next test read, to be sent at low priority; None if there is none.
 
         Test reads find out which ranges the device refuses, and what reads of several widths cost. The caller passes
         the result to `answered`.
         """
-        asked = self._map.question()
+        asked = self._map.next_test_read()
         if asked is not None:
             return asked
         if self._probes is None:
@@ -304,7 +304,7 @@ class PlanBook:
         return not (self._rules.exact or self._rules.one_point)
 
     def answered(self, read: PlannedRead, outcome: ReadOutcome, seconds: float, code: int = 0) -> bool:
-        """Learn from the result of the test read that `question` returned last.
+        """Learn from the result of the test read that `next_test_read` returned last.
 
         Args:
             read: the test read.

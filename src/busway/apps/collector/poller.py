@@ -27,12 +27,12 @@ from ...points.decoder import ReadDecoder
 from ...points.point import Point
 from ...points.quality import Reading, Reason, exception_reason, reason_text
 from ...values.counts import counted
+from .adaptive_timeout import AdaptiveTimeout
 from .derived_points import DerivedPoints
 from .knowledge import DeviceKnowledge
 from .learning import ReadOutcome, outcome_of
 from .plan import PlannedRead, ReadItem
 from .plan_cache import PlanBook
-from .reply_timeout import ReplyTimeout
 from .sample_clock import ClockCorrection, SampleClock
 from .samples import PointGroup, SampleBatch, StateInterval, failed_batch
 from .schedule import LinkSchedule, Turn, TurnKind, TurnOutcome
@@ -154,7 +154,7 @@ class PolledDevice:
     name: str
     unit: int
     book: PlanBook
-    timeout: ReplyTimeout
+    timeout: AdaptiveTimeout
     derived: DerivedPoints | None = None
     pause: float = 0.0
     ready_at: float = 0.0
@@ -305,7 +305,7 @@ class LinkPoller:
                 holds up its replies; its timeout then does not adapt.
             limits: seconds without a read after which the value of a point is held, by name; None for no limits.
         """
-        timeout = ReplyTimeout(self.schedule.timeout, numbered=self._numbered and not on_line)
+        timeout = AdaptiveTimeout(self.schedule.timeout, numbered=self._numbered and not on_line)
         if derived is not None:
             book.set_absent(derived.absent())
         self.devices[name] = PolledDevice(name, unit, book, timeout, derived, pause, limits=limits or {})
@@ -439,7 +439,7 @@ class LinkPoller:
         """
         self._wake = asyncio.Event()
         for device in self.devices.values():
-            self._tell_unread(device)
+            self._log_unread(device)
         try:
             while not self._is_finishing:
                 turn = self.schedule.next(self._now())
@@ -498,7 +498,7 @@ class LinkPoller:
             self.schedule.done(turn, began, began, TurnOutcome.DOWN)
             return
         if turn.round is not None and turn.round.skipped_since is not None:
-            self._tell_skipped(turn.device, turn.round.skipped_since, began)
+            self._report_skipped(turn.device, turn.round.skipped_since, began)
             turn.round.skipped_since = None
         compiled = [device.compiled(read) for read in turn.reads]
         options = {"timeout": device.timeout.seconds, "retries": 0}
@@ -626,16 +626,16 @@ class LinkPoller:
         alone: bool,
         code: int = 0,
     ) -> None:
-        if turn.kind is TurnKind.QUESTION:
+        if turn.kind is TurnKind.TEST_READ:
             device.book.answered(read, outcome, seconds, code)
         elif outcome is not ReadOutcome.SUCCESS:
             device.book.failed(read, outcome, code)
         elif alone:
             device.book.succeeded(read, seconds)
-        if turn.kind is TurnKind.QUESTION or outcome is not ReadOutcome.SUCCESS:
-            self._tell_unread(device)
+        if turn.kind is TurnKind.TEST_READ or outcome is not ReadOutcome.SUCCESS:
+            self._log_unread(device)
 
-    def _tell_unread(self, device: PolledDevice) -> None:
+    def _log_unread(self, device: PolledDevice) -> None:
         """Update `PolledDevice.unread`; log each point that is new in it, with the reason why no read can fetch it."""
         unread = {each.item.name: each.reason for each in device.book.unreadable}
         for point, reason in unread.items():
@@ -672,7 +672,7 @@ class LinkPoller:
     def _is_maintained(device: PolledDevice) -> bool:
         return device.suspended is not None and device.suspended.reason == Reason.MAINTENANCE
 
-    def _tell_skipped(self, device: str, since: float, until: float) -> None:
+    def _report_skipped(self, device: str, since: float, until: float) -> None:
         begin, end = self._clock.time_ns(since), self._clock.time_ns(until)
         self._intervals(StateInterval(device, begin, max(begin, end), Reason.SKIPPED))
 

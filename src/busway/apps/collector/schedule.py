@@ -56,7 +56,7 @@ class TurnKind(Enum):
     WRITE = "write"
     ROUND = "round"
     PROBE = "probe"
-    QUESTION = "question"
+    TEST_READ = "test read"
 
 
 class TurnOutcome(Enum):
@@ -138,7 +138,7 @@ class ScheduledDevice:
         waiting: its round that has not begun; None without one.
         release_at: when its next poll class is due, so that a round begins to wait.
         skipped_since: the first due time that was skipped since its last round began; None if none was.
-        question_at: when a test read for learning may be sent next.
+        test_read_at: when a test read for learning may be sent next.
         leased_until: when the lease of its points ends.
         rounds: number of rounds completed so far; a round whose last reads got no answer does not count.
         skipped: number of due times skipped so far.
@@ -160,7 +160,7 @@ class ScheduledDevice:
     waiting: PollRound | None = None
     release_at: float = 0.0
     skipped_since: float | None = None
-    question_at: float = 0.0
+    test_read_at: float = 0.0
     leased_until: float = 0.0
     rounds: int = 0
     skipped: int = 0
@@ -326,7 +326,7 @@ class LinkSchedule:
         due = self._due_read(now)
         if due is None and self._writes:
             return self._write_turn()
-        return due or self._question(now) or self._next_event(now)
+        return due or self._next_test_read(now) or self._next_event(now)
 
     def _write_turn(self) -> Turn:
         self._writes_in_a_row += 1
@@ -521,7 +521,7 @@ class LinkSchedule:
         self._ready = [each for each in self._ready if each[3].device != device.name]
         heapq.heapify(self._ready)
 
-    # Silent devices, and questions.
+    # Silent devices, and test reads.
 
     def _push_silent(self, device: ScheduledDevice) -> None:
         heapq.heappush(self._silent, (device.probe_at, next(self._numbers), device.name))
@@ -573,7 +573,7 @@ class LinkSchedule:
         read = device.book.cheapest
         return None if read is None else Turn(TurnKind.PROBE, device.name, (read,))
 
-    def _question(self, now: float) -> Turn | None:
+    def _next_test_read(self, now: float) -> Turn | None:
         """Return the turn of the next test read for learning: at most one per device in its shortest poll period.
 
         None if no device has a test read now. Devices that do not answer, or are in maintenance, are left out.
@@ -584,12 +584,12 @@ class LinkSchedule:
                 self._asking.popleft()
                 continue
             self._asking.rotate(-1)
-            if not device.lives or device.is_paused or device.question_at > now:
+            if not device.lives or device.is_paused or device.test_read_at > now:
                 continue
-            device.question_at = now + device.shortest
-            read = device.book.question()
+            device.test_read_at = now + device.shortest
+            read = device.book.next_test_read()
             if read is not None:
-                return Turn(TurnKind.QUESTION, device.name, (read,))
+                return Turn(TurnKind.TEST_READ, device.name, (read,))
         return None
 
     def _next_event(self, now: float) -> float:
@@ -599,7 +599,7 @@ class LinkSchedule:
             has_credit_at = now - min(self._credit, 0.0) / self._share
             soonest = min(soonest, max(device.probe_at, has_credit_at))
         asking = (each for each in self.devices.values() if each.lives and not each.is_paused and each.book.may_ask)
-        asked = (each.question_at for each in asking)
+        asked = (each.test_read_at for each in asking)
         return max(now, min(soonest, min(asked, default=soonest)))
 
     # What it promises.

@@ -29,7 +29,7 @@ from ..collector.configuration import CollectorConfiguration, parse_collector
 from .coordinator import LONGEST_VALUE, SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .coordinators.local import LocalCoordinator
 from .lease_times import LeaseTimes
-from .plant import (
+from .plant_configuration import (
     refuse_links_of_one_subject,
     refuse_moved_endpoints,
     refuse_ports_of_any_host,
@@ -37,8 +37,8 @@ from .plant import (
     refuse_two_owners,
     with_short_user_timeout,
 )
-from .records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_member, decode_zone
 from .shards import checked_name
+from .table_records import GENERATION, MEMBERS, ZONE, ZoneRecord, decode_generation, decode_member, decode_zone
 
 CONTROL: Final = "control."
 CONFIGURATION: Final = "control.configuration"

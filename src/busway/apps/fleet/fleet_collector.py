@@ -7,7 +7,7 @@ Knows the collector, the holder of leases and the log of ownership; which shards
    request that was not answered (``gateway_wait``), the release waits for that long, and so does the confirmation of a
    newer configuration without the link.
 2. Right before each transaction it is checked that even the longest one ends before the lease
-   (`FleetMember.may_begin`); and again when each of its frames is sent, on a line perhaps seconds later. So a lease
+   (`LeaseHolder.permits`); and again when each of its frames is sent, on a line perhaps seconds later. So a lease
    that lapses ends polling at once, even if no task of this program gets to run.
 3. Changes of ownership are applied one after the other; several that have come together are applied as one. While the
    disk does not take what was sampled before, they wait, and so does a newer configuration: samples would get the
@@ -51,13 +51,13 @@ from .control_entries import CONFIGURATION, CONTROL, DRAINED, decode_configurati
 from .coordinator import Coordinator, Entry
 from .coordinators.local import LocalCoordinator
 from .key_table import KeyTable
-from .lease_driver import MemberDriver, boot_time, end_tasks
-from .lease_holder import CLOCK_LIMIT, FleetMember, ShardEvent, Step
+from .lease_driver import LeaseDriver, boot_time, end_tasks
+from .lease_holder import CLOCK_LIMIT, LeaseHolder, OwnershipChange, ShardEvent
 from .lease_times import Epoch, LeaseTimes
 from .outbox import Outbox, SampleStream
 from .ownership_gaps import OwnershipGap
 from .ownership_log import OwnershipLog
-from .plant import (
+from .plant_configuration import (
     costs_by_link,
     link_times,
     links_of_shards,
@@ -163,7 +163,7 @@ class FleetCollector:
         self._others = _OtherOwners(self, name, f"busway-{zone}" if zone else "")
         name_edge_nodes(configuration, name)
         self._set_configuration(configuration)
-        self.member: FleetMember = FleetMember(
+        self.member: LeaseHolder = LeaseHolder(
             checked_name(name, "collector"),
             secrets.token_hex(8),
             checked_name(host, "host"),
@@ -174,7 +174,7 @@ class FleetCollector:
         )
         self.member.set_revision(revision)
         self._keys = KeyTable(keys or coordinator, name)
-        self._driver = MemberDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
+        self._driver = LeaseDriver(self.member, coordinator, self._told, now=now, behind=lambda: self.behind)
         self._active: dict[str, Epoch] = {}
         self._active_since: dict[str, float] = {}
         self._begun: dict[str, Epoch] = {}
@@ -213,7 +213,7 @@ class FleetCollector:
             )
             self.collector = await unless_started.enter_async_context(collector)
             self._first_commit = collector.newest_commit
-            self._tell_costs()
+            self._set_costs()
             self.ownership = OwnershipLog(Path(self._configuration.store))
             unless_started.callback(self.ownership.close)
             self.ownership.set_configuration(self.revision, collector.newest_commit)
@@ -331,7 +331,7 @@ class FleetCollector:
         self._times_of = link_times(configuration)
         self._link_of = {device.name: device.link for device in configuration.devices.values()}
 
-    def _tell_costs(self) -> None:
+    def _set_costs(self) -> None:
         """Tell `member` which shards (groups of links) the configuration has, and what polling each of them costs."""
         loads = {load.link: load.load for load in self._configuration.loads(self.collector.knowledge)}
         costs = costs_by_link(self._configuration, loads)
@@ -406,7 +406,7 @@ class FleetCollector:
                     self._activate(fresh, owned.epoch)
         await self._poll_active()
         self._confirm_revision(revision)
-        self._tell_costs()
+        self._set_costs()
         self._driver.wake()
         if self._newer is taken:
             self._newer = None
@@ -436,7 +436,7 @@ class FleetCollector:
 
         If no error is raised, the present time is kept as the begin of the link's last transaction, for `_end_of`.
         """
-        if link not in self._active or not self.member.may_begin(
+        if link not in self._active or not self.member.permits(
             self._shard_of[link], self._now(), self._times_of[link].transaction
         ):
             raise LinkDown(f"link {link} is not owned by this collector now; nothing was sent", kind="other")
@@ -449,7 +449,7 @@ class FleetCollector:
         """
         times = self._times_of.get(link)
         worst = math.inf if times is None else times.after_sending
-        return self.member.may_begin(self.shard_of(link), self._now(), worst)
+        return self.member.permits(self.shard_of(link), self._now(), worst)
 
     def _note_unanswered(self, link: str) -> None:
         """Note that a gateway behind a link may now hold a request, and until when (rule 1).
@@ -502,7 +502,7 @@ class FleetCollector:
     def _told(self, event: ShardEvent) -> None:
         self._waiting.append(event)
         self._wake.set()
-        if event.step is Step.LOST:
+        if event.change is OwnershipChange.LOST:
             for link in self._links_of.get(event.shard, ()):
                 self._active.pop(link, None)
             _log.warning("shard %s in epoch %s is lost: %s", event.shard, event.epoch, event.reason)
@@ -535,24 +535,26 @@ class FleetCollector:
         Raises:
             _NotStored: samples wait for the disk. The events that are not applied are to be applied later.
         """
-        ended = [event for event in events if event.step is not Step.GAINED]
+        ended = [event for event in events if event.change is not OwnershipChange.GAINED]
         for event in ended:
             for link in self._links_of.get(event.shard, ()):
                 self._active.pop(link, None)
         if ended:
             await self._poll_active()
         over = {(event.shard, event.epoch) for event in ended}
-        brief = [event for event in events if event.step is Step.GAINED and (event.shard, event.epoch) in over]
+        brief = [
+            event for event in events if event.change is OwnershipChange.GAINED and (event.shard, event.epoch) in over
+        ]
         if brief:  # they are not polled here, but who takes them next does not know of the gap before
             await self._store_samples(events)
             await self._begin(brief)
-        gained = [event for event in events if event.step is Step.GAINED and event not in brief]
+        gained = [event for event in events if event.change is OwnershipChange.GAINED and event not in brief]
         if ended:
             self._note_ends(ended)
             await self._store_samples([*ended, *gained])
             await self._record_ends(ended)
             for event in ended:
-                if event.step is Step.LEAVE:
+                if event.change is OwnershipChange.LEAVE:
                     self._release(event.shard, event.epoch)
             self._driver.wake()
         # Also those that have ended since these events were taken: who takes them next does not know of the gap either.
@@ -579,7 +581,7 @@ class FleetCollector:
         """Whether an event says that a shard was gained, and the shard is still owned in that epoch and to be kept."""
         owned = self.member.owned.get(event.shard)
         is_kept = owned is not None and owned.epoch == event.epoch and owned.leaving is None
-        return event.step is Step.GAINED and is_kept
+        return event.change is OwnershipChange.GAINED and is_kept
 
     def _is_next(self, event: ShardEvent) -> bool:
         """Whether the epoch of an event may be recorded now: True if no later epoch of the shard is recorded yet."""

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 
 from .control_entries import CONFIGURATION, DRAINED, decode_configuration
 from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
-from .records import (
+from .table_records import (
     GENERATION,
     LEASES,
     MEMBERS,

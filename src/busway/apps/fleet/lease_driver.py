@@ -1,8 +1,8 @@
-"""The asyncio driver of a `FleetMember`: makes its proposed changes at the coordinator, and passes the answers back.
+"""The asyncio driver of a `LeaseHolder`: makes its proposed changes at the coordinator, and passes the answers back.
 
 Knows tasks and the clock; which changes are proposed, and what follows from an answer, is decided by `lease_holder`.
 
-1. The fence of a transaction is `FleetMember.may_begin`, asked with `boot_time` right before bytes are sent. No task
+1. A transaction is permitted by `LeaseHolder.permits`, asked with `boot_time` right before bytes are sent. No task
    has to run first: a process that was frozen finds its leases lapsed, whatever runs first when it goes on.
 2. After an error of the coordinator the outcome of a change counts as unknown, and the driver goes on.
 3. If following a shared table ends by an unexpected error, such as a defect of a client library, the error is logged,
@@ -27,7 +27,7 @@ from .coordinator import (
     OutcomeUnknown,
     RevisionConflict,
 )
-from .lease_holder import FleetMember, NotConfirmed, Proposal, ShardEvent
+from .lease_holder import LeaseHolder, NotConfirmed, Proposal, ShardEvent
 
 WATCH_AGAIN: Final = 0.5
 """Seconds before the table is followed again after an unexpected error."""
@@ -86,8 +86,8 @@ async def keep_following(follow: Callable[[], Awaitable[None]], table: str, begi
         await asyncio.sleep(WATCH_AGAIN)
 
 
-class MemberDriver:
-    """Runs a `FleetMember` on asyncio: gives it the entries of the shared table, and makes the changes it proposes.
+class LeaseDriver:
+    """Runs a `LeaseHolder` on asyncio: gives it the entries of the shared table, and makes the changes it proposes.
 
     Args:
         member: holds the leases of one collector, and decides which changes to make.
@@ -97,19 +97,19 @@ class MemberDriver:
         behind: returns the number of commits that not all sinks have.
 
     Attributes:
-        member: the `FleetMember` that is run.
+        member: the `LeaseHolder` that is run.
     """
 
     def __init__(
         self,
-        member: FleetMember,
+        member: LeaseHolder,
         coordinator: Coordinator,
         told: Callable[[ShardEvent], None],
         *,
         now: Callable[[], float] = boot_time,
         behind: Callable[[], int] = lambda: 0,
     ) -> None:
-        self.member: FleetMember = member
+        self.member: LeaseHolder = member
         self._behind = behind
         self._coordinator, self._told, self._now = coordinator, told, now
         self._wake = asyncio.Event()
@@ -155,7 +155,7 @@ class MemberDriver:
             await asyncio.gather(*self._asking, return_exceptions=True)
 
     def wake(self) -> None:
-        """Have `run` ask the `FleetMember` for changes at once; to be called after that object's state was changed."""
+        """Have `run` ask the `LeaseHolder` for changes at once; to be called after that object's state was changed."""
         self._wake.set()
 
     async def end(self, seconds: float) -> bool:
@@ -201,7 +201,7 @@ class MemberDriver:
                 task.add_done_callback(self._asking.discard)
             for event in self.member.events():
                 self._told(event)
-            self._tell_problem()
+            self._log_problem()
             self._changed.set()
             wait = self.member.next_turn() - self._now()
             try:
@@ -213,7 +213,7 @@ class MemberDriver:
     def _set_wall_clock(self) -> None:
         self.member.wall_ahead = time.time() - self._now()
 
-    def _tell_problem(self) -> None:
+    def _log_problem(self) -> None:
         """Log once that this collector may own no links, with the first reason, and once when it may again."""
         problem = self.member.problem
         if problem != self._problem:

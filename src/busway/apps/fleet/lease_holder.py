@@ -1,9 +1,9 @@
-"""One collector as a holder of leases (`FleetMember`): decides which shards it takes, renews, gives away and may poll.
+"""One collector as a holder of leases (`LeaseHolder`): decides which shards it takes, renews, gives away and may poll.
 
 Pure, without IO: entries, outcomes and the time go in; proposals and events come out. Knows no engine, socket or clock.
-The driver (`lease_driver`) makes each proposed change once, and passes the answer to `FleetMember.outcome`. The
-collector stops the links of a shard, then calls `FleetMember.left`. `FleetMember.may_begin` is the fence: it is asked
-before each transaction on a link.
+The driver (`lease_driver`) makes each proposed change once, and passes the answer to `LeaseHolder.outcome`. The
+collector stops the links of a shard, then calls `LeaseHolder.left`. `LeaseHolder.permits` is asked before each
+transaction on a link.
 
 1. A shard is owned from a confirmed compare-and-set on until its deadline: the moment *before* the last confirmed
    renewal was sent, plus the time to live, less the guard. A renewal without an answer does not count.
@@ -35,7 +35,8 @@ from ..collector.sample_clock import EARLIEST, NANOSECONDS
 from .balance import Share, moves, takers
 from .coordinator import Entry
 from .lease_times import Epoch, LeaseTimes
-from .records import (
+from .shards import hosts_of
+from .table_records import (
     GENERATION,
     LEASES,
     MEMBERS,
@@ -49,7 +50,6 @@ from .records import (
     decode_member,
     decode_zone,
 )
-from .shards import hosts_of
 
 LOOK_EVERY: Final = 0.5
 """Seconds between two checks for free shards."""
@@ -70,16 +70,16 @@ It is no limit for shards that the collector must give away because it ends or m
 """
 
 
-class Step(Enum):
+class OwnershipChange(Enum):
     """What has happened to a shard (group of links) of this collector, and what the collector has to do.
 
     ``GAINED``: the shard is owned now, and the collector may poll its links. ``LEAVE``: the shard will be given away;
-    the collector lets running transactions end, stops its links, and then calls `FleetMember.left`. ``LOST``: the shard
+    the collector lets running transactions end, stops its links, and then calls `LeaseHolder.left`. ``LOST``: the shard
     is not owned any more; the collector resets the connections of its links at once.
     """
 
     GAINED = "gained"  # its links may begin
-    LEAVE = "leave"  # its links are to stop after what runs; then call `FleetMember.left`
+    LEAVE = "leave"  # its links are to stop after what runs; then call `LeaseHolder.left`
     LOST = "lost"  # it is not owned any more: its connections are to be reset at once
 
 
@@ -89,7 +89,7 @@ class ShardEvent:
 
     Attributes:
         shard: name of the shard.
-        step: the kind of event.
+        change: what has happened to the shard.
         epoch: epoch of the ownership that begins or ends.
         reason: why the shard is given away or lost, in words; empty for a shard that was gained.
         silent_since: when the lease was renewed last, seconds since 1970 UTC by the owner's wall clock. Set for a shard
@@ -98,7 +98,7 @@ class ShardEvent:
     """
 
     shard: str
-    step: Step
+    change: OwnershipChange
     epoch: Epoch
     reason: str = ""
     silent_since: float | None = None
@@ -108,12 +108,12 @@ class ShardEvent:
 class Proposal:
     """One change of the shared table that this collector wants made: a compare-and-set of one entry.
 
-    The driver makes the change once, and passes the answer to `FleetMember.outcome`.
+    The driver makes the change once, and passes the answer to `LeaseHolder.outcome`.
 
     Attributes:
         key, value: key and new value of the table entry.
         revision: the revision that the entry must have now; 0 to create the entry.
-        asked: when the change was proposed, in the clock of `FleetMember.turn`.
+        asked: when the change was proposed, in the clock of `LeaseHolder.turn`.
     """
 
     key: str
@@ -158,7 +158,7 @@ class OwnedShard:
     Attributes:
         epoch: the epoch of the ownership.
         revision: revision of the lease's table entry.
-        asked: when the last confirmed renewal was proposed, in the clock of `FleetMember.turn`.
+        asked: when the last confirmed renewal was proposed, in the clock of `LeaseHolder.turn`.
         renew_at: when the next renewal is to be proposed, in the same clock.
         count: renewals so far.
         leaving: once the shard is being given away, name of the collector that is to take it, or empty for any
@@ -198,7 +198,7 @@ class MemberCounts:
     unknown: int = 0
 
 
-class FleetMember:
+class LeaseHolder:
     """One collector as a holder of leases: decides which shards (groups of links) it takes, renews and gives away.
 
     Does no IO. The driver gives it the entries of the shared table (`entry`), makes the changes that `turn` returns,
@@ -336,8 +336,8 @@ class FleetMember:
             return float("-inf")
         return self.times.deadline(owned.asked)
 
-    def may_begin(self, shard: str, now: float, worst: float) -> bool:
-        """Whether a transaction on a link of a shard may begin now: True if it would end before the shard's `deadline`.
+    def permits(self, shard: str, now: float, worst: float) -> bool:
+        """Whether a transaction on a link of a shard is permitted now: whether it ends before the shard's `deadline`.
 
         To be asked right before each transaction.
 
@@ -576,13 +576,15 @@ class FleetMember:
         self.owned[shard] = OwnedShard(epoch, revision, asked, renew_at, hole=record.hole)
         self.counts.taken += 1
         self._gained[shard] = epoch
-        self._events.append(ShardEvent(shard, Step.GAINED, epoch, silent_since=self._silent_since.pop(shard, None)))
+        self._events.append(
+            ShardEvent(shard, OwnershipChange.GAINED, epoch, silent_since=self._silent_since.pop(shard, None))
+        )
         self._compare(shard)
 
     def left(self, shard: str) -> None:
         """Record that a shard's links have stopped and their samples are stored; the next turn proposes its release.
 
-        To be called after an event `Step.LEAVE`. Does nothing if the shard is not owned any more.
+        To be called after an event `OwnershipChange.LEAVE`. Does nothing if the shard is not owned any more.
         """
         owned = self.owned.get(shard)
         if owned is not None:
@@ -772,7 +774,7 @@ class FleetMember:
         return seen.at if record.run == self._me.run else max(self.times.free_at(seen.at), seen.at + record.silence)
 
     def _hand_on(self, now: float) -> None:
-        """Begin to give away the shards that this collector must not keep or that `balance` moves (`Step.LEAVE`)."""
+        """Begin to give away the shards that this collector must not keep or that `balance` moves."""
         leaving = sum(each.leaving is not None for each in self.owned.values())
         takes = takers({shard: self.cost(shard) for shard in self.owned}, self._shares(now)) if self._ends else {}
         for shard, owned in self.owned.items():
@@ -797,11 +799,11 @@ class FleetMember:
 
     def _leave(self, shard: str, owned: OwnedShard, taker: str, reason: str) -> None:
         owned.leaving = taker
-        self._events.append(ShardEvent(shard, Step.LEAVE, owned.epoch, reason))
+        self._events.append(ShardEvent(shard, OwnershipChange.LEAVE, owned.epoch, reason))
 
     def _lose(self, shard: str, reason: str, silent_since: float | None = None) -> None:
         owned = self.owned.pop(shard)
-        self._events.append(ShardEvent(shard, Step.LOST, owned.epoch, reason, silent_since))
+        self._events.append(ShardEvent(shard, OwnershipChange.LOST, owned.epoch, reason, silent_since))
 
     def _owned_by_all(self, now: float) -> dict[str, tuple[str, float]]:
         found: dict[str, tuple[str, float]] = {}

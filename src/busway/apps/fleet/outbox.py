@@ -265,7 +265,7 @@ class Outbox:
         await self._take_kept()
         found = await asyncio.to_thread(self._next)
         if found is None or self._clock.must_wait(found):
-            await self._tell_complete()
+            await self._publish_complete()
             return False
         # A batch without samples gets a message too: a sink believes the next one only if it has seen where this began.
         gaps = await asyncio.to_thread(self._gaps_of, self._sent, found.last)
@@ -348,7 +348,7 @@ class Outbox:
         self._waiting[name] = _Waiting(place, now, min(2 * waiting.wait, AGAIN_LIMIT))
         return True
 
-    async def _tell_complete(self) -> None:
+    async def _publish_complete(self) -> None:
         """Send a message without samples that says that all stored samples were sent, unless it was sent already.
 
         By it the positions of sinks reach the last commit.

@@ -38,7 +38,7 @@ from .lease_driver import end_if_cancelled, end_tasks, keep_following
 from .messages import MOST_BYTES, SampleMessage, UnreadableMessage, decode_message
 from .outbox import SinkPlace, StreamDown
 from .ownership_gaps import OwnershipGap
-from .records import decode_list, integer_of
+from .table_records import decode_list, integer_of
 
 CURSORS: Final = "cursor."
 MOST_HEADERS: Final = 1024

@@ -22,7 +22,7 @@ from .coordinator import SNAPSHOT_BEGINS, SNAPSHOT_ENDS, Coordinator, Entry
 from .fleet_status import ZoneStatus, generation_of, status_of
 from .lease_driver import boot_time, end_tasks, keep_following
 from .lease_times import Epoch, LeaseTimes
-from .records import LEASES, MEMBERS, LeaseRecord, decode_lease, decode_list, integer_of
+from .table_records import LEASES, MEMBERS, LeaseRecord, decode_lease, decode_list, integer_of
 
 CURSORS: Final = "cursor."
 MOST_HOLES: Final = 200

@@ -23,7 +23,7 @@ from ...errors import ModbusError, NoReply, Overloaded
 from ...pdu.message import Message
 from ...pdu.read_items import ReadBits, ReadRegisters
 from ...session.call import RequestOutcome
-from ...session.client import TcpClientSession
+from ...session.tcp_client import TcpClientSession
 from .batch import Batch, ForwardedRequest, ForwardingClient, WaitingClient
 from .read_cache import Key, ReadCache, ReadRange
 from .shared_reads import share
@@ -174,7 +174,7 @@ class Forwarder:
         self.open: dict[Batch, None] = {}
         self.answered: dict[ForwardingClient, None] = {}
         self._all_answered: asyncio.Event | None = None  # for all calls of `wait_until_answered`
-        upstream.watch = self.look
+        upstream.watch = self.answer_completed
 
     @property
     def open_requests(self) -> int:
@@ -204,7 +204,7 @@ class Forwarder:
 
     # What comes back.
 
-    def look(self, session: object) -> None:
+    def answer_completed(self, session: object) -> None:
         """Answer the requests of a link's session that have an outcome by now, and send all answers that are ready.
 
         On Modbus TCP, requests are answered even if others of their batch have no outcome yet. Batches of other

@@ -20,7 +20,7 @@ from ...pdu.message import Request
 from .file_routes import PlacedRoute
 from .routes import Route
 
-Way = tuple[PlacedRoute, int]
+RoutedUnit = tuple[PlacedRoute, int]
 """A route that leads to a device, and the unit that clients ask to use it."""
 RequestedRange = tuple[type[Request], TouchedRange]
 """A function, and a range of data that it reads or writes."""
@@ -51,9 +51,9 @@ def policy_gaps(
             rules = tuple(other for other in policy.rules if _is_for_clients_of(rule, other))
             of_clients[clients] = Rights(rules, policy.default)
         told: set[int] = set()
-        for way, other in chain.from_iterable(permutations(ways, 2) for ways in devices):
+        for routed, other in chain.from_iterable(permutations(reached, 2) for reached in devices):
             if id(other[0]) not in told:
-                sentence = _evaded(rule, of_clients[clients], accesses, way, other)
+                sentence = _evaded(rule, of_clients[clients], accesses, routed, other)
                 if sentence:
                     told.add(id(other[0]))
                     yield ("policy", "rule", index), sentence
@@ -76,16 +76,16 @@ def _accesses(policy: Policy, routes: Sequence[PlacedRoute]) -> list[RequestedRa
 
 def _reached_in_several_ways(
     routes: Sequence[PlacedRoute], same_device: Mapping[str, Sequence[frozenset[int]]]
-) -> list[list[Way]]:
+) -> list[list[RoutedUnit]]:
     """Return the devices that clients reach by several units or address shifts, each as a list of route and unit."""
-    devices: dict[tuple[str, int], list[Way]] = {}
+    devices: dict[tuple[str, int], list[RoutedUnit]] = {}
     for one in routes:
         if one.route.upstream:
             for unit in sorted(one.route.units):
                 behind = one.route.upstream_unit(unit)
                 alike = next((group for group in same_device.get(one.route.upstream, ()) if behind in group), (behind,))
                 devices.setdefault((one.route.upstream, min(alike)), []).append((one, unit))
-    return [ways for ways in devices.values() if len({(unit, one.route.shift) for one, unit in ways}) > 1]
+    return [reached for reached in devices.values() if len({(unit, one.route.shift) for one, unit in reached}) > 1]
 
 
 def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
@@ -100,17 +100,19 @@ def _is_for_clients_of(rule: Rule, other: Rule) -> bool:
     )
 
 
-def _evaded(rule: Rule, rights: Rights, accesses: Sequence[RequestedRange], way: Way, other: Way) -> str:
+def _evaded(
+    rule: Rule, rights: Rights, accesses: Sequence[RequestedRange], routed: RoutedUnit, other: RoutedUnit
+) -> str:
     """Return a sentence on how a request by another route can do more than a rule permits; empty if it cannot.
 
     Args:
         rule: the rule.
         rights: evaluates the rules for the clients of that rule.
         accesses: the kinds of access to test.
-        way: the route and unit that the rule is about.
+        routed: the route and unit that the rule is about.
         other: another route and unit to the same device.
     """
-    (near, asked), (far, unit) = way, other
+    (near, asked), (far, unit) = routed, other
     is_named = rule.units is None or unit in rule.units
     if (rule.units is not None and asked not in rule.units) or (is_named and near.route.shift == far.route.shift):
         return ""

@@ -271,25 +271,25 @@ class ListenerRouter:
         if isinstance(own, Route) and own.action is not RouteAction.FORWARD:
             return self._not_forwarded(context, own)
         charged: set[int] = set()
-        ways: list[Route | int] = []
+        decisions: list[Route | int] = []
         for name in self._takers():
-            way = self._way_to_all(context, name, request, charged)
-            if isinstance(way, int) and context.judged is not None and context.judged.is_denied:
-                return self._refused(context, way)
-            if way is not None:
-                ways.append(way)
-        if not ways:
+            decision = self._broadcast_route(context, name, request, charged)
+            if isinstance(decision, int) and context.judged is not None and context.judged.is_denied:
+                return self._refused(context, decision)
+            if decision is not None:
+                decisions.append(decision)
+        if not decisions:
             forwarder = None if not isinstance(own, Route) else self._forwarder_of(own)
             if forwarder is not None and isinstance(own, Route):
                 return self._forward(context, request, own, forwarder)
             return self._no_route(context, None)
         reply: Message | Deferral = SILENCE if self.silent_broadcasts else echo(request)
         asks: list[tuple[ForwardingTarget, ForwardedMessage]] = []
-        for way in ways:
-            if isinstance(way, int):
-                outcome: Message | Forwarding = self._refused(context, way)
+        for decision in decisions:
+            if isinstance(decision, int):
+                outcome: Message | Forwarding = self._refused(context, decision)
             else:
-                outcome = self._forward(context, request, way, self._forwarders[way.upstream])
+                outcome = self._forward(context, request, decision, self._forwarders[decision.upstream])
             if isinstance(outcome, Forwarding):
                 asks += outcome.asks
             else:
@@ -323,12 +323,12 @@ class ListenerRouter:
         if id(forwarder) not in executed:
             executed.add(id(forwarder))
             self.counters.broadcasts += 1
-            way = self._way_to_all(context, found.upstream, request, executed)
-            if isinstance(way, Route):
-                outcome = self._forward(context, request, way, forwarder)
+            decision = self._broadcast_route(context, found.upstream, request, executed)
+            if isinstance(decision, Route):
+                outcome = self._forward(context, request, decision, forwarder)
                 return outcome if isinstance(outcome, Forwarding) else SILENCE
-            if way is not None:
-                self._refused(context, way)
+            if decision is not None:
+                self._refused(context, decision)
                 executed.add(-id(forwarder))
         elif -id(forwarder) in executed:
             context.judged = None  # it was refused for all units of the line, and that is recorded
@@ -339,7 +339,7 @@ class ListenerRouter:
         names = [name for name in self._routes.upstreams if name in self._forwarders]
         return [name for name in names if self._forwarders[name].upstream.takes_broadcasts]
 
-    def _way_to_all(
+    def _broadcast_route(
         self, context: RequestContext, upstream: str, request: Request, charged: set[int]
     ) -> Route | int | None:
         """Return the route for a broadcast to an upstream, or the exception code if the broadcast is refused.
@@ -354,7 +354,7 @@ class ListenerRouter:
             request: the write.
             charged: ids of the rules with a rate that have counted the broadcast already; ids are added.
         """
-        ways: set[Route] = set()
+        routes: set[Route] = set()
         refused = 0  # by a route
         unreached = False
         units: list[int] = []
@@ -368,12 +368,12 @@ class ListenerRouter:
                 unreached = True
             else:
                 units.append(unit)
-                ways.add(_for_all_units(found))
-        if refused or not ways:
+                routes.add(_for_all_units(found))
+        if refused or not routes:
             return refused or None
-        if unreached or len(ways) > 1:
+        if unreached or len(routes) > 1:
             return _NO_PATH
-        return self.refusal_of(context, request, units, charged) or ways.pop()
+        return self.refusal_of(context, request, units, charged) or routes.pop()
 
     def _refused(self, context: RequestContext, code: int) -> Message:
         self.counters.refused += 1

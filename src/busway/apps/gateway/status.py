@@ -5,8 +5,8 @@ Knows counters and states; knows no connection.
 
 from dataclasses import dataclass, fields
 
-from ...server.counters import ServerCounters
 from ...server.server import ServerStatus
+from ...server.server_counters import ServerCounters
 from ...server.status import ConnectionStatus, ListenerStatus
 from ...session.reconnect import ConnectionState
 from .own_unit import STATES

@@ -72,20 +72,20 @@ class UpstreamLog:
         if self._reason:
             self._reason = ""
             _log.warning("%s: open again", self._endpoint)
-        self._tell_count()
+        self._log_count()
         self._no_path_reason = ""
 
     def no_path(self, reason: str) -> None:
         """Log a request that was answered with exception code 0A, or count it if the same reason was logged already."""
         if reason != self._no_path_reason:
-            self._tell_count()
+            self._log_count()
             self._no_path_reason = reason
             self._told_at = self._clock()
             _log.warning("line %s: a request was answered 0A: %s", self._name, reason)
             return
         self._no_path += 1
         if self._clock() >= self._told_at + AGAIN_AFTER:
-            self._tell_count()
+            self._log_count()
 
     def no_answer(self, unit: int | None, reason: str) -> None:
         """Log that a request was answered with exception code 0B because its unit did not answer.
@@ -101,7 +101,7 @@ class UpstreamLog:
             text = "line %s: a request to unit %s was answered 0B: %s%s"
             _log.warning(text, self._name, unit, reason, suppressed_note(repeated))
 
-    def _tell_count(self) -> None:
+    def _log_count(self) -> None:
         """Log how many requests were answered 0A since the last such line; log nothing if there were none."""
         if self._no_path:
             now = self._clock()

@@ -16,6 +16,8 @@ from .plain_yaml import YamlDocument, parse_yaml
 _TABLES: Final = {"holding": "holding", "input": "input", "coil": "coil", "discrete_input": "discrete"}
 _SWAPS: Final = {None: None, "none": None, "byte": "BADC", "word": "CDAB", "word_byte": "DCBA"}
 _OF_HUB: Final = {"name", "type", "host", "port", "sensors", "binary_sensors", "switches"}
+_FRAMINGS: Final = {"rtuovertcp": ", RTU over TCP", "udp": ", UDP"}
+"""What the connection of a hub says more than its host and port, by its type."""
 _USED: Final = {
     "name", "address", "input_type", "data_type", "scale", "offset", "unit_of_measurement", "swap", "count",
     "structure", "slave", "device_address", "nan_value", "scan_interval", "unique_id", "device_class", "state_class",
@@ -53,8 +55,9 @@ def read_home_assistant(text: str, name: str) -> ImportedDevice:
 
 
 def _hub(hub: Mapping[str, Any], place: KeyPath, document: YamlDocument, found: ImportedDevice) -> None:
-    if "host" in hub:
-        found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {hub['host']}:{hub.get('port', 502)}")
+    connection = _connection(hub)
+    if connection:
+        found.remarks.append(f"Home Assistant's hub {hub.get('name', '')}: {connection}")
     for key in others_of(hub, _OF_HUB):
         is_list = isinstance(hub[key], list)
         why = "is more than a point: write its registers as points" if is_list else "is an option of the link"
@@ -73,7 +76,14 @@ def _hub(hub: Mapping[str, Any], place: KeyPath, document: YamlDocument, found: 
             keys["meta"] = {each: entity[each] for each in _META if entity.get(each) is not None} or None
             with found.reporting(where, name):
                 for made in make(entity, keys, where, found):
-                    found.add(_unit(entity), made, where)
+                    found.add(_unit(entity), made, where, connection=connection)
+
+
+def _connection(hub: Mapping[str, Any]) -> str:
+    """Return how a hub reaches its devices: host and port, or the path of a serial port; empty if it says neither."""
+    if "host" in hub:
+        return f"{hub['host']}:{hub.get('port', 502)}{_FRAMINGS.get(str(hub.get('type')), '')}"
+    return str(hub.get("port", ""))
 
 
 def _sensor(
@@ -110,14 +120,12 @@ def _sensor(
 def _binary_sensor(
     entity: Mapping[str, Any], keys: dict[str, Any], where: str, found: ImportedDevice
 ) -> Iterator[dict[str, Any]]:
+    """Yield the points of a binary sensor: coils, or the lowest bits of registers that follow each other."""
     table = _TABLES.get(str(entity.get("input_type", "coil")), "")
-    for place in range(_several(entity, MAX_READ_BITS) + 1):
+    is_bit = table in ("holding", "input")
+    for place in range(_several(entity, MAX_READ_REGISTERS if is_bit else MAX_READ_BITS) + 1):
         name = keys["name"] if not place else f"{keys['name']}_{place}"
-        address = f"{table}:{entity['address']}"
-        if table in ("holding", "input"):
-            address = f"{table}:{entity['address'] + place // 16}.{place % 16}"
-        elif place:
-            address = f"{table}:{entity['address'] + place}"
+        address = f"{table}:{entity['address'] + place}{'.0' if is_bit else ''}"
         yield {**keys, "name": name, "address": address, "unit_of_measure": None}
 
 
@@ -158,8 +166,9 @@ def _several(entity: Mapping[str, Any], most: int) -> int:
 
 
 def _unit(entity: Mapping[str, Any]) -> int:
-    unit = entity.get("slave", entity.get("device_address", 1))
-    return unit if isinstance(unit, int) else 1
+    """Return the unit number of an entity, 1 if it names none. Raises `ValueError` if it is no number."""
+    unit = entity.get("slave", entity.get("device_address"))
+    return 1 if unit is None else int(unit)
 
 
 def _number(value: Any) -> Any:

@@ -5,6 +5,8 @@ Knows the schema of device files and reports; knows no format of other programs.
 1. Nothing is dropped in silence: each key, point or section that is not carried over is a line of the report, with its
    place in the file and the reason.
 2. An invalid point is left out and reported; the others are kept. Points may share registers.
+3. A unit of the result is one device. Points of a unit with the same number behind another connection are left out and
+   reported: their values are those of another device.
 """
 
 from collections.abc import Collection, Iterator, Mapping
@@ -66,17 +68,27 @@ class ImportedDevice:
     groups: dict[int, list[dict[str, Any]]] = field(default_factory=dict)  # Any: what TOML has
     remarks: list[str] = field(default_factory=list)
     omissions: list[Omission] = field(default_factory=list)
+    _connections: dict[int, str] = field(default_factory=dict, init=False, repr=False, compare=False)
+    """The connection that leads to each unit, in the words of the imported file (rule 3)."""
     _invalid: list[Omission] = field(default_factory=list, init=False, repr=False, compare=False)
     """Those of ``omissions`` that `sections` has added."""
 
-    def add(self, unit: int, keys: Mapping[str, Any], where: str = "") -> None:
+    def add(self, unit: int, keys: Mapping[str, Any], where: str = "", *, connection: str = "") -> None:
         """Add a point to a unit. It is not checked: `sections` does that later.
 
         Args:
             unit: the unit number.
             keys: the keys of the point as in a device file; keys whose value is None are left out.
             where: place of the point in the imported file, for reports.
+            connection: how the imported file says that the device is reached. If the unit has points behind another
+                connection, the point is left out and reported.
         """
+        first = self._connections.setdefault(unit, connection)
+        if first != connection:
+            other = f"another device, at {first or 'another connection'}"
+            why = f"unit {unit} is {other}: convert each from a file of its own"
+            self.omit(where, str(keys.get("name", "")) or "a point", why)
+            return
         kept = {key: value for key, value in keys.items() if value is not None}
         self.points.setdefault(unit, []).append(ImportedPoint(kept, where))
 

@@ -4,9 +4,11 @@ Knows Telegraf's keys and types. Addresses of Telegraf count from 0.
 """
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any, Final
 
 from ...config.files.schema import Source, read_source
+from ...values.counts import counted
 from ...values.unfit_values import shown
 from .imported import ImportedDevice, others_of, tables_in
 
@@ -20,6 +22,8 @@ _TYPES: Final = {
     "FLOAT16": "float16", "FLOAT64": "float64",
     **{name.upper(): name for name in ("int16", "uint16", "int32", "uint32", "int64", "uint64")},
 }  # fmt: skip
+_REGISTERS: Final = {kind: 4 if "64" in kind else 2 if "32" in kind else 1 for kind in _TYPES}
+"""Number of registers of each type that has a size of its own."""
 _SCALED: Final = {"FIXED": "int", "UFIXED": "uint", "FLOAT32": "uint"}
 """Types of the register style that have no size of their own, each with the beginning of its value type.
 
@@ -28,12 +32,31 @@ FLOAT32 is an old name of UFIXED (an integer) in this style. In the other styles
 """
 _KNOWN: Final = {
     "name", "slave_id", "controller", "configuration_type", "coils", "discrete_inputs", "holding_registers",
-    "input_registers", "request", "metric", "timeout", "interval",
+    "input_registers", "request", "metric",
 }  # fmt: skip
 _FIELD_KEYS: Final = {
     "name", "address", "type", "data_type", "byte_order", "scale", "bit", "length", "register", "omit", "measurement",
     "output",
 }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """What the fields of one section have in common; a field may say otherwise for itself.
+
+    Attributes:
+        connection: the controller of the plugin.
+        unit: the unit number.
+        table: the table; empty if the section names one that there is not.
+        order: the order of bytes; empty if the section names none.
+        measurement: the name of the measurement; empty if the section has none.
+    """
+
+    connection: str
+    unit: Any  # what the file has
+    table: str
+    order: str = ""
+    measurement: str = ""
 
 
 def read_telegraf(text: str, name: str) -> ImportedDevice:
@@ -60,39 +83,41 @@ def read_telegraf(text: str, name: str) -> ImportedDevice:
 
 
 def _plugin(plugin: Mapping[str, Any], path: tuple[Any, ...], source: Source, found: ImportedDevice) -> None:
-    if "controller" in plugin:
-        found.remarks.append(f"Telegraf's controller: {plugin['controller']}")
+    connection = str(plugin.get("controller", ""))
+    if connection:
+        of = f" of {plugin['name']}" if plugin.get("name") else ""
+        found.remarks.append(f"Telegraf's controller{of}: {connection}")
     for key in others_of(plugin, _KNOWN):
         found.omit(_line(source, (*path, key)), key, "an option of Telegraf's connection, not of the device")
     unit = plugin.get("slave_id", 1)
     for key in ("coils", "discrete_inputs", "holding_registers", "input_registers"):
         for at, field in tables_in(plugin.get(key)):
-            _field(field, _TABLES[key], unit, "", (*path, key, at), source, found)
+            _field(field, _Section(connection, unit, _TABLES[key]), (*path, key, at), source, found)
     for style in ("request", "metric"):
         for at, section in tables_in(plugin.get(style)):
             for key in others_of(section, {"slave_id", "byte_order", "register", "measurement", "fields"}):
                 found.omit(_line(source, (*path, style, at, key)), key, "is Telegraf's own")
-            table = _TABLES.get(str(section.get("register", "holding")), "")
+            common = _Section(
+                connection,
+                section.get("slave_id", unit),
+                _TABLES.get(str(section.get("register", "holding")), ""),
+                str(section.get("byte_order", "")),
+                str(section.get("measurement", "")),
+            )
             for place, field in tables_in(section.get("fields")):
-                own = _TABLES.get(str(field.get("register", "")), table)
-                where = (*path, style, at, "fields", place)
-                _field(
-                    field, own, section.get("slave_id", unit), str(section.get("byte_order", "")), where, source, found
-                )
+                _field(field, common, (*path, style, at, "fields", place), source, found)
 
 
 def _field(
-    field: Mapping[str, Any], table: str, unit: int, order: str, path: tuple[Any, ...], source: Source,
-    found: ImportedDevice,
-) -> None:  # fmt: skip
+    field: Mapping[str, Any], section: _Section, path: tuple[Any, ...], source: Source, found: ImportedDevice
+) -> None:
     where, name = _line(source, path), str(field.get("name", ""))
     with found.reporting(where, name or "a field"):
-        _known_field(field, table, unit, order, where, name, found)
+        _known_field(field, section, where, name, found)
 
 
-def _known_field(
-    field: Mapping[str, Any], table: str, unit: int, order: str, where: str, name: str, found: ImportedDevice
-) -> None:
+def _known_field(field: Mapping[str, Any], section: _Section, where: str, name: str, found: ImportedDevice) -> None:
+    table = _TABLES.get(str(field["register"]), "") if "register" in field else section.table
     if field.get("omit"):
         found.omit(where, name or "a field", "is omitted by Telegraf too: only registers between others")
         return
@@ -106,22 +131,29 @@ def _known_field(
     keys: dict[str, Any] = {"name": name or f"{table}_{first}", "address": f"{table}:{first}"}
     if table in ("holding", "input"):
         kind = str(field.get("data_type", field.get("type", "UINT16")))
-        form = _type(kind, len(addresses) if isinstance(addresses, list) else 0, field.get("length"))
+        registers = len(addresses) if isinstance(addresses, list) else 0
+        form = _type(kind, registers, field.get("length"))
+        if registers and addresses != list(range(first, first + registers)):
+            found.omit(where, name, f"has addresses that do not follow each other: {shown(addresses)}")
+            return
+        if registers and _REGISTERS.get(kind, registers) != registers:
+            found.omit(where, name, f"is of {counted(_REGISTERS[kind], 'register')} as {kind}: {shown(addresses)}")
+            return
         if kind == "BIT" or "bit" in field:
             keys["address"] += f".{field.get('bit', 0)}"
         elif form is None:
             found.omit(where, name, f"has a type that there is not: {shown(kind)}")
             return
         else:
-            keys |= {"type": form, "order": str(field.get("byte_order", order)) or None}
+            keys |= {"type": form, "order": str(field.get("byte_order", section.order)) or None}
             if field.get("scale", 1.0) != 1.0:
                 keys["scale"] = float(field["scale"])
     if field.get("output"):
         found.omit(where, f"{name}.output", "the type in the database is chosen by the sink")
-    measurement = field.get("measurement")
+    measurement = field.get("measurement", section.measurement)
     if measurement:
         keys["meta"] = {"measurement": measurement}
-    found.add(int(unit), keys, where)
+    found.add(int(section.unit), keys, where, connection=section.connection)
 
 
 def _type(kind: str, registers: int, length: object) -> str | None:

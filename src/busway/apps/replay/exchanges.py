@@ -21,7 +21,7 @@ from typing import Final
 
 from ...codes import exception_meaning, function_name
 from ...framing.received import Direction
-from ...observe.capture_files.traffic import (
+from ...observe.capture_files.frame_extraction import (
     CapturedChannel,
     CapturedFrame,
     ChannelEnd,

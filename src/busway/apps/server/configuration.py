@@ -320,10 +320,12 @@ class _Makers:
         known = declared(ListenerParameters)
         general = {key: value for key, value in self._general.items() if key in known}
         chosen = {**general, **own, **self._changes}
-        return self._check_options.make(
-            lambda: build_parameters(ListenerParameters, chosen),
-            lambda key: nearest(key, own, at, general, ("server",)),
-        )
+
+        def place(key: str | None) -> KeyPath:
+            return nearest(key, own, at, general, ("server",))
+
+        self._check_options.check_numbers(known, chosen, place)
+        return self._check_options.make(lambda: build_parameters(ListenerParameters, chosen), place)
 
     def listener(self, place: KeyPath, endpoint: Endpoint) -> Listener:
         """Create a listener of the file. Invalid options are reported; the listener must then not be used.
@@ -344,8 +346,9 @@ class _Makers:
         tls = self._tls(own, at) if endpoint.carrier == "tls" else None
         if section is None:
             return self._checked(Listener(endpoint, access=AddressList(), tls=tls), place)
+        allow = section.allow if "allow" in section.model_fields_set else None
         access = self._check_options.make(
-            lambda: AddressList(section.allow, section.deny, section.secure),
+            lambda: AddressList(allow, section.deny, section.secure),
             lambda key: nearest(key, ("allow", "deny"), at, (), at),
         )
         own_limits = section.options_of(ListenerParameters)

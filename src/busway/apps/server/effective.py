@@ -1,23 +1,35 @@
-"""Shows the configuration in force, defaults included, as TOML.
+"""Shows the configuration in force as TOML: a file that means the same, with the defaults of all options.
 
 Knows the classes of parameters and TOML; changes nothing.
+
+1. Options of the server, listeners, links, audit log, metrics and control socket are shown with their defaults. Policy
+   and units are shown as they stand in the file: a key that is left out there has no value to show.
 """
 
+import json
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import fields
+from datetime import date, time
 from enum import Enum
 from typing import Any
 
 from ...client.settings import options_of
 from ...config.links import NamedLink
 from ...options.declaration import NONE, declared
+from ...options.endpoints import parse_endpoint
 from ...options.offer import SERVERS, Offer, options_for
+from ...options.server import ListenerParameters
 from ...server.listener import Listener
 from .configuration import Configuration
 
 
-def effective(configuration: Configuration) -> Iterator[str]:
-    """Yield server, listeners and links of a configuration as lines of TOML, with all options, defaults included."""
+def effective(configuration: Configuration, data: Mapping[str, Any]) -> Iterator[str]:  # Any: what TOML has
+    """Yield a configuration as lines of TOML, with all options, defaults included.
+
+    Args:
+        configuration: the configuration.
+        data: the parsed contents of its file.
+    """
     yield "[server]"
     given = {name: value for name, value in configuration.served().items() if name != "tls"}
     chosen = Offer.of(*SERVERS).chosen(given)
@@ -28,6 +40,42 @@ def effective(configuration: Configuration) -> Iterator[str]:
         yield from ["", "[[listener]]", *_listener(listener)]
     for link in configuration.links.values():
         yield from ["", "[[link]]", *_link(link)]
+    file = configuration.file
+    if file.client.supported_connections is not None:
+        yield from ["", "[client]", line("supported_connections", file.client.supported_connections)]
+    if file.audit_parameters is not None:
+        yield from ["", "[audit]", *values(file.audit_parameters)]
+    if file.metrics_address is not None:
+        yield from ["", "[metrics]", line("listen", file.metrics_address)]
+    yield from ["", "[control]", *values(file.control_parameters)]
+    if file.policy is not None:
+        policy = data["policy"]
+        yield from _table("policy", {"default": policy} if isinstance(policy, str) else policy)
+    for unit in data.get("unit", ()):
+        yield from _table("unit", unit, brackets=2)
+
+
+def _table(name: str, table: Mapping[str, Any], brackets: int = 1) -> Iterator[str]:  # Any: what TOML has
+    """Yield a table of a file as lines of TOML, its arrays of tables behind its other keys.
+
+    Args:
+        name: the table's name, with those of the tables around it: ``unit.point``.
+        table: its contents.
+        brackets: 1 for a table, 2 for an element of an array of tables.
+    """
+    inner = {key: value for key, value in table.items() if _is_array_of_tables(value)}
+    yield ""
+    yield "[" * brackets + name + "]" * brackets
+    for key, value in table.items():
+        if key not in inner:
+            yield line(key, value)
+    for key, several in inner.items():
+        for each in several:
+            yield from _table(f"{name}.{_key(key)}", each, brackets=2)
+
+
+def _is_array_of_tables(value: object) -> bool:
+    return isinstance(value, list) and bool(value) and all(isinstance(each, Mapping) for each in value)
 
 
 def _listener(listener: Listener) -> Iterator[str]:
@@ -37,7 +85,10 @@ def _listener(listener: Listener) -> Iterator[str]:
         if access is not None:
             yield line(name, getattr(access, name))
     if listener.limits is not None:
-        yield from values(listener.limits, without=frozenset({"shared_slots"}))
+        endpoint, limits = parse_endpoint(listener.endpoint), declared(ListenerParameters)
+        place = ("server", endpoint.framing, endpoint.carrier)
+        idle = {name for name, option in limits.items() if not option.has_effect(*place)}
+        yield from values(listener.limits, without=frozenset({"shared_slots", *idle}))
     if listener.tls is not None:
         yield from values(listener.tls, without=frozenset({"server_name", "verify"}))
 
@@ -66,7 +117,12 @@ def values(
 
 def line(name: str, value: object) -> str:
     """Return a key and its value as a TOML line, without a line end; None becomes the text ``"none"``."""
-    return f"{name} = {_written(value)}"
+    return f"{_key(name)} = {_written(value)}"
+
+
+def _key(name: str) -> str:
+    is_bare = name.isascii() and name.replace("-", "_").replace("_", "x").isalnum()
+    return name if is_bare else _written(name)
 
 
 def _written(value: object) -> str:
@@ -79,8 +135,9 @@ def _written(value: object) -> str:
     if isinstance(value, int | float):
         return repr(value)
     if isinstance(value, str):
-        escaped = value.replace("\\", "\\\\").replace('"', '\\"')
-        return f'"{escaped}"'
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007F")
+    if isinstance(value, date | time):
+        return value.isoformat()
     if isinstance(value, Mapping):
         return "{ " + ", ".join(line(str(key), one) for key, one in value.items()) + " }"
     if isinstance(value, Iterable):

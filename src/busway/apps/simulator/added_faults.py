@@ -12,8 +12,9 @@ from ...config.files.fault_sections import FaultSection, parse_fault_words
 from ...config.files.lines import KeyPath
 from ...config.files.schema import Source
 from ...errors import ConfigError
-from ...faults.connections import carriers_of
-from ...faults.fault import Carrier, Schedule
+from ...faults.applied_faults import Schedule
+from ...faults.fault import Carrier
+from ...faults.faulty_connections import carriers_of
 from ...faults.profile import FaultProfile, FaultProfileTable
 from ...faults.profiles import FAULT_PROFILES
 from ...faults.switchboard import FaultStatus, FaultSwitchboard
@@ -60,13 +61,13 @@ def _section_problems(section: FaultSection, fault_profiles: FaultProfileTable) 
             yield ("parameters", name), error.message
 
 
-def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
+def put_on(switchboard: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[str]:
     """Add the faults that a file's ``[[fault]]`` sections declare to a simulation, and return their names.
 
     A fault without a name gets the name of its fault profile, with a number if that name is taken: ``late-2``.
 
     Args:
-        board: the faults of the simulation.
+        switchboard: the faults of the simulation.
         sections: the sections.
 
     Raises:
@@ -80,13 +81,13 @@ def put_on(board: FaultSwitchboard, sections: Iterable[FaultSection]) -> list[st
         while not name or (not one.name and name in (*named, *made)):  # a chosen name is kept
             name = one.fault_profile if number == 1 else f"{one.fault_profile}-{number}"
             number += 1
-        made.append(_put_on(board, one, name))
+        made.append(_put_on(switchboard, one, name))
     return made
 
 
-def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
+def _put_on(switchboard: FaultSwitchboard, section: FaultSection, name: str) -> str:
     schedule = section.schedule
-    return board.add(
+    return switchboard.add(
         section.fault_profile,
         name=name,
         units=section.chosen_units(),
@@ -99,11 +100,11 @@ def _put_on(board: FaultSwitchboard, section: FaultSection, name: str) -> str:
     )
 
 
-def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
+def put_on_by_words(switchboard: FaultSwitchboard, text: str) -> str:
     """Carry out an option ``--fault``: switch on the fault with that name, or add a fault with parameters.
 
     Args:
-        board: the faults of the simulation.
+        switchboard: the faults of the simulation.
         text: the name of a fault, such as ``slow meters``; or a fault profile with parameters, such as ``late`` or
             ``late:delay=2,units=1-3``.
 
@@ -113,11 +114,11 @@ def put_on_by_words(board: FaultSwitchboard, text: str) -> str:
     Raises:
         ConfigError: there is no such fault and no such fault profile, or a parameter is invalid.
     """
-    if any(one.label == text for one in board.faults):
-        board.switch(text, on=True)
+    if any(one.label == text for one in switchboard.faults):
+        switchboard.switch(text, on=True)
         return text
     section = parse_fault_words(text)
-    return _put_on(board, section, section.name)
+    return _put_on(switchboard, section, section.name)
 
 
 MET_ON: Final = {

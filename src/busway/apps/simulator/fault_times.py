@@ -10,19 +10,19 @@ Knows faults and the event loop whose clock times them; prints nothing.
 import asyncio
 from collections.abc import Callable
 
-from ...faults.fault import AppliedFault
+from ...faults.applied_faults import AppliedFault
 from ...faults.switchboard import FaultSwitchboard
 
 
-async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault, bool], object]) -> None:
-    """Call ``tell`` whenever a scheduled fault begins (with True) or ends (with False), until cancelled.
+async def report_fault_times(switchboard: FaultSwitchboard, report: Callable[[AppliedFault, bool], object]) -> None:
+    """Call ``report`` whenever a scheduled fault begins (with True) or ends (with False), until cancelled.
 
     A fault that is active already is reported at once. An active fault that is switched off or removed is not reported
     as ended.
 
     Args:
-        board: the faults; faults that are added or switched later are reported, too.
-        tell: called with the fault, and True or False, in the event loop.
+        switchboard: the faults; faults that are added or switched later are reported, too.
+        report: called with the fault, and True or False, in the event loop.
     """
     loop = asyncio.get_running_loop()
     changed = asyncio.Event()
@@ -30,18 +30,18 @@ async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault
     def look_again() -> None:
         loop.call_soon_threadsafe(changed.set)
 
-    unwatch = board.watch(look_again)
+    unwatch = switchboard.watch(look_again)
     active: set[AppliedFault] = set()
     try:
         while True:
             changed.clear()
             now = loop.time()
-            timed = [one for one in board.faults if one.enabled and one.selection.schedule.is_timed]
+            timed = [one for one in switchboard.faults if one.enabled and one.selection.schedule.is_timed]
             active.intersection_update(timed)
             for one in timed:
                 if one.is_on(now) != (one in active):
                     active.symmetric_difference_update((one,))
-                    tell(one, one in active)
+                    report(one, one in active)
             due = min((when for one in timed if (when := one.next_change(now)) is not None), default=None)
             if due is None:
                 await changed.wait()
@@ -53,4 +53,4 @@ async def tell_fault_times(board: FaultSwitchboard, tell: Callable[[AppliedFault
         unwatch()
 
 
-__all__ = ["tell_fault_times"]
+__all__ = ["report_fault_times"]

@@ -93,21 +93,26 @@ class SimulationDeclaration:
 
 
 def load_declaration(
-    path: str | os.PathLike[str], *, changes: Mapping[str, Any] | None = None, unit: int | None = None
-) -> SimulationDeclaration:  # Any: options of several types
+    path: str | os.PathLike[str],
+    *,
+    changes: Mapping[str, Any] | None = None,  # Any: options of several types
+    unit: int | None = None,
+    preflight: bool = False,
+) -> SimulationDeclaration:
     """Load a simulation file with all its includes.
 
     Args:
         path: path of the file, in TOML. Every device file and every configuration file is a simulation file too.
         changes: options of all listeners, by name, that override those of the file.
         unit: number of the file's only ``[[unit]]`` if the file has none for it.
+        preflight: whether to open the files that it names for its server, too, such as certificates.
 
     Raises:
         ConfigError: a file cannot be read or is invalid; then the error has all ``problems``, each with file, line and
             key.
     """
     name = os.fspath(path)
-    return parse_declaration(read_profile(name), name, changes=changes, unit=unit)
+    return parse_declaration(read_profile(name), name, changes=changes, unit=unit, preflight=preflight)
 
 
 def parse_declaration(
@@ -117,6 +122,7 @@ def parse_declaration(
     changes: Mapping[str, Any] | None = None,
     read: Reader = read_included,
     unit: int | None = None,
+    preflight: bool = False,
 ) -> SimulationDeclaration:
     """Parse the text of a simulation file, with all its includes.
 
@@ -125,7 +131,7 @@ def parse_declaration(
         name: name of the file, for errors; paths in the text are relative to its folder.
         changes: options of all listeners, by name, that override the file's.
         read: returns the text of an included file by its path.
-        unit: as of `load_declaration`.
+        unit, preflight: as of `load_declaration`.
 
     Raises:
         FileError: the file or an included one is invalid; the error has all problems, each with file, line and key.
@@ -140,7 +146,7 @@ def parse_declaration(
     _refuse_repeated(file, units, source)
     whole = file.model_copy(update={"unit": [each.section for each in units]})
     report = ConfigurationReport(source)
-    made = put_together(whole, name, report, changes=changes)
+    made = put_together(whole, name, report, preflight=preflight, changes=changes)
     made = replace(made, warnings=report.end())
     state = None if file.simulation.keep is None else within(name, file.simulation.keep)
     return SimulationDeclaration(made, whole, tuple(units), state)

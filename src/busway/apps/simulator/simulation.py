@@ -40,7 +40,7 @@ from .state import KeptPoint, KeptState, check_state, load_state, save_state
 from .write_watch import watch_writes
 
 if TYPE_CHECKING:
-    from ...faults.fault import Faults
+    from ...faults.applied_faults import Faults
     from ...server.server import Server
 
 _log = logging.getLogger("busway.apps.simulator")
@@ -95,7 +95,7 @@ class Simulation:
         seed: seed of all random numbers.
         units: the units by number.
         points: all points by ``UNIT/NAME``.
-        board: the faults by name, to add, switch and remove them; every server that `serve` creates applies them.
+        switchboard: the faults by name, to add, switch and remove them; every server that `serve` creates applies them.
         speed: seconds of the simulation in one second of the clock.
         is_paused: whether the simulated time stands still.
         warnings: a sentence for each saved value that could not be restored.
@@ -120,8 +120,8 @@ class Simulation:
         built = build_simulation(self.declaration.units, self.seed)
         self.units: Mapping[int, SimulatedUnit] = MappingProxyType(built.units)
         self.points: Mapping[str, SimulatedPoint] = MappingProxyType(built.points)
-        self.board: FaultSwitchboard = FaultSwitchboard(seed=self.seed, clock=clock)
-        put_on(self.board, self.declaration.file.fault)
+        self.switchboard: FaultSwitchboard = FaultSwitchboard(seed=self.seed, clock=clock)
+        put_on(self.switchboard, self.declaration.file.fault)
         self.warnings: list[str] = []
         self._watchers: tuple[PointsObserver, ...] = ()
         self._observers: list[RequestObserver] = []
@@ -182,7 +182,7 @@ class Simulation:
         with point.device.lock:
             point.put(value)
             changes = self._held([point], who)
-        self._tell(changes)
+        self._notify(changes)
 
     def release(self, key: str) -> None:
         """Let a point that was set by hand or by Modbus follow its behaviour again, from its next moment on.
@@ -215,8 +215,8 @@ class Simulation:
 
     @property
     def faults(self) -> "Faults":
-        """The faults that servers apply to requests for the simulated devices; `board` finds them by name."""
-        return self.board.faults
+        """The faults that servers apply to requests for the simulated devices; `switchboard` finds them by name."""
+        return self.switchboard.faults
 
     # ---- time
 
@@ -347,7 +347,7 @@ class Simulation:
         server = self.declaration.configuration.serve(
             listen, **{"units": {number: unit.device for number, unit in self.units.items()}, **options}
         )
-        self.board.attach(server)
+        self.switchboard.attach(server)
         for observer in self._observers:
             server.observe(observer)
         return server
@@ -460,7 +460,7 @@ class Simulation:
     def _followed(self, points: list[SimulatedPoint], time: float) -> None:
         """Report new values that behaviours have given to points to the functions of `watch`. Called by the engine."""
         if self._watchers:
-            self._tell(
+            self._notify(
                 [PointChanged(point, point.section.physical(point.stored), time, SIMULATION) for point in points]
             )
 
@@ -471,7 +471,7 @@ class Simulation:
         """
         for point in points:
             point.look()
-        self._tell(self._held(points, peer))
+        self._notify(self._held(points, peer))
 
     def _held(self, points: Sequence[SimulatedPoint], who: str) -> list[PointChanged]:
         """Hold points at values that were just set, and return the changes for the functions of `watch`.
@@ -499,7 +499,7 @@ class Simulation:
                 self._loop.call_soon_threadsafe(self._arm)
         return changes
 
-    def _tell(self, changes: list[PointChanged]) -> None:
+    def _notify(self, changes: list[PointChanged]) -> None:
         if not changes:
             return
         for watcher in self._watchers:
@@ -547,6 +547,7 @@ class Simulation:
         except InvalidRequest as error:
             self._warn(f"the value that was kept is forgotten: {error}")
             return
+        point.last_writer = kept.writer
         if kept.is_held:
             self._engine.hold(point, self._time)
 
@@ -574,9 +575,9 @@ class Simulation:
         time = self.time
         points = {}
         for key, point in self.points.items():
-            is_free = not self._engine.drives(point)
-            if point.held or (is_free and point.section.is_writable):
-                points[key] = KeptPoint(point.value, point.is_held)
+            was_set = not self._engine.drives(point) and point.last_writer != SIMULATION
+            if point.held or was_set:
+                points[key] = KeptPoint(point.value, point.is_held, writer=point.last_writer)
             elif (state := self._engine.state_of(point, time)) is not None:
                 points[key] = KeptPoint(behaviour=state)
         return KeptState(time, points)

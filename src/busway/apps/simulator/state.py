@@ -34,11 +34,13 @@ class KeptPoint:
         value: the value in the unit of measure; None if only the state of the behaviour is saved.
         is_held: whether the point was set by hand or by a Modbus client, and does not follow its behaviour.
         behaviour: the value from which the behaviour continues; None if it needs none, or the point is held.
+        writer: who set the value: ``api``, or the address of a Modbus client; not of a behaviour's value.
     """
 
     value: Any = None  # what the point's type says
     is_held: bool = False
     behaviour: float | None = None
+    writer: str = "api"
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +68,12 @@ def save_state(path: str, state: KeptState) -> None:
         "version": _VERSION,
         "time": state.time,
         "points": {
-            key: {"value": point.value, "held": point.is_held, "behaviour": point.behaviour}
+            key: {
+                "value": point.value,
+                "held": point.is_held,
+                "behaviour": point.behaviour,
+                "writer": point.writer,
+            }
             for key, point in state.points.items()
         },
     }
@@ -138,5 +145,6 @@ def _state(document: Any) -> KeptState:  # what JSON has
             tuple(value) if isinstance(value, list) else value,
             bool(point["held"]),
             None if behaviour is None else float(behaviour),
+            str(point.get("writer", "api")),
         )
     return KeptState(time, points)

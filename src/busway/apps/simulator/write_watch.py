@@ -27,7 +27,7 @@ def watch_writes(device: Device, points: Sequence[SimulatedPoint], told: Told) -
     for table in Table:
         inside = [point for point in points if point.table is table]
         if inside and table.is_writable:
-            device.on_write(table, _Writes(inside, told).tell, when="after")
+            device.on_write(table, _Writes(inside, told).report, when="after")
 
 
 class _Writes:
@@ -43,7 +43,7 @@ class _Writes:
         self._items = PlacedItems([(point.address, point.address + point.form.size) for point in points])
         self._told = told
 
-    def tell(self, change: Change) -> None:
+    def report(self, change: Change) -> None:
         """Report the points that a Modbus write has touched, if any. Called by the device after each write."""
         touched = self._items.touched(change.address, change.address + change.count)
         if touched:

@@ -3,9 +3,9 @@
 =====================  =================================================================================================
 `hosting`              Serves a web page and its HTTP API on one address, in the running event loop
 `application`          The one application of all pages: shell, modules of the program, files, and the caller's role
-`access`               Access control of a web page: host, origin, caller and size of every request
+`request_guard`        Access control of a web page: host, origin, caller and size of every request
 `connections`          Limits the connections of a page: their number, and the times for requests and messages
-`operations`           The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
+`api_application`      The FastAPI application of a page's API: how errors are answered, and its OpenAPI document
 `messages`             Base classes for requests and responses of all pages, errors, and values as JSON
 `viewers`              The WebSockets of open pages: how a viewer is accepted, served and closed
 `simulation_page`      The web page of a simulation: its module, and the page that shows it
@@ -23,7 +23,7 @@
 `fleet_page`           The fleet on the page of one of its collectors, and over HTTP
 `page`                 HTML, style and scripts: the shell, and the modules `simulation`, `collector` and `fleet`
 `simulation_faults`    Faults of a simulation as its HTTP API shows and changes them
-`page_tokens`          The file with the access tokens of a page: created at the first start, for its owner alone
+`access_tokens`        The file with the access tokens of a page: created at the first start, for its owner alone
 `collector_alarms`     The alarms of a collector and the maintenance of its devices, over HTTP
 =====================  =================================================================================================
 
@@ -31,9 +31,10 @@
 2. There is one shell, one navigation, one rule of access and one set of files; a program adds its modules to them.
 3. A page runs in the event loop of its simulation or collector, so it never reads a state that is half changed.
 
-Where it is decided: who may call, with which role, from which host and origin: `access`. How many connections there may
-be, and how long each may wait: `connections`. Which tokens are valid: `page_tokens`. How an error is answered:
-`operations`. Which changes a viewer of a collector is sent, and when: `live_values`, `collector_stream`; a viewer of a
-simulation: `simulation_stream`. How long a viewer may take for a message, and whether its token is still valid:
-`viewers`. Which files and modules a page has: `application`. What a command from the page needs: `collector_commands`.
+Where it is decided: who may call, with which role, from which host and origin: `request_guard`. How many connections
+there may be, and how long each may wait: `connections`. Which tokens are valid: `access_tokens`. How an error is
+answered: `api_application`. Which changes a viewer of a collector is sent, and when: `live_values`, `collector_stream`;
+a viewer of a simulation: `simulation_stream`. How long a viewer may take for a message, and whether its token is still
+valid: `viewers`. Which files and modules a page has: `application`. What a command from the page needs:
+`collector_commands`.
 """

@@ -24,7 +24,10 @@ from starlette.requests import Request
 from starlette.responses import Response
 from starlette.routing import Route
 
-from .access import (
+from .api_application import failed, new_application, secure_document
+from .connections import Throttle
+from .messages import CallerAnswer
+from .request_guard import (
     AsgiApplication,
     AsgiMessage,
     AsgiReceive,
@@ -36,9 +39,6 @@ from .access import (
     Role,
     require,
 )
-from .connections import Throttle
-from .messages import CallerAnswer
-from .operations import failed, new_application, secure_document
 
 _errors = logging.getLogger("busway.apps.web.errors")
 """Log of requests that failed with an unexpected error. Each message is logged at most once a minute, as a client can

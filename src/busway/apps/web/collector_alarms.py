@@ -1,6 +1,6 @@
 """The alarms of a collector and the maintenance of its devices, over HTTP.
 
-Knows a running collector and the form of responses. `access` decides which caller may do what.
+Knows a running collector and the form of responses. `request_guard` decides which caller may do what.
 """
 
 from typing import Annotated, Final
@@ -13,8 +13,8 @@ from ...errors import ConfigError, InvalidRequest, Overloaded
 from ..collector.alarms.events import AlarmEvent, RaisedAlarm
 from ..collector.collector import Collector
 from ..collector.samples import quality_of, reason_text
-from .access import Caller, Role, require
 from .messages import Answer, Failure, Plain, plain_value
+from .request_guard import Caller, Role, require
 
 _MILLION: Final = 1_000_000
 MOST_EVENTS: Final = 1000

@@ -26,8 +26,8 @@ from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult, CommandValue, OldValue
 from ..collector.commands.rights import WriterRights
 from ..collector.commands.runner import NoSuchCommand, NoSuchPoint
-from .access import Caller, Role, require
 from .messages import Answer, Asked, Failure, Plain, plain_value
+from .request_guard import Caller, Role, require
 
 MOST_LISTED: Final = 1000
 _LONGEST_NAME: Final = 200

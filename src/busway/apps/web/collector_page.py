@@ -29,9 +29,9 @@ from ..collector.preview import CollectorPreview, preview
 from ..collector.report_rules import store_rules
 from ..collector.samples import NANOSECONDS, Quality, SampleValue, quality_of, reason_text
 from ..collector.store.query_results import BucketTable
-from ..collector.store.reading import Store
+from ..collector.store.store_reader import Store
 from ..collector.store.writer import Commit
-from .access import ROLES, PageAccessRules, Role
+from .access_tokens import TOKEN_FILE, KeptTokens
 from .application import PageModule
 from .collector_alarms import AlarmApi
 from .collector_commands import CommandsApi
@@ -56,7 +56,7 @@ from .collector_messages import (
 from .collector_stream import CollectorStream
 from .hosting import HostedPage
 from .messages import Failure, plain_value
-from .page_tokens import TOKEN_FILE, KeptTokens
+from .request_guard import ROLES, PageAccessRules, Role
 
 if TYPE_CHECKING:
     from .fleet_page import FleetApi

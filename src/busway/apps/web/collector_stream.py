@@ -32,9 +32,9 @@ from ..collector.admission import MOST_LOAD
 from ..collector.collector import Collector
 from ..collector.commands.command import CommandResult
 from ..collector.store.writer import Commit
-from .access import Caller, caller_of
 from .live_values import LiveValues
 from .messages import Asked, plain_value
+from .request_guard import Caller, caller_of
 from .viewers import Gone, accept, check, converse, send
 
 TICK: Final = 0.5
@@ -110,7 +110,7 @@ class CollectorStream:
         self.values: LiveValues = self._made()
         collector.subscribe(self._committed)
         self._begin()
-        collector.commands.subscribe(self._tell_command)
+        collector.commands.subscribe(self._queue_command)
 
     def __len__(self) -> int:
         return len(self._viewers)
@@ -145,7 +145,7 @@ class CollectorStream:
                 self.values.set_limits(self._collector.values.limits)
         return self.values
 
-    def tell(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
+    def queue_event(self, kind: str, content: Mapping[str, Any]) -> None:  # Any: JSON
         """Queue an event for all open pages. Call it in the event loop's thread.
 
         Args:
@@ -158,9 +158,9 @@ class CollectorStream:
                 viewer.events.append(text)
                 viewer.wake.set()
 
-    def _tell_command(self, result: CommandResult) -> None:
+    def _queue_command(self, result: CommandResult) -> None:
         command = result.command
-        self.tell(
+        self.queue_event(
             "command",
             {
                 "key": command.key,
@@ -173,7 +173,7 @@ class CollectorStream:
             },
         )
 
-    def _tell_alarms(self) -> None:
+    def _queue_alarms(self) -> None:
         """Queue the numbers of active and unacknowledged alarms for each open page that was sent other numbers last."""
         counts = self._collector.alarms.counts()
         content = {"alarms": {"active": counts[0], "unacknowledged": counts[1]}}
@@ -241,7 +241,7 @@ class CollectorStream:
                     viewer.seen = tick
                     viewer.is_sending = True
                     viewer.wake.set()
-            self._tell_alarms()
+            self._queue_alarms()
             self._lease()
             for viewer in self._viewers:
                 viewer.wake.set()  # rule 4 holds where nothing changes, too

@@ -12,7 +12,7 @@ have sent nothing, nor the time in which a head must arrive; this module does.
 5. The limits for the WebSockets of all pages are constants of this module; `simulation_stream` and `collector_stream`
    apply them.
 6. A connection in its TLS handshake counts as one that has not sent its request, and the handshake must end within
-   `HEAD_SECONDS`. The subject of a verified client certificate is stored with the connection, for `access`.
+   `HEAD_SECONDS`. The subject of a verified client certificate is stored with the connection, for `request_guard`.
 """
 
 import asyncio
@@ -28,7 +28,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from ...log_limiter import LogLimiter, suppressed_note
 from ...transport.descriptors import is_reserved
-from .access import CERTIFICATE_SUBJECT
+from .request_guard import CERTIFICATE_SUBJECT
 
 HEAD_SECONDS: Final = 5.0
 MOST: Final = 100
@@ -127,7 +127,7 @@ class PageConnection(H11Protocol):
     """An HTTP connection of the page, until it becomes a WebSocket; adds limits to the protocol of uvicorn.
 
     The connection is closed if there are too many, or if the head of a request takes longer than `HEAD_SECONDS`. With
-    TLS the subject of the client's certificate is put into ``app_state``, where `access` finds it.
+    TLS the subject of the client's certificate is put into ``app_state``, where `request_guard` finds it.
 
     Args:
         shared: state shared with the other connections of the page.

@@ -24,13 +24,14 @@ from ...observe.http import bind_tcp, bound_name
 from ...options.text import host_and_port
 from ...options.tls import TlsParameters
 from ...transport.tcp import network_kind
-from ...transport.tls.context import WatchedContext, web_context
+from ...transport.tls.context import web_context
+from ...transport.tls.renewal import WatchedContext
 from ...transport.tls.roles import require_cryptography
 from ..control.addresses import is_loopback
-from .access import AccessToken, AsgiApplication, PageAccessRules, Role
+from .access_tokens import SHORTEST_TOKEN, is_token, new_token
 from .application import PageModule, guarded, page_resources
 from .connections import SharedConnections
-from .page_tokens import SHORTEST_TOKEN, is_token, new_token
+from .request_guard import AccessToken, AsgiApplication, PageAccessRules, Role
 
 KEY: Final = "api"
 _WISH_LIMIT: Final = 256 * 1024

@@ -19,8 +19,8 @@ from ...errors import ModbusError
 from ...values.unfit_values import shown
 from ...version import __version__
 from ..control.json_status import plain
-from .access import Role, require
 from .messages import Failure, plain_value
+from .request_guard import Role, require
 from .simulation_faults import add_fault_to, all_fault_profiles, all_faults, fault_named
 from .simulation_messages import (
     Connections,
@@ -46,7 +46,7 @@ from .simulation_messages import (
     Written,
     given_value,
 )
-from .simulation_subject import Board, PageSubject, ServedUnits, ShownPoint
+from .simulation_subject import PageFaults, PageSubject, ServedUnits, ShownPoint
 from .simulation_traffic import Traffic as TrafficTail
 
 WHO: Final = "api"
@@ -284,34 +284,34 @@ class Api:
     # Faults.
 
     @property
-    def board(self) -> Board:
+    def switchboard(self) -> PageFaults:
         """The faults of the simulation, which can be added, switched and removed."""
-        return self.subject.board
+        return self.subject.switchboard
 
     def faults(self) -> list[FaultAnswer]:
         """Return all faults that were added to the simulation, in the order in which they are applied."""
-        return all_faults(self.board)
+        return all_faults(self.switchboard)
 
     async def list_faults(self) -> FaultsMessage:
         """Return the faults that were added to the simulation, and the fault profiles of which faults can be added."""
-        return FaultsMessage(faults=self.faults(), fault_profiles=all_fault_profiles(self.board))
+        return FaultsMessage(faults=self.faults(), fault_profiles=all_fault_profiles(self.switchboard))
 
     async def add_fault(self, new: NewFault) -> FaultAnswer:
         """Add a fault to the simulated devices, and return it."""
-        return add_fault_to(self.board, new)
+        return add_fault_to(self.switchboard, new)
 
     async def switch_fault(self, name: str, switch: Switch) -> FaultAnswer:
         """Switch a fault of the simulated devices on or off, and return it."""
-        self.board.switch(self._fault(name), on=switch.on)
-        return fault_named(self.board, name)
+        self.switchboard.switch(self._fault(name), on=switch.on)
+        return fault_named(self.switchboard, name)
 
     async def remove_fault(self, name: str) -> Nothing:
         """Remove a fault of the simulated devices."""
-        self.board.remove(self._fault(name))
+        self.switchboard.remove(self._fault(name))
         return Nothing()
 
     def _fault(self, name: str) -> str:
-        if not any(one.name == name for one in self.board.list()):
+        if not any(one.name == name for one in self.switchboard.list()):
             raise HTTPException(HTTPStatus.NOT_FOUND, f"there is no fault {shown(name)}")
         return name
 

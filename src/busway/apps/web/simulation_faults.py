@@ -1,37 +1,37 @@
 """Faults of a simulation as its HTTP API shows and changes them.
 
-Knows the faults of a simulation (`Board`) and the fault profiles that they are made of; knows no HTTP.
+Knows the faults of a simulation (`PageFaults`) and the fault profiles that they are made of; knows no HTTP.
 """
 
 from dataclasses import fields
 from typing import Any
 
 from ...errors import ConfigError
-from ...faults.fault import Schedule, Selection
+from ...faults.applied_faults import Schedule, Selection
 from ...faults.profile import FaultProfile
 from .messages import plain_value
 from .simulation_messages import FaultAnswer, FaultyAnswer, NewFault, ParameterAnswer, plain_values
-from .simulation_subject import Board
+from .simulation_subject import PageFaults
 
 
-def all_faults(board: Board) -> list[FaultAnswer]:
+def all_faults(switchboard: PageFaults) -> list[FaultAnswer]:
     """Return all faults that were added to a simulation, in the order in which they are applied."""
-    return [_fault(one) for one in board.list()]
+    return [_fault(one) for one in switchboard.list()]
 
 
-def all_fault_profiles(board: Board) -> list[FaultyAnswer]:
+def all_fault_profiles(switchboard: PageFaults) -> list[FaultyAnswer]:
     """Return all fault profiles from which faults can be created for a simulation."""
-    return [_fault_profile(one) for one in board.fault_profiles.values()]
+    return [_fault_profile(one) for one in switchboard.fault_profiles.values()]
 
 
-def fault_named(board: Board, name: str) -> FaultAnswer:
+def fault_named(switchboard: PageFaults, name: str) -> FaultAnswer:
     """Return the fault with this name. Raises `ConfigError` for an unknown name."""
-    return _fault(board.status(name))
+    return _fault(switchboard.status(name))
 
 
-def add_fault_to(board: Board, wanted: NewFault) -> FaultAnswer:
+def add_fault_to(switchboard: PageFaults, wanted: NewFault) -> FaultAnswer:
     """Add a fault to a simulation, and return it. Raises `ConfigError` for an invalid name, parameter or address."""
-    name = board.add(
+    name = switchboard.add(
         wanted.fault_profile,
         name=wanted.name,
         units=None if wanted.units is None else frozenset(wanted.units),
@@ -42,7 +42,7 @@ def add_fault_to(board: Board, wanted: NewFault) -> FaultAnswer:
         on=wanted.on,
         parameters=wanted.parameters,
     )
-    return fault_named(board, name)
+    return fault_named(switchboard, name)
 
 
 # Inside.

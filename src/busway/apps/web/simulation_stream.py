@@ -224,7 +224,7 @@ class Streams:
             self._unwatch = [
                 self._api.subject.watch(self._changed),
                 self._api.traffic.watch(self._passed),
-                self._api.board.watch(self._switched),
+                self._api.switchboard.watch(self._switched),
             ]
 
     def _leave(self, viewer: SimulationViewer) -> None:
@@ -237,15 +237,15 @@ class Streams:
     def _changed(self, changes: Sequence[Any]) -> None:
         places = self._api.places
         indices = [places[change.key] for change in changes]
-        self._tell(lambda viewer: viewer.changed(indices))
+        self._for_each_viewer(lambda viewer: viewer.changed(indices))
 
     def _passed(self) -> None:
-        self._tell(SimulationViewer.passed)
+        self._for_each_viewer(SimulationViewer.passed)
 
     def _switched(self) -> None:
-        self._tell(SimulationViewer.switched)
+        self._for_each_viewer(SimulationViewer.switched)
 
-    def _tell(self, say: Callable[[SimulationViewer], None]) -> None:
+    def _for_each_viewer(self, say: Callable[[SimulationViewer], None]) -> None:
         """Call a function with each open page's `SimulationViewer`, in the event loop's thread.
 
         From another thread, the call is only scheduled.

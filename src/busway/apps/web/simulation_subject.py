@@ -7,7 +7,7 @@ from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any, Protocol
 
 from ...codes import Table
-from ...faults.fault import Schedule
+from ...faults.applied_faults import Schedule
 from ...faults.profile import FaultProfileTable
 from ...server.status import ServerStatus
 
@@ -93,7 +93,7 @@ class ServedUnits(Protocol):
 PageObserver = Callable[[Sequence[Any]], None]  # Any: `PointChange`
 
 
-class Board(Protocol):
+class PageFaults(Protocol):
     """Interface of the faults of a simulation by name; `FaultSwitchboard` documents each method."""
 
     @property
@@ -140,7 +140,7 @@ class PageSubject(Protocol):
         """The Modbus server of the simulation."""
 
     @property
-    def board(self) -> Board:
+    def switchboard(self) -> PageFaults:
         """The faults of the simulation."""
 
     def set(self, key: str, value: Any, who: str) -> Any:  # Any: what the point's type says

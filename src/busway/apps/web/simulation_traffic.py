@@ -187,18 +187,18 @@ class Traffic:
 
     # The interface of a recorder of the trace.
 
-    def connection(self, ends: SocketAddresses) -> "ConnectionRecorder":
+    def connection(self, addresses: SocketAddresses) -> "ConnectionRecorder":
         """Return the recorder for the bytes of a new Modbus connection. Called by `busway.observe.trace`.
 
         The bytes of a connection whose local port is none of the server's, or that is opened after `stop`, go to the
         capture file alone, or nowhere if there is none.
         """
-        onward = None if self._before is None else self._before.connection(ends)
-        local = ends.local
+        onward = None if self._before is None else self._before.connection(addresses)
+        local = addresses.local
         port = local[1] if isinstance(local, tuple) and len(local) > 1 else None
         if not self._is_on or port not in self._ports():
             return onward if onward is not None else _NOTHING
-        return _Connection(self, peer_name(ends.peer), onward)
+        return _Connection(self, peer_name(addresses.peer), onward)
 
     def line(self, name: str, *, is_server: bool = True) -> "LineRecorder":
         """Return the recorder for the frames of a serial line, or of a connection with serial framing.

@@ -14,8 +14,8 @@ from typing import Any, Final
 
 from starlette.websockets import WebSocket, WebSocketDisconnect, WebSocketState
 
-from .access import BEARER_PROTOCOL, POLICY_VIOLATION, caller_of, current_caller
 from .connections import MOST_VIEWERS, PROTOCOL, SEND_SECONDS
+from .request_guard import BEARER_PROTOCOL, POLICY_VIOLATION, caller_of, current_caller
 
 TRY_AGAIN_LATER: Final = 1013
 UNSUPPORTED: Final = 1003

@@ -108,10 +108,15 @@ class RouteSection(OptionSection):
         """Return the function codes that the route applies to; empty for all.
 
         Raises:
-            ConfigError: a code or name is wrong, or names a sub-function.
+            ConfigError: a code or name is wrong, or names a sub-function; or the list is empty.
         """
         functions = self.parameters.functions
-        return frozenset() if functions is None else parse_whole_functions(functions.written, "a route")
+        if functions is None:
+            return frozenset()
+        found = parse_whole_functions(functions.written, "a route")
+        if not found:
+            raise ConfigError("is empty, so the route would take no request; leave it out for all functions")
+        return found
 
     def asked_table(self) -> Table | None:
         """Return the table of the key ``table``, in which plain numbers in ``addresses`` lie; None without the key.
@@ -192,6 +197,11 @@ class GatewayFile(SystemFile):
                 yield ("server", name), "has no effect: a gateway has no units of its own"
         if "shared_slots" in self.server.model_fields_set:
             yield ("server", "shared_slots"), "has no effect: each listener of a gateway has slots of its own"
+        sections: list[tuple[KeyPath, OptionSection]] = [(("server",), self.server)]
+        sections += [(("listener", index), listener) for index, listener in enumerate(self.listener)]
+        for at, section in sections:
+            if "answer_half_closed" in section.model_fields_set:
+                yield (*at, "answer_half_closed"), "has no effect: a client that ends its half has left the gateway"
         if not self.route and len(self.link) > 1:
             yield ("route",), f"is missing: there are {len(self.link)} links"
         for index, link in enumerate(self.link):

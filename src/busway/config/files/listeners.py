@@ -46,7 +46,9 @@ class ListenerSection(OptionSection):
 
     @model_validator(mode="after")
     def _check_scheme(self) -> "ListenerSection":
-        carrier = parse_endpoint(self.url).carrier
+        endpoint = parse_endpoint(self.url)
+        carrier = endpoint.carrier
+        limits = declared(ListenerParameters)
         faults: list[tuple[KeyPath, str]] = []
         for name in type(self).model_fields:
             if name in self.model_fields_set and name not in self.on_lines:
@@ -54,6 +56,8 @@ class ListenerSection(OptionSection):
                     faults.append(((name,), "has no effect on a serial line"))
                 elif carrier != "tls" and name in declared(TlsParameters):
                     faults.append(((name,), "is for tls:// listeners"))
+                elif name in limits and not limits[name].has_effect("server", endpoint.framing, carrier):
+                    faults.append(((name,), f"has no effect on a {endpoint.scheme}:// listener"))
         if faults:
             raise FileProblems(faults)
         return self

@@ -19,6 +19,7 @@ from ...options.declaration import NONE, REQUIRED, Option, declared
 from ...options.offer import Offer
 from ...options.text import build_parameters
 from ...values.unfit_values import shown
+from .lines import KeyPath
 from .schema import FileProblems, Section
 
 SectionKind = TypeVar("SectionKind", bound="OptionSection")
@@ -64,9 +65,19 @@ class OptionSection(Section):
 
     @model_validator(mode="after")
     def _check_options(self) -> "OptionSection":
-        for kind in self.kinds:
-            if kind not in self.checked_later:
-                build(kind, self.options_of(kind))
+        now = [kind for kind in self.kinds if kind not in self.checked_later]
+        faults: list[tuple[KeyPath, str]] = []
+        for kind in now:
+            known = declared(kind)
+            for name, value in self.options_of(kind).items():
+                try:
+                    known[name].check_number(value)
+                except ConfigError as error:
+                    faults.append(((name,), error.message))
+        if faults:
+            raise FileProblems(faults)
+        for kind in now:
+            build(kind, self.options_of(kind))
         return self
 
 

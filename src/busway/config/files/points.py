@@ -27,7 +27,7 @@ from ...codes import TABLE_SIZE, Table
 from ...errors import ConfigError, InvalidRequest
 from ...options.declaration import Name, Range
 from ...points import AlarmRule, Conversion, Linear, Point, ReportRule, WriteRule
-from ...points.conversion import converter
+from ...points.conversion import converter, size_in_bits
 from ...points.expression import Expression, parse_expression
 from ...points.point_rules import ranged
 from ...values import Address, ValueType, format_address, parse_address, value_type
@@ -699,9 +699,12 @@ class PointSection(WholeSection):
         if self.rollover and not self.is_whole:
             yield ("rollover",), f"{shown(self.name)} holds no whole number and does not roll over"
         if self.is_number:
+            form = self.form
             for index, each in enumerate(self.invalid):
                 if self.is_whole and (isinstance(each, bool) or each != int(each if math.isfinite(each) else 0)):
                     yield ("invalid", index), f"must be a whole number, as the registers hold it, not {shown(each)}"
+                elif form is not None and self.is_whole and not _can_be_read(form, int(each)):
+                    yield ("invalid", index), f"{shown(each)} is never read: it does not fit {form.name}"
         elif self.invalid:
             yield ("invalid",), f"{shown(self.name)} holds no number and has no invalid ones"
 
@@ -781,6 +784,18 @@ class PointSection(WholeSection):
             low, high = self._bits[1:]
             keys["address"] = format_address(shifted) + (f".{low}-{high}" if low >= 0 else "")
         return type(self).model_validate(keys)
+
+
+def _can_be_read(form: ValueType[Any], number: int) -> bool:
+    """Whether registers of a type for whole numbers can hold a number, or its pattern of bits."""
+    bits, signed = size_in_bits(form)
+    if signed and 0 <= number < 1 << bits:
+        return True
+    try:
+        form.merge(number, bytes(2 * form.registers))
+    except InvalidRequest:
+        return False
+    return True
 
 
 def resolved(name: str, known: Sequence[str]) -> str:

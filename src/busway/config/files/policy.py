@@ -194,7 +194,7 @@ class PolicySection(Section):
 
     def addresses(self) -> AddressList:
         """Return the lists of allowed and refused hosts. Raises `ConfigError` with the ``key`` that is wrong."""
-        return AddressList(self.allow, self.deny, self.secure)
+        return AddressList(self.allow if "allow" in self.model_fields_set else None, self.deny, self.secure)
 
     def access_rules(self) -> AccessRules:
         """Return the policy and the address lists of the section together."""

@@ -26,6 +26,7 @@ from pydantic_core import PydanticUndefined
 
 from ...errors import ConfigError
 from ...options.declaration import REQUIRED, Name, OneOf, Option, Range, option_of
+from ...values.counts import counted
 from ...values.unfit_values import shown
 from .file_error import FileError
 from .lines import KeyPath, key_lines, line_of
@@ -297,8 +298,59 @@ def read_section(schema: type[File], data: object) -> File:
 
 
 def faults_in(error: ValidationError, schema: type[Section]) -> list[tuple[KeyPath, str]]:
-    """Return the problems in an error of pydantic: path in the section, and sentence, of each."""
-    return [fault for each in error.errors() for fault in faults_of(each, schema)]
+    """Return the problems in an error of pydantic: path in the section, and sentence, of each.
+
+    A value that is none of several types is one problem; pydantic reports it once for each type.
+    """
+    found: list[tuple[KeyPath, str]] = []
+    choices: dict[KeyPath, list[Any]] = {}
+    for each in error.errors():
+        path: KeyPath = tuple(each["loc"])
+        if len(path) > 1 and _takes_several_types(schema, path[:-1]):
+            choices.setdefault(path[:-1], []).append(each)
+        else:
+            found += faults_of(each, schema)
+    for at, errors in choices.items():
+        got = f", not {shown(errors[0]['input'])}"
+        parts = [_sentence(each, schema, at).removesuffix(got) for each in errors]
+        if "must be a number" in parts:  # which a whole number is too
+            parts = [part for part in parts if part != "must be a whole number"]
+        rest = [part.removeprefix("must be ") for part in parts[1:]]
+        found.append((at, ", or ".join([parts[0], *rest]) + got))
+    return found
+
+
+def _takes_several_types(schema: type[Section], path: KeyPath) -> bool:
+    """Whether the value at a path of a section may be of several types that pydantic tries one after the other.
+
+    The last part of the path of its errors is then the name of a type, which is no key of the file.
+    """
+    hint: Any = schema  # a type as annotations have it
+    for key in path:
+        hint = _inner(hint, key)
+    kinds = _kinds(hint)
+    return len(kinds) > 1 and not any(isinstance(each, type) and issubclass(each, Section) for each in kinds)
+
+
+def _inner(hint: Any, key: str | int) -> Any:  # types as annotations have them
+    """Return the type of what a value of a type has at a key or index; None if that is not declared."""
+    for kind in _kinds(hint):
+        if isinstance(kind, type) and issubclass(kind, Section):
+            field = next((one for name, one in kind.model_fields.items() if (one.alias or name) == key), None)
+            return None if field is None else field.annotation
+        arguments = get_args(kind)
+        if arguments:
+            return arguments[-1]  # of a list its elements, of a table its values
+    return None
+
+
+def _kinds(hint: Any) -> list[Any]:  # types as annotations have them
+    """Return the types that an annotation names, without None and without their marks."""
+    if get_origin(hint) is Annotated:
+        return _kinds(get_args(hint)[0])
+    if get_origin(hint) in (Union, UnionType):
+        return [kind for each in get_args(hint) if each is not NoneType for kind in _kinds(each)]
+    return [hint]
 
 
 def faults_of(error: Any, schema: type[Section]) -> Iterator[tuple[KeyPath, str]]:
@@ -343,6 +395,7 @@ _WORDS = {
     "float_type": "must be a number",
     "string_type": "must be a text",
     "bool_type": "must be true or false",
+    "finite_number": "must be a finite number",
     "list_type": "must be a list",
     "tuple_type": "must be a list",
     "is_instance_of": "must be a list",  # the only class asked for is Sequence
@@ -365,7 +418,10 @@ def _sentence(error: Any, schema: type[Section], path: KeyPath) -> str:
     if kind in ("greater_than_equal", "less_than_equal", "greater_than", "less_than"):
         words = {"greater_than_equal": "ge", "less_than_equal": "le", "greater_than": "gt", "less_than": "lt"}[kind]
         signs = {"ge": "at least", "le": "at most", "gt": "above", "lt": "below"}
-        return f"must be {signs[words]} {details[words]}{got}"
+        return f"must be {signs[words]} {details[words]:g}{got}"
+    if kind in ("too_short", "too_long"):
+        bound, number = ("at least", "min_length") if kind == "too_short" else ("at most", "max_length")
+        return f"must have {bound} {counted(details[number], 'element')}{got}"
     if kind == "missing":
         return _WORDS[kind]
     if kind in _WORDS:

@@ -210,7 +210,7 @@ def server_families(status: Any) -> Iterator[Family]:
 def class_families(counters: Any) -> Iterator[Family]:
     """Yield the metric families of counters kept separately for priority hosts and for other hosts.
 
-    ``counters``: a `busway.server.counters.ServerCounters`; the label is the name of its field, ``priority`` or
+    ``counters``: a `busway.server.server_counters.ServerCounters`; the label is the name of its field, ``priority`` or
     ``other``.
     """
     families: dict[str, Family] = {}

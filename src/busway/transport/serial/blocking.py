@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Self
 from ...errors import LinkDown
 from ...extras import require
 from ...options.ports import SerialSettings
-from .counters import LineCounters
 from .device import OpenDevice, descriptor_of, opening_arguments
+from .driver_counters import DriverCounters
 from .errors import opening_failed, port_lost
 from .ioctl import Ioctl, system_ioctl
 from .ports import is_pseudo_terminal, resolve_port
@@ -219,7 +219,7 @@ class BlockingSerialPort:
         except OSError as error:
             raise port_lost(error, port=self.path, sent=True) from error
 
-    def counters(self) -> LineCounters | None:
+    def counters(self) -> DriverCounters | None:
         """Return the error counters of the port's driver; None if it keeps none.
 
         Raises `LinkDown` if the port vanished or is closed.

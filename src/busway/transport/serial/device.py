@@ -9,7 +9,7 @@ import os
 from typing import TYPE_CHECKING, Any
 
 from ...options.ports import Parity, Rs485, SerialSettings
-from .counters import LineCounters, read_counters
+from .driver_counters import DriverCounters, read_counters
 from .emission import CharacterClock, characters_held
 from .ioctl import Ioctl, system_ioctl
 from .lock import admit_others, refuse_others
@@ -97,7 +97,7 @@ class OpenDevice:
         """
         return 0 if self._descriptor is None else characters_held(self._descriptor, self._ioctl)
 
-    def counters(self) -> LineCounters | None:
+    def counters(self) -> DriverCounters | None:
         """Return the error counters of the driver; None if it keeps none. Raises `OSError` if the port is gone."""
         return None if self._descriptor is None else read_counters(self._descriptor, self._ioctl)
 

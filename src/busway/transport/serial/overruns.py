@@ -7,7 +7,7 @@ and it is not asked again.
 from collections.abc import Callable
 
 from ...errors import LinkDown
-from .counters import LineCounters
+from .driver_counters import DriverCounters
 
 
 class Overruns:
@@ -15,7 +15,7 @@ class Overruns:
 
     __slots__ = ("_counters", "_lost")
 
-    def __init__(self, counters: Callable[[], LineCounters | None]) -> None:
+    def __init__(self, counters: Callable[[], DriverCounters | None]) -> None:
         """Start to count lost characters; earlier losses are ignored.
 
         ``counters`` returns the driver's counters, or None if it has none; may raise `LinkDown`.

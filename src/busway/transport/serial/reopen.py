@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 from ...errors import ConfigError, LinkDown
+from ...options.ports import OpeningParameters
 
 Port = TypeVar("Port")
 
@@ -37,6 +38,11 @@ class ReopenPolicy:
             raise ConfigError(f"must be {self.first:g}…3600 seconds, not {self.most:g}", key="most")
         if self.attempts is not None and self.attempts < 1:
             raise ConfigError(f"must be at least 1, not {self.attempts}", key="attempts")
+
+    @classmethod
+    def of(cls, parameters: OpeningParameters) -> "ReopenPolicy":
+        """Return the pauses that the options of a port set; the number of attempts has no limit."""
+        return cls(first=parameters.reopen_first, most=parameters.reopen_most)
 
     def pause(self, failures: int) -> float | None:
         """Return the seconds to wait after ``failures`` failures in a row (1 or more); None to give up."""

@@ -4,12 +4,14 @@
 `context`       Builds `ssl` contexts from TLS options: reads the files, and names a file that is wrong
 `failures`      Reasons why a TLS connection failed or ended: as text for an operator, and as a kind for counters
 `layer`         TLS for asyncio connections: a layer between the transport of a connection and the protocol that uses it
+`renewal`       Keeps an `ssl` context up to date: certificate files that have changed are read again
 `roles`         The role of a client, read from its certificate: one UTF-8 string in an extension
 `socket`        TLS for blocking clients: a connection with the methods of a non-blocking socket
 `stream`        TLS of one connection without IO: encrypted bytes in and out
 `certificates`  Certificates: reading what one says (`facts`), and issuing those of a test installation (`authority`)
 ==============  ========================================================================================================
 
-Where it is decided: which versions, ciphers and authorities are accepted: `context`. Why a handshake failed:
-`failures`. Which role a client has: `roles`. When a TLS connection has ended: `stream`.
+Where it is decided: which versions, ciphers and authorities are accepted: `context`. When changed certificates hold:
+`renewal`. Why a handshake failed: `failures`. Which role a client has: `roles`. When a TLS connection has ended:
+`stream`.
 """

@@ -1,21 +1,16 @@
 """Builds ``ssl`` contexts from TLS options: reads the files, and names a file that is wrong.
 
-Knows files and OpenSSL; knows no connection.
+Knows files and OpenSSL; knows no connection, and not when files change (`renewal`).
 
 1. TLS 1.2 and 1.3 only. The parameters name the suites of TLS 1.2 and the curve that may be used. No compression, no
    renegotiation. Security level 2 (keys of at least 2048 bits RSA or 224 bits EC, nothing signed with MD5 or SHA-1); 0
    if a suite without encryption was chosen.
 2. A listener asks every client for a certificate. Sessions that can be resumed, with the client's certificate, are kept
    in the server's memory and not in tickets, because only there they can be deleted after a fatal alert.
-3. `WatchedContext` gives the context to each new connection. Files that have changed are read again; if they are wrong,
-   the context stays as it was.
 """
 
 import logging
-import os
 import ssl
-import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Final
 
@@ -33,8 +28,6 @@ _SUFFIXES: Final = (".pem", ".crt", ".cer", ".ca")
 """In a directory of authorities, files with these endings of their names are read."""
 _NO_CHECK_TIME: Final = 0x20_0000
 """X509_V_FLAG_NO_CHECK_TIME of OpenSSL, which ``ssl`` has no name for."""
-_LOOK_SECONDS: Final = 1.0
-"""Seconds between two checks of the files of a context, however many connections are opened."""
 
 
 def server_context(parameters: TlsParameters) -> ssl.SSLContext:
@@ -167,7 +160,7 @@ class _Password:
 
 
 def _load_authority(context: ssl.SSLContext, name: str) -> None:
-    for file in _authority_files(name):
+    for file in authority_files(name):
         text = _text(file, "authority")
         if _BEGIN_CERTIFICATE not in text:
             raise ConfigError("there is no certificate in it (a PEM file is needed)", file=file, key="authority")
@@ -194,7 +187,12 @@ def _load_revocations(context: ssl.SSLContext, name: str) -> None:
     context.verify_flags |= ssl.VERIFY_CRL_CHECK_CHAIN
 
 
-def _authority_files(name: str) -> list[str]:
+def authority_files(name: str) -> list[str]:
+    """Return the files of the option ``authority``: the file itself, or those of a directory that are certificates.
+
+    Raises:
+        ConfigError: the directory cannot be read, or has no such file.
+    """
     path = Path(name)
     if not path.is_dir():
         return [name]
@@ -219,88 +217,3 @@ def _text(name: str, key: str) -> str:
 def _system_words(error: OSError | ValueError) -> str:
     words = getattr(error, "strerror", None) or str(error)
     return f"{words[:1].lower()}{words[1:]}"
-
-
-class WatchedContext:
-    """The ``ssl`` context of a listener or connector; created again when its certificate files change.
-
-    Args:
-        parameters: TLS options, which name the files.
-        make: creates a context: `server_context` or `client_context`.
-        name: the name of the listener or link, for the log.
-        clock: returns monotonic seconds.
-
-    Raises:
-        ConfigError: the files cannot be used now.
-    """
-
-    def __init__(
-        self,
-        parameters: TlsParameters,
-        make: Callable[[TlsParameters], ssl.SSLContext],
-        *,
-        name: str,
-        clock: Callable[[], float] = time.monotonic,
-    ) -> None:
-        self.parameters = parameters
-        self.name = name
-        self.generation: int = 0
-        """How often the files were read again with success."""
-        self._make = make
-        self._clock = clock
-        self._looked = clock()
-        self._state = self._files()
-        self._context = make(parameters)
-
-    def current(self) -> ssl.SSLContext:
-        """Return the ``ssl`` context for a new connection; never raises.
-
-        At most once a second it checks whether the files have changed, and reads them again. If they cannot be used,
-        that is logged once, and the earlier context is returned until the files have changed again.
-        """
-        now = self._clock()
-        if now - self._looked >= _LOOK_SECONDS:
-            self._looked = now
-            state = self._files()
-            if state != self._state:
-                try:
-                    self._renew(state)
-                except ConfigError as error:
-                    self._state = state  # said once; the next change is looked at again
-                    _log.error("%s: the certificates stay as they were: %s", self.name, error)
-        return self._context
-
-    def reload(self) -> None:
-        """Read the certificate files again now.
-
-        Raises:
-            ConfigError: a file cannot be used; the context stays as it was.
-        """
-        self._looked = self._clock()
-        self._renew(self._files())
-
-    def _renew(self, state: tuple[tuple[str, int, int], ...]) -> None:
-        self._context = self._make(self.parameters)
-        self._state = state
-        self.generation += 1
-        _log.info("%s: certificates read anew", self.name)
-
-    def _files(self) -> tuple[tuple[str, int, int], ...]:
-        """Return path, modification time and size of each certificate file (0 for a missing one), to notice changes."""
-        chosen = self.parameters
-        own = (chosen.certificate, chosen.key, chosen.password_file, chosen.revocation_list)
-        names = [one for one in own if one is not None]
-        if chosen.authority is not None:
-            try:
-                names += [chosen.authority, *_authority_files(chosen.authority)]
-            except ConfigError:
-                names.append(chosen.authority)
-        found = []
-        for name in names:
-            try:
-                facts = os.stat(name)
-            except (OSError, ValueError):
-                found.append((name, 0, 0))
-            else:
-                found.append((name, facts.st_mtime_ns, facts.st_size))
-        return tuple(found)

@@ -118,7 +118,7 @@ class TlsLayer(asyncio.BufferedProtocol):
         Returns whether the connection stays open for now, because replies are still unsent.
         """
         if self.state is TlsState.UP:
-            return self._tell_end()
+            return self._report_end()
         return False
 
     def connection_lost(self, exc: Exception | None) -> None:
@@ -212,7 +212,7 @@ class TlsLayer(asyncio.BufferedProtocol):
                 if size:
                     self._above.buffer_updated(size)
                 if self._stream.ended:
-                    self._tell_end()
+                    self._report_end()
                     break
                 if not size or not self._stream.may_hold_more:
                     break
@@ -224,7 +224,7 @@ class TlsLayer(asyncio.BufferedProtocol):
             self._collecting = False
         self._flush()
 
-    def _tell_end(self) -> bool:
+    def _report_end(self) -> bool:
         """Call ``eof_received`` of the upper protocol; close the connection unless replies are still unsent.
 
         Returns whether the connection stays open for now.

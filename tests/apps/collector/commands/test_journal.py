@@ -15,7 +15,7 @@ from busway.apps.collector.commands.journal import CUT_OFF, CommandJournal
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import COMMANDS
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.errors import ConfigError, Overloaded
 
 

@@ -14,7 +14,7 @@ from waiting import set_forward, until
 
 from busway.apps.collector.commands.claims import KeysUnavailable
 from busway.apps.collector.commands.command import CommandResult, CommandState, PointCommand
-from busway.apps.collector.commands.inputs import CommandReceiver, InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import CommandMessageHandler, InputMessage, InputRights
 from busway.apps.collector.commands.rights import WriterRights
 from busway.codes import Table
 from busway.errors import InvalidRequest
@@ -222,10 +222,10 @@ async def test_a_message_that_is_passed_on_in_a_fleet_keeps_its_role(tmp_path: P
 
     rights = InputRights("plant/{device}/{point}", ("*/*",), 10.0, "operate")
     async with commanded(tmp_path) as plant:
-        receiver = CommandReceiver(
+        receiver = CommandMessageHandler(
             "broker", HandedInput("mqtt", rights), plant.commands, lambda: plant.configuration, others=Owners()
         )
-        await receiver.take(InputMessage("plant/boiler/setpoint", b"7"))
+        await receiver.handle(InputMessage("plant/boiler/setpoint", b"7"))
         assert [role for _, role in passed] == ["operate"]
         await plant.reload([replace(SETPOINT, writing=WriteRule(6, role="configure"))])
         answer = await plant.fleet(body("setpoint", 7, key="a", role="operate"))

@@ -6,7 +6,7 @@ import json
 import pytest
 from waiting import until
 
-from busway.apps.collector.commands.inputs import InputMessage, InputRights
+from busway.apps.collector.commands.command_messages import InputMessage, InputRights
 from busway.apps.collector.commands.message_tasks import MOST_AT_ONCE, MOST_WAITING
 from busway.apps.collector.commands.sparkplug import PLACE, SparkplugCommands
 from busway.apps.collector.samples import SampleValue
@@ -100,7 +100,7 @@ class Receiver:
     def down(self, error: str) -> None:
         self.states.append(error)
 
-    async def take(self, message: InputMessage) -> bytes:
+    async def handle(self, message: InputMessage) -> bytes:
         await self.holds.wait()
         self.messages.append(message)
         return b""

@@ -10,7 +10,7 @@ import pytest
 import sink_worker
 from waiting import wait_until
 
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 
 pytest.importorskip("pyarrow")
 EACH = 100_000

@@ -7,7 +7,7 @@ from collections.abc import AsyncIterator
 import pytest
 from waiting import until
 
-from busway.apps.collector.commands.inputs import InputRights
+from busway.apps.collector.commands.command_messages import InputRights
 from busway.apps.collector.commands.nats import NatsCommands
 from busway.apps.collector.sinks.interface import SinkDown
 from busway.apps.collector.sinks.nats import NatsSink

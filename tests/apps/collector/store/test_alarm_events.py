@@ -7,7 +7,7 @@ from collected import METER, at, read_of
 
 from busway.apps.collector.alarms.events import AlarmEvent, AlarmEventKind
 from busway.apps.collector.store.alarm_events import forget_old_alarms
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 
 

@@ -12,7 +12,7 @@ from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.folder import LOCK, SEGMENTS, StoreLock
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 from busway.errors import ConfigError
 

@@ -18,9 +18,9 @@ from busway.apps.collector.store.alarm_events import forget_old_alarms
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.manifest import MaintenanceRow, Manifest
-from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.segment import Segment
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 SHIFT = NOON - 100 * SECOND

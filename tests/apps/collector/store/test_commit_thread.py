@@ -16,7 +16,7 @@ from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store import commit_thread
 from busway.apps.collector.store.commit_thread import INTERVAL, MOST_WAITING, SYNC, Committer
 from busway.apps.collector.store.committed_samples import CommitReader
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import Commit, StoreWriter
 
 

@@ -16,7 +16,7 @@ from busway.apps.collector.sinks.prometheus import LastValues
 from busway.apps.collector.store.accumulator_states import counters_by_device
 from busway.apps.collector.store.commit_thread import Committer
 from busway.apps.collector.store.kept_samples import KeptSamples
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 from busway.points.point_rules import ReportRule
 

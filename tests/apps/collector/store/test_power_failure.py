@@ -119,7 +119,7 @@ def kept_of(folder: Path, handed_on: list[int]) -> list[int]:
     """Those of the commits that are in the store: all up to one, and none after it."""
     from collected import NOON, SECOND
 
-    from busway.apps.collector.store.reading import Store
+    from busway.apps.collector.store.store_reader import Store
     from busway.apps.collector.store.writer import StoreWriter
 
     copy = folder.with_name(folder.name + "-copy")

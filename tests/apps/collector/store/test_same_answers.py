@@ -16,8 +16,8 @@ from collected import NOON, SECOND, at
 
 from busway.apps.collector.sample_clock import ClockCorrection
 from busway.apps.collector.samples import PointGroup, Reason, SampleBatch
-from busway.apps.collector.store import reading, sealed_files
-from busway.apps.collector.store.reading import Store
+from busway.apps.collector.store import sealed_reader, store_reader
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 
 pytest.importorskip("pyarrow")
@@ -102,7 +102,7 @@ def test_all_ways_to_read_a_store_give_the_same_rows_and_buckets(
         for since, until in asked:
             answers, buckets = list[Any](), list[Any]()
             for folder, many in (("segments", False), ("sealed", False), ("sealed", True)):
-                for module in (sealed_files, reading):
+                for module in (sealed_reader, store_reader):
                     monkeypatch.setattr(module, "reads_many", lambda many=many: many)
                 store = Store(tmp_path / folder)
                 table = store.read(points, since=since, until=until)

@@ -9,11 +9,11 @@ import pytest
 from collected import METER, NOON, at, filled, meter_read, read_of
 
 from busway.apps.collector.samples import PointGroup
-from busway.apps.collector.store import sealed_part, sealing
+from busway.apps.collector.store import sealed_writer, sealing
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.folder import SEGMENTS
-from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.sealing import SealingFailed
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 
 pytest.importorskip("pyarrow")
@@ -63,7 +63,7 @@ def test_nothing_is_left_where_the_process_that_asked_has_ended(tmp_path: Path) 
     writer.roll()
     (part,) = writer.manifest.parts()
     asked = {"segment": str(tmp_path / SEGMENTS / part.file), "points": [], "parent": 1}
-    command = [sys.executable, "-m", "busway.apps.collector.store.sealed_part"]
+    command = [sys.executable, "-m", "busway.apps.collector.store.sealed_writer"]
     ended = subprocess.run(command, input=json.dumps(asked), capture_output=True, encoding="utf-8", check=True)
     assert json.loads(ended.stdout) == []
     assert [path.name for path in (tmp_path / SEGMENTS).iterdir() if path.suffix != ".sqlite"] == []
@@ -113,6 +113,6 @@ def test_rows_are_sorted_by_point_and_time_whatever_their_order_was(times: list[
     import pyarrow as pa
 
     points = [2, 1, 2, 1, 1]
-    order = sealed_part._order(pa.array(points, pa.int32()), pa.array(times, pa.int64())).to_pylist()
+    order = sealed_writer._order(pa.array(points, pa.int32()), pa.array(times, pa.int64())).to_pylist()
     found = [(points[place], times[place]) for place in order]
     assert found == sorted(zip(points, times, strict=True))

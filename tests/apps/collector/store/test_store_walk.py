@@ -16,14 +16,14 @@ import pytest
 from collected import SECOND, at, read_of
 
 from busway.apps.collector.samples import PointDescription, PointGroup, Reason, StateInterval
-from busway.apps.collector.store import manifest, sealed_part, sealing
+from busway.apps.collector.store import manifest, sealed_writer, sealing
 from busway.apps.collector.store.backup import back_up, restore
 from busway.apps.collector.store.check import check_store_files
 from busway.apps.collector.store.committed_samples import CommitReader, CommittedSample
 from busway.apps.collector.store.manifest import StoredPoint
-from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention
 from busway.apps.collector.store.sealing import StepDone
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreWriter
 
 pytest.importorskip("pyarrow")
@@ -189,7 +189,7 @@ class Walk:
 def written_here(source: Path, points: Sequence[StoredPoint], step: StepDone) -> list[tuple[Path, dict[str, Any]]]:
     """What another process writes when a segment is sealed, written by this one: its start takes most of the time."""
     texts = [(point.id, point.device, point.point, point.unit_of_measure) for point in points]
-    return list(sealed_part.write_parts(source, texts, os.getppid()))
+    return list(sealed_writer.write_parts(source, texts, os.getppid()))
 
 
 @pytest.mark.parametrize("seed", [2, 7, 27])

@@ -28,8 +28,8 @@ from busway.apps.collector.store import manifest, segment
 from busway.apps.collector.store.committed_samples import CommitReader
 from busway.apps.collector.store.folder import SEGMENTS, half_of_disk
 from busway.apps.collector.store.manifest import StorePart
-from busway.apps.collector.store.reading import Store
 from busway.apps.collector.store.retention import Retention, parts_to_drop
+from busway.apps.collector.store.store_reader import Store
 from busway.apps.collector.store.writer import StoreOptions, StoreWriter
 from busway.errors import ConfigError
 

@@ -86,7 +86,7 @@ class AlarmMachine:
         if self.rule.is_beyond(value, active=active):
             return None if active else self._beyond(value, at, now)
         self._beyond_since = None
-        return self._tell(AlarmEventKind.CLEARED, at, value) if active else None
+        return self._moved(AlarmEventKind.CLEARED, at, value) if active else None
 
     def _beyond(self, value: SampleValue, at: int, now: float) -> AlarmEvent | None:
         if self._beyond_since is None:
@@ -94,7 +94,7 @@ class AlarmMachine:
         if round((now - self._beyond_since - self.rule.delay) * NANOSECONDS) < 0:
             return None
         self._beyond_since = None
-        return self._tell(AlarmEventKind.RAISED, at, value)
+        return self._moved(AlarmEventKind.RAISED, at, value)
 
     def acknowledge(self, by: str, at: int) -> AlarmEvent | None:
         """Acknowledge the alarm and return its event; None if it needs no acknowledgement.
@@ -103,9 +103,9 @@ class AlarmMachine:
             by: who acknowledges it.
             at: time of the acknowledgement, nanoseconds since 1970 UTC.
         """
-        return self._tell(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
+        return self._moved(AlarmEventKind.ACKNOWLEDGED, at, by=by) if self.state.is_unacknowledged else None
 
-    def _tell(self, kind: AlarmEventKind, at: int, value: SampleValue | None = None, by: str = "") -> AlarmEvent:
+    def _moved(self, kind: AlarmEventKind, at: int, value: SampleValue | None = None, by: str = "") -> AlarmEvent:
         rule = self.rule
         text = rule.text(self.unit_of_measure)
         needs = rule.acknowledge or self.state is AlarmState.CLEARED  # a person still has to, whatever the limit says

@@ -16,7 +16,7 @@ from ....config.files.sinks import (
 from ....errors import ConfigError
 from ....options.sinks import MqttOptions, NatsOptions
 from ..sinks.options import broker, nats_server
-from .inputs import CommandInput, InputRights, overlap
+from .command_messages import CommandInput, InputRights, overlap
 
 
 def make_input(section: SinkSection, sink: object = None) -> CommandInput | None:

@@ -25,7 +25,7 @@ from typing import Any, Final
 from ....extras import require
 from ..sinks.mqtt import topic_level
 from ..sinks.mqtt_connection import connect
-from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+from .command_messages import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
 from .message_tasks import MOST_AT_ONCE, MessageTasks
 
 _LONGEST_TOPIC: Final = 500
@@ -88,10 +88,10 @@ class MqttCommands:
             self._address["identifier"] += f"-{member}"
         return bool(group)
 
-    async def run(self, receiver: CommandReceiver) -> None:
-        """Receive commands over MQTT, have ``receiver`` execute them, and publish the answers, until cancelled.
+    async def run(self, handler: CommandMessageHandler) -> None:
+        """Receive commands over MQTT, have ``handler`` execute them, and publish the answers, until cancelled.
 
-        A lost connection is opened again after growing pauses; the status of ``receiver`` shows the error.
+        A lost connection is opened again after growing pauses; the status of ``handler`` shows the error.
         """
         mqtt = import_module("aiomqtt")
         wait = PAUSE
@@ -99,11 +99,11 @@ class MqttCommands:
             try:
                 async with _connected(self._client(mqtt)) as client, MessageTasks() as tasks:
                     await self._subscribe(client)
-                    receiver.connected()
+                    handler.connected()
                     wait = PAUSE
-                    await self._receive(client, tasks, receiver)
+                    await self._receive(client, tasks, handler)
             except (mqtt.MqttError, OSError) as error:
-                receiver.down(f"the broker {self._where} cannot be reached: {error}")
+                handler.down(f"the broker {self._where} cannot be reached: {error}")
             await asyncio.sleep(wait)
             wait = min(2 * wait, PAUSE_LIMIT)
 
@@ -132,16 +132,16 @@ class MqttCommands:
         if any(code.is_failure for code in codes):
             raise OSError(f"it refuses the subscription: {codes[0]}")
 
-    async def _receive(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
+    async def _receive(self, client: Any, tasks: MessageTasks, handler: CommandMessageHandler) -> None:
         async for message in client.messages:
-            if not tasks.begin(partial(self._handle, client, message, receiver, time.monotonic())):
-                receiver.drop(str(message.topic))
+            if not tasks.begin(partial(self._handle, client, message, handler, time.monotonic())):
+                handler.drop(str(message.topic))
 
-    async def _handle(self, client: Any, message: Any, receiver: CommandReceiver, arrived: float) -> None:
+    async def _handle(self, client: Any, message: Any, handler: CommandMessageHandler, arrived: float) -> None:
         properties = message.properties
         where = str(message.topic)
         payload = message.payload if isinstance(message.payload, bytes) else b""
-        answer = await receiver.take(
+        answer = await handler.handle(
             InputMessage(
                 where,
                 payload,
@@ -154,14 +154,14 @@ class MqttCommands:
         if answer is None:
             return
         try:
-            await self._answer(client, where, properties, answer, receiver)
+            await self._answer(client, where, properties, answer, handler)
         except (import_module("aiomqtt").MqttError, OSError, ValueError) as error:  # ValueError: no topic
             _log.warning("an answer to a command could not be sent: %s", error)
 
     @staticmethod
-    async def _answer(client: Any, where: str, properties: Any, answer: bytes, receiver: CommandReceiver) -> None:
+    async def _answer(client: Any, where: str, properties: Any, answer: bytes, handler: CommandMessageHandler) -> None:
         topic = getattr(properties, "ResponseTopic", None) or f"{where}/result"
-        if receiver.is_for_commands(topic) or len(topic) > _LONGEST_TOPIC or topic[0] == "$" or set(topic) & set("+#"):
+        if handler.is_for_commands(topic) or len(topic) > _LONGEST_TOPIC or topic[0] == "$" or set(topic) & set("+#"):
             _log.warning("nothing is answered on %.100r, which is no topic for answers", topic)
             return
         sent = import_module("paho.mqtt.properties").Properties(

@@ -21,7 +21,7 @@ from ....extras import require
 from ..sinks.hidden_secrets import HiddenSecrets
 from ..sinks.nats import subject_token
 from ..sinks.nats_connection import nats_client_kind
-from .inputs import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandReceiver, InputMessage, InputRights
+from .command_messages import LONGEST_REQUEST, PAUSE, PAUSE_LIMIT, CommandMessageHandler, InputMessage, InputRights
 from .message_tasks import MOST_AT_ONCE, MessageTasks
 
 _log = logging.getLogger("busway.collector.commands")
@@ -81,10 +81,10 @@ class NatsCommands:
         self._group = group
         return bool(group)
 
-    async def run(self, receiver: CommandReceiver) -> None:
-        """Receive commands over NATS, have ``receiver`` execute them, and send the answers, until cancelled.
+    async def run(self, handler: CommandMessageHandler) -> None:
+        """Receive commands over NATS, have ``handler`` execute them, and send the answers, until cancelled.
 
-        A lost connection is opened again after growing pauses; the status of ``receiver`` shows the error.
+        A lost connection is opened again after growing pauses; the status of ``handler`` shows the error.
         """
         nats = import_module("nats")
         wait = PAUSE
@@ -105,13 +105,13 @@ class NatsCommands:
                     **self._options,
                 )
                 async with MessageTasks() as tasks:
-                    await self._subscribe(client, tasks, receiver)
-                    receiver.connected()
+                    await self._subscribe(client, tasks, handler)
+                    handler.connected()
                     wait = PAUSE
                     await ended.wait()
-                receiver.down(f"the server has closed the connection {self._cause}".rstrip())
+                handler.down(f"the server has closed the connection {self._cause}".rstrip())
             except (nats.errors.Error, OSError, TimeoutError) as error:
-                receiver.down(f"the server cannot be used: {self._cause or self._words(error)}")
+                handler.down(f"the server cannot be used: {self._cause or self._words(error)}")
             finally:
                 if client.is_connecting or client.is_connected:  # also where connecting failed or was given up
                     with contextlib.suppress(nats.errors.Error, OSError, TimeoutError):  # it may be gone already
@@ -129,10 +129,10 @@ class NatsCommands:
     def _words(self, error: Exception) -> str:
         return self._secrets.hide(error) or type(error).__name__
 
-    async def _subscribe(self, client: Any, tasks: MessageTasks, receiver: CommandReceiver) -> None:
+    async def _subscribe(self, client: Any, tasks: MessageTasks, handler: CommandMessageHandler) -> None:
         async def came(message: Any) -> None:
-            if not tasks.begin(partial(self._handle, message, receiver, time.monotonic())):
-                receiver.drop(message.subject)
+            if not tasks.begin(partial(self._handle, message, handler, time.monotonic())):
+                handler.drop(message.subject)
 
         wildcards = self.rights.where.replace("{device}", "*").replace("{point}", "*")
         await client.subscribe(
@@ -147,10 +147,10 @@ class NatsCommands:
         await client.flush()
         await client.flush()
 
-    async def _handle(self, message: Any, receiver: CommandReceiver, arrived: float) -> None:
+    async def _handle(self, message: Any, handler: CommandMessageHandler, arrived: float) -> None:
         by = (message.headers or {}).get("by", "")
-        answer = await receiver.take(InputMessage(message.subject, message.data, by=by, arrived=arrived))
-        if answer is None or not message.reply or receiver.is_for_commands(message.reply):
+        answer = await handler.handle(InputMessage(message.subject, message.data, by=by, arrived=arrived))
+        if answer is None or not message.reply or handler.is_for_commands(message.reply):
             return
         try:
             await message.respond(answer)

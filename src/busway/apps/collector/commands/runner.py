@@ -496,7 +496,7 @@ class CommandRunner:
         self._running[command.key].has_taken = True
         if result.state is not CommandState.OPEN:
             self._append(result)
-            return self._tell(result)
+            return self._notify(result)
         self._step("claimed")
         async with lock:
             result = await self._send_guarded(result, permission)
@@ -510,7 +510,7 @@ class CommandRunner:
         if self._claims is not None:
             await self._claims.finish(result)
         self._step("recorded")
-        return self._tell(result)
+        return self._notify(result)
 
     async def _recorded(self, result: CommandResult) -> CommandResult | None:
         """Record a command under its key, in a fleet for all collectors first, unless the key was used before.
@@ -633,7 +633,7 @@ class CommandRunner:
         self._audit.append(command_line(result, self._audit.timestamp()))
         self._audit.flush()
 
-    def _tell(self, result: CommandResult) -> CommandResult:
+    def _notify(self, result: CommandResult) -> CommandResult:
         for told in self._subscribers:
             try:
                 told(result)

@@ -20,21 +20,21 @@ from functools import partial
 from typing import Final
 
 from ..sinks.sparkplug import SparkplugCommand
-from .inputs import CommandReceiver, InputMessage, InputRights
+from .command_messages import CommandMessageHandler, InputMessage, InputRights
 from .message_tasks import MessageTasks
 
 PLACE: Final = "{device}/{point}"
 
 
 class _Receiving:
-    """The event loop, the tasks and the receiver that commands of Sparkplug hosts are handed to.
+    """The event loop, the tasks and the handler that commands of Sparkplug hosts are handed to.
 
     Attributes:
-        receiver: executes the commands.
+        handler: executes the commands.
     """
 
-    def __init__(self, receiver: CommandReceiver, tasks: MessageTasks, loop: asyncio.AbstractEventLoop) -> None:
-        self.receiver, self._tasks, self._loop = receiver, tasks, loop
+    def __init__(self, handler: CommandMessageHandler, tasks: MessageTasks, loop: asyncio.AbstractEventLoop) -> None:
+        self.handler, self._tasks, self._loop = handler, tasks, loop
 
     def call(self, called: Callable[[], object]) -> None:
         """Have a function called in the event loop; safe from any thread. Nothing happens if the loop has ended."""
@@ -44,10 +44,10 @@ class _Receiving:
     def begin(self, message: InputMessage) -> None:
         """Start a task that executes the command of a message; drop the message if too many wait."""
         if not self._tasks.begin(partial(self._handle, message)):
-            self.receiver.drop(message.where)
+            self.handler.drop(message.where)
 
     async def _handle(self, message: InputMessage) -> None:
-        await self.receiver.take(message)
+        await self.handler.handle(message)
 
 
 class SparkplugCommands:
@@ -87,7 +87,7 @@ class SparkplugCommands:
         self._error = error
         receiving = self._receiving
         if receiving is not None:
-            receiving.call(partial(self._tell, receiving.receiver))
+            receiving.call(partial(self._copy_status, receiving.handler))
 
     # In the event loop of the collector.
 
@@ -95,23 +95,23 @@ class SparkplugCommands:
         """Return False: messages are not shared. Each collector of a fleet is an edge node of its own."""
         return False
 
-    async def run(self, receiver: CommandReceiver) -> None:
-        """Have ``receiver`` execute the commands that the sink passes on, until cancelled."""
+    async def run(self, handler: CommandMessageHandler) -> None:
+        """Have ``handler`` execute the commands that the sink passes on, until cancelled."""
         async with MessageTasks() as tasks:
-            self._receiving = _Receiving(receiver, tasks, asyncio.get_running_loop())
-            self._tell(receiver)
+            self._receiving = _Receiving(handler, tasks, asyncio.get_running_loop())
+            self._copy_status(handler)
             try:
                 await asyncio.Future()
             finally:
                 self._receiving = None
 
-    def _tell(self, receiver: CommandReceiver) -> None:
-        """Copy the state of the sink's connection into the status of the receiver, and log a new error."""
+    def _copy_status(self, handler: CommandMessageHandler) -> None:
+        """Copy the state of the sink's connection into the status of the handler, and log a new error."""
         error = self._error
         if error is None:
-            receiver.connected()
+            handler.connected()
         else:
-            receiver.down(error)
+            handler.down(error)
 
     def _message(self, command: SparkplugCommand) -> InputMessage:
         """Convert a Sparkplug command that has just arrived to the form that all protocols share (rules 1 and 2)."""

@@ -1,6 +1,6 @@
 """The store of the collector: the folder in which it keeps samples.
 
-====================  ==========================================================================================
+====================  =========================================================================================
 `folder`              names of the store's files, the lock of its writer, making changes durable (fsync)
 `manifest`            the list of a store's files, points and sinks, with the cursor of each sink
 `segment`             the SQLite file that samples are written to, and when it ends and the next begins
@@ -8,27 +8,30 @@
 `recovery`            closes what an earlier process left open, and finds the gap since its end
 `commit_thread`       the thread that commits for an event loop, several times a second
 `sealing`             turns a segment that has ended into Parquet files
-`sealed_part`         writes the Parquet files of a segment; runs as a program of its own
+`sealed_writer`       writes the Parquet files of a segment; runs as a program of its own
 `kept_samples`        which samples are kept, where a rule says that not all of them are
 `retention`           which files are deleted because they are too old or the store is too large
 `alarm_events`        reads alarm events from the manifest and the open segment; deletes old ones
 `accumulator_states`  the totals of accumulators, from which a collector goes on after a restart
 `clock_correction`    corrects the times of samples stored before the wall clock was set
-`parts`               reads samples and sums from one file of the store, segment or Parquet
-`sealed_files`        reads samples and sums from Parquet files, with DuckDB where it is installed
+`part_reader`         reads samples and sums from one part of the store: a segment or a sealed file
+`sealed_reader`       reads samples and sums from Parquet files, with DuckDB where it is installed
 `file_rows`           forms of samples read from files of a store: rows, and sums by time bucket
 `selection`           parses the points, times and periods of a query
-`reading`             `Store`: reads rows and buckets of all files as one
+`store_reader`        `Store`: reads rows and buckets of all files as one
 `query_results`       results of queries: columns of samples or buckets; also as Arrow, pandas or polars tables
 `committed_samples`   reads samples in the order of their commits, for sinks
 `check`               checks the files of a store for damage, also while it is written
 `backup`              backs up a store, also while it is written, and restores it
 `database`            connections to the SQLite files of a store, and transactions on them
-====================  ==========================================================================================
+====================  =========================================================================================
 
 Where it is decided: when a segment ends: `segment` (`Segment.has_ended`); how durable a commit is (pragmas): `segment`.
-Which samples are kept: `kept_samples`. What is deleted: `retention`. When a commit is made, and what is dropped when
-the disk is full: `commit_thread`. Which samples get another time when the clock is set: `clock_correction`. What a
-crash leaves is put right at the next start by `recovery`; a half-written commit is undone by SQLite itself. Whether a
-command was sent before the crash is not in a store: `busway.apps.collector.commands.journal`.
+Which files belong to the store: `manifest`. When a segment is sealed: `writer`; in which steps, and what a crash
+between them leaves: `sealing`; which rows a sealed file has, and what is late: `sealed_writer`. Which of two samples of
+one point and time counts, in parts that overlap: `store_reader`. Which samples are kept: `kept_samples`. What is
+deleted: `retention`. When a commit is made, and what is dropped when the disk is full: `commit_thread`. Which samples
+get another time when the clock is set: `clock_correction`. What a crash leaves is put right at the next start by
+`recovery`; a half-written commit is undone by SQLite itself. Whether a command was sent before the crash is not in a
+store: `busway.apps.collector.commands.journal`.
 """

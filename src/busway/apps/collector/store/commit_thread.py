@@ -488,7 +488,7 @@ class Committer:
                 _log.warning("the store can be written again; %d samples were lost so far", self._lost)
             self._error = None
             correction, self._untold = self._untold, None
-        self._tell(commit if correction is None else replace(commit, correction=correction))
+        self._notify(commit if correction is None else replace(commit, correction=correction))
         with self._changed:  # only now: subscribers have what was committed
             self._queued_since = self._clock() if self._batches or self._intervals else None
             self._committing = False
@@ -538,7 +538,7 @@ class Committer:
         else:
             self._sync_error = self._unsynced_since = None
 
-    def _tell(self, commit: Commit) -> None:
+    def _notify(self, commit: Commit) -> None:
         for subscriber in self._subscribers:
             try:
                 subscriber(commit)

@@ -26,8 +26,8 @@ from .clock_correction import EVERY
 from .file_rows import FileRow
 from .folder import SEGMENTS
 from .manifest import AlarmRow, IntervalRow, Manifest, StoredPoint, StorePart
-from .parts import open_part_facts, part_intervals
-from .sealed_files import rows_of_table
+from .part_reader import open_part_facts, part_intervals
+from .sealed_reader import rows_of_table
 from .sealing import arrow
 from .segment import open_for_reading, sample_value
 

@@ -2,7 +2,7 @@
 
 Knows the steps and their order; knows nothing of commits that are made meanwhile, nor of the content of a file.
 
-1. Another process writes the files (`sealed_part`): polling and commits go on beside it, and its memory ends with it.
+1. Another process writes the files (`sealed_writer`): polling and commits go on beside it, and its memory ends with it.
 2. The files are written under unfinished names, their content is made durable, they are renamed, and the folder is made
    durable. Then one transaction of the manifest lists them instead of the segment, and the segment is deleted. If the
    process ends anywhere between, nothing is lost and nothing counts twice, because the manifest alone decides what
@@ -103,7 +103,7 @@ def _written(source: Path, points: list[StoredPoint], step: StepDone) -> list[tu
         "parent": os.getpid(),
         "points": [[point.id, point.device, point.point, point.unit_of_measure] for point in points],
     }
-    command = [*_interpreter(), "-m", f"{__package__}.sealed_part"]
+    command = [*_interpreter(), "-m", f"{__package__}.sealed_writer"]
     pipe = subprocess.PIPE
     with subprocess.Popen(command, stdin=pipe, stdout=pipe, stderr=pipe, encoding="utf-8") as process:
         step("seal-begun")
