@@ -103,6 +103,16 @@ def test_unknown_argument_is_a_type_error_that_names_it(pump: ModbusTcpClient) -
         ModbusTcpClient("127.0.0.1", hots="x")
 
 
+def test_two_arguments_that_name_different_units_are_a_type_error_and_nothing_is_written(
+    pump: ModbusTcpClient, device: busway.Device
+) -> None:
+    with pytest.raises(TypeError, match="slave, unit: these arguments name different units"):
+        pump.write_register(3, 77, slave=1, unit=2)
+    assert device.holding_registers[3] != 77
+    assert not pump.write_register(3, 77, slave=1, unit=1).isError()
+    assert device.holding_registers[3] == 77
+
+
 def test_bits_of_a_response_are_filled_up_to_whole_bytes(pump: ModbusTcpClient) -> None:
     response = pump.read_coils(0, count=3)
     assert isinstance(response, ReadCoilsResponse)

@@ -194,6 +194,9 @@ def test_blocks_know_their_addresses_and_go_back_to_their_defaults() -> None:
     sparse.setValues(3, [5])
     with pytest.raises(ParameterException, match="20"):
         sparse.setValues(20, [1])
+    with pytest.raises(ParameterException):
+        sparse.setValues(9, [5, 6])
+    assert sparse.getValues(9, 1) == [1]  # where pymodbus has written the first one
     sparse.reset()
     assert sparse.getValues(3, 2) == [7, 8]
     with pytest.raises(ParameterException):

@@ -9,7 +9,7 @@ Knows when each of them has to be asked; what they say is their own. Hours pass 
 from __future__ import annotations
 
 import random
-from collections.abc import Callable, Container, Sequence
+from collections.abc import Callable, Collection, Container, Sequence
 from dataclasses import dataclass, field
 from typing import Protocol
 
@@ -55,7 +55,7 @@ class Bus:
         baud: int = 9600,
         *,
         framing: str = "rtu",
-        echo: bool = False,
+        echo: bool | Collection[int] = False,
         noise: float = 0.0,
         by_character: bool = False,
         seed: int = 1,

@@ -262,8 +262,11 @@ def test_without_a_map_the_tables_are_found_with_their_holes(make: Callable[[], 
 def test_single_items_off_the_beaten_track_need_a_thorough_search() -> None:
     device = busway.Device(holding_registers={3: 7, 1004: 8, 1007: 9}, functions=[3])
     ranges = (range(10), range(1000, 1020))
+    lines: list[str] = []
     with asked(device) as (unit, _):
-        assert content(built_again(clone_tables(unit, ranges=ranges, thorough=True))) == content(device)
+        thorough = clone_tables(unit, ranges=ranges, thorough=True, progress=lines.append)
+        assert content(built_again(thorough)) == content(device)
+        assert "3 holding registers" in lines
         with pytest.raises(ExceptionReply, match="nothing to clone, everything was refused"):
             clone_tables(unit, ranges=ranges)
 
@@ -277,7 +280,7 @@ def test_a_table_that_is_not_offered_costs_one_request_and_is_said() -> None:
     assert [asked_by.count(function) for function in (1, 2, 4)] == [1, 1, 1]
     assert "coils are not offered" in clone.remarks
     assert content(built_again(clone)) == content(device)
-    assert "3 holding registers" in lines
+    assert "3 holding registers; in 7 refused blocks only every tenth item was tried" in lines
 
 
 def test_a_device_without_anything_is_said_to_have_nothing() -> None:

@@ -138,7 +138,8 @@ def clone_tables(
                 break
         refusal = scanner.refusal or refusal
         found[table] = items
-        progress(counted(len(items), table.label))
+        sampled = f"; in {counted(scanner.sampled, 'refused block')} only every tenth item was tried"
+        progress(counted(len(items), table.label) + (sampled if scanner.sampled else ""))
     if not any(found.values()):
         if refusal is None:
             raise InvalidRequest("there is nothing to clone in no range at all")
@@ -357,6 +358,7 @@ class _Scanner:
     Attributes:
         offered: False once the device has refused the function that reads the table (exception 01).
         refusal: the last exception reply of the device; None if there was none.
+        sampled: number of blocks of which only every `STRIDE`-th item was tried, because none of these exists.
     """
 
     def __init__(self, unit: BlockingUnit, table: Table, *, thorough: bool) -> None:
@@ -366,6 +368,7 @@ class _Scanner:
         self._read: Callable[..., Sequence[int]] = getattr(unit, f"read_{table.value}")
         self.offered = True
         self.refusal: ExceptionReply | None = None
+        self.sampled: int = 0
 
     def items(self, part: range) -> dict[int, int]:
         """Return the values of the items that exist in a range of addresses, by address; bits are 0 or 1."""
@@ -382,6 +385,8 @@ class _Scanner:
             return
         if self._thorough or any(self._take(offset, 1, found) for offset in range(first, first + count, STRIDE)):
             self._divide(first, count, found)
+        elif self.offered:
+            self.sampled += 1
 
     def _divide(self, first: int, count: int, found: dict[int, int]) -> None:
         """Read into ``found`` the existing items of a range that the device has refused as a whole.

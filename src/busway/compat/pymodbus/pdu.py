@@ -57,13 +57,19 @@ def unit_of(names: dict[str, Any], given: int | None = None) -> int:
     If they give none, return ``given``, or 1 if that is None.
 
     Raises:
-        TypeError: an argument has another name.
+        TypeError: an argument has another name, or two of them name different units.
     """
+    named: int | None = None
     for name, value in names.items():
         if name not in UNIT_NAMES:
             raise TypeError(f"unexpected keyword argument {name!r}")
-        if value is not None:
-            given = value
+        if value is None:
+            continue
+        if named not in (None, value):
+            raise TypeError(f"{', '.join(names)}: these arguments name different units")
+        named = value
+    if named is not None:
+        return named
     return 1 if given is None else given
 
 
