@@ -20,7 +20,7 @@ MET_ON = {
 
 
 def render() -> str:
-    """The tables: of what a server can play, and of what somebody else does."""
+    """The tables: of what a server can play, and of what other products do."""
     lines = [
         "| fault profile | what happens | parameters | met on | seen in | a client that is up to it |",
         "| --- | --- | --- | --- | --- | --- |",

@@ -11,6 +11,7 @@ from busway.apps.simulator.includes import parse_declaration
 from busway.apps.simulator.simulation import Simulation
 from busway.cli.simulate import simulate
 from busway.config.files.behaviours import KINDS, BehaviourSection
+from busway.config.files.file_error import FileError
 from busway.config.files.simulation import SimulatedPointSection, SimulationFile
 from busway.points.expression import FUNCTION_NAMES
 
@@ -43,6 +44,18 @@ def test_its_files_can_be_simulated(text: str, tmp_path: Path) -> None:
     misbehaving = Simulation(parse_declaration(plant + faults, "plant.toml"))
     assert [(fault.name, fault.is_on) for fault in misbehaving.switchboard] == [("slow meters", False)]
     assert list(Simulation(parse_declaration(ready_made, "plant.toml")).units) == [1, 2, 3]
+
+
+@pytest.mark.parametrize(
+    ("right", "wrong"), [(", period = 60", ", periode = 60"), ('rate = "power', 'rate = "powre')], ids=["key", "name"]
+)
+def test_its_messages_are_those_of_a_file_with_these_mistakes(text: str, right: str, wrong: str) -> None:
+    plant = files_of(text)[0].replace(right, wrong)
+    with pytest.raises(FileError) as caught:
+        Simulation(parse_declaration(plant, "plant.toml"))
+    shown = [line.removesuffix("…") for line in re.findall(r"^plant\.toml:.*$", text, re.MULTILINE)]
+    for problem in caught.value.problems:
+        assert any(str(problem).startswith(line) for line in shown), problem
 
 
 def test_no_section_is_empty(text: str) -> None:

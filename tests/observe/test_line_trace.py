@@ -59,7 +59,7 @@ def test_stream_of_tcp_has_its_own() -> None:
 
 
 UNKNOWN = bytes.fromhex("64 01 02 03")
-"""A request of a function whose length nobody knows."""
+"""A request of a function whose length is not known."""
 
 
 class Recorded:
@@ -188,7 +188,7 @@ def test_all_is_in_the_file_when_it_is_closed() -> None:
 
 
 @pytest.mark.real_time
-async def test_silence_ends_a_frame_without_anybody_who_asks() -> None:
+async def test_silence_ends_a_frame_without_a_call_of_tick() -> None:
     file = io.BytesIO()
     capture = Capture(file)
     TRACE.capture_into(capture)

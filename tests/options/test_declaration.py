@@ -301,7 +301,7 @@ def test_a_key_that_is_added_to_a_table_appears_everywhere(
     hint = Annotated[float, Range(0.5, 20, "seconds"), "seconds between two", "of these."]
     names = {"__annotations__": {"haste": hint}, "haste": 4.0, "__module__": section.__module__, "__doc__": "Added."}
     added = type(section)("Added", (section,), names)
-    # TOML, with what is said about a wrong value, and about a wrong key
+    # TOML, with the errors of a wrong value and of a wrong key
     faults = dict(faults_of_reading(added, {"haste": 30.0}))
     assert faults["haste",] == "must be 0.5…20 seconds, not 30"
     assert faults_of_reading(added, {"hast": 1.0})["hast",] == "unknown key; is it haste?"

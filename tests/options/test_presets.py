@@ -253,12 +253,12 @@ def test_a_strict_server_listens_on_502_unless_that_is_switched_off_by_name() ->
 
 @pytest.mark.clause("T3")
 def test_the_listener_on_502_has_access_rules_and_limits_of_the_one_it_stands_beside() -> None:
-    def nobody(host: str) -> bool:
+    def refuse_all(host: str) -> bool:
         return False
 
-    beside = Listener("tcp://127.0.0.1:5020", access=nobody, limits=ListenerParameters(max_connections=3))
+    beside = Listener("tcp://127.0.0.1:5020", access=refuse_all, limits=ListenerParameters(max_connections=3))
     added = busway.serve(beside, units={1: Device(coils=1)}, preset="strict")._settings[1]
-    assert added.access is nobody
+    assert added.access is refuse_all
     assert added.limits == ListenerParameters(max_connections=3, single_adu_segments=True)
 
 

@@ -154,20 +154,20 @@ async def test_silence_of_a_handler_sends_nothing_and_holds_no_slot() -> None:
         await _close(writer)
 
 
-# --- nobody waits for somebody else --------------------------------------------------------------
+# --- no connection waits for another -------------------------------------------------------------
 
 
 @pytest.mark.clause("T29")
 async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_transactions_of_its_own() -> None:
-    gate = HeldReplies()
-    async with busway.serve(ANY_PORT, responder=ScriptedHandler(gate.decide)) as server:
+    held_replies = HeldReplies()
+    async with busway.serve(ANY_PORT, responder=ScriptedHandler(held_replies.decide)) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(1000, 1) + _question(2, 2))
         other_writer.write(_question(3, 3))
         assert await reader.readexactly(11) == _answer(2, 2)
         assert await other_reader.readexactly(11) == _answer(3, 3)
-        gate.opened.set()
+        held_replies.opened.set()
         assert await reader.readexactly(11) == _answer(1000, 1)
         await _close(writer)
         await _close(other_writer)
@@ -178,8 +178,8 @@ async def test_slow_handler_of_one_connection_delays_neither_another_nor_other_t
 
 @pytest.mark.clause("T27")
 async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_and_others_are_not() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with busway.serve(ANY_PORT, responder=handler, max_transactions=2) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         other_reader, other_writer = await asyncio.open_connection("127.0.0.1", _port(server))
@@ -188,7 +188,7 @@ async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_a
         other_writer.write(_question(1, 4))
         assert await other_reader.readexactly(11) == _answer(1, 4)
         assert server.status().counters.refused_busy == 1
-        gate.opened.set()
+        held_replies.opened.set()
         replies = {await reader.readexactly(11), await reader.readexactly(11)}
         assert replies == {_answer(1000, 1), _answer(1001, 2)}
         writer.write(_question(5, 5))  # the slots are free again
@@ -199,8 +199,8 @@ async def test_request_beyond_the_limit_of_a_connection_is_answered_06_at_once_a
 
 @pytest.mark.clause("T27")
 async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> None:
-    gate = HeldReplies()
-    handler = ScriptedHandler(gate.decide)
+    held_replies = HeldReplies()
+    handler = ScriptedHandler(held_replies.decide)
     async with busway.serve(ANY_PORT, ANY_PORT, responder=handler, max_transactions=2, scope="server") as server:
         ports = [urlsplit(one).port for one in server.endpoints]
         connections = [await asyncio.open_connection("127.0.0.1", port) for port in (*ports, ports[0])]
@@ -210,7 +210,7 @@ async def test_limit_of_a_server_counts_over_its_connections_and_listeners() -> 
         reader, writer = connections[2]
         writer.write(_question(1, 9))
         assert await reader.readexactly(9) == _busy(9)
-        gate.opened.set()
+        held_replies.opened.set()
         for number, (one, _) in enumerate(connections[:2]):
             assert await one.readexactly(11) == _answer(1000, number)
         writer.write(_question(1, 10))
@@ -243,7 +243,7 @@ async def test_reply_for_a_client_that_has_gone_is_dropped_and_its_slot_is_free(
         _vanish(writer)
         await until(lambda: server.counters.closed == 1)
         context = handler.contexts[0]
-        assert context.replied  # nobody needs to work on it any more
+        assert context.replied  # no work on it is needed any more
         context.reply(registers(1))
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))
         writer.write(_question(2, 2))
@@ -393,7 +393,7 @@ async def test_sixteen_requests_at_once_are_answered_with_one_write_and_no_turn_
         write(connection, replies)
 
     monkeypatch.setattr(ServerConnection, "_write", count)
-    monkeypatch.setattr(Turns, "wait", lambda turns, one: pytest.fail("somebody waits"))
+    monkeypatch.setattr(Turns, "wait", lambda turns, one: pytest.fail("a connection waits"))
     longest = busway.WriteMultipleRegisters(0, 123, bytes(246)).encode()
     async with busway.serve(ANY_PORT, units={1: busway.Device(holding_registers=123)}) as server:
         reader, writer = await asyncio.open_connection("127.0.0.1", _port(server))

@@ -53,7 +53,7 @@ def test_master_waits_for_the_reply_and_is_idle_after_it() -> None:
 
 
 @pytest.mark.clause("S1")
-def test_one_transaction_at_a_time_whoever_asks() -> None:
+def test_one_transaction_at_a_time_for_all_callers() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10), 2: Device(holding_registers=10)})
     questions = [master.ask(1 + number % 2, READ, caller=number) for number in range(10)]
@@ -64,7 +64,7 @@ def test_one_transaction_at_a_time_whoever_asks() -> None:
 
 
 @pytest.mark.clause("S8")
-def test_every_frame_leaves_t3_5_after_the_last_byte_of_anybody() -> None:
+def test_every_frame_leaves_t3_5_after_the_last_byte_of_any_station() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10), 2: Device(holding_registers=10)})
     questions = [master.ask(1 + number % 2, READ, caller=number) for number in range(6)]
@@ -395,7 +395,7 @@ def test_unit_that_missed_a_request_is_asked_again_behind_a_marker(trusted: bool
 
 
 @pytest.mark.clause("S4")
-def test_unit_that_may_be_late_holds_up_nobody_else() -> None:
+def test_unit_that_may_be_late_holds_up_no_other() -> None:
     bus = Bus()
     master = bus.master(parameters=ClientParameters(timeout=0.3, retries=0))
     bus.servers({2: Device(holding_registers=10)})
@@ -470,7 +470,7 @@ def test_call_that_ran_out_of_time_ends_then_and_its_request_stays_in_flight() -
     assert master.session.breakers.states() == {}
 
 
-def test_cancelled_request_finishes_unseen_and_its_reply_goes_to_nobody() -> None:
+def test_cancelled_request_finishes_unseen_and_its_reply_goes_to_no_call() -> None:
     bus = Bus()
     master, _ = bus.master(), bus.servers({1: Device(holding_registers=10)})
     question = master.ask(1, READ)

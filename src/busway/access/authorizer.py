@@ -77,14 +77,14 @@ class PolicyRights:
         ``unit`` is the unit asked, 0…255. ``served`` is None if no device answers for the unit.
         """
         access_request = AccessRequest.of(
-            request, unit=unit, listed=_NO_UNITS if served is None else served.units, subject=_ANYBODY
+            request, unit=unit, listed=_NO_UNITS if served is None else served.units, subject=_ANY_CLIENT
         )
         decision = self.rights.decide(access_request)
         return decision.allowed and not decision.rates and not access_request.writes
 
 
 _NO_UNITS: Final[frozenset[int]] = frozenset()
-_ANYBODY: Final = AccessSubject()
+_ANY_CLIENT: Final = AccessSubject()
 """A client without a name, for questions to compiled rights: these hold for any client that has them."""
 
 

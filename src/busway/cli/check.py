@@ -55,7 +55,7 @@ def check(
     scratch: str | None = typer.Option(
         None, "--scratch", metavar="ITEMS", help="What may be written: 4x101:8, 4x101:8,0x1:8."
     ),
-    probe: str = typer.Option("4x1", "--probe", metavar="ITEM", help="An item that can be read at any time: 3x1."),
+    probe: str = typer.Option("4x1", "--probe", metavar="ITEM", help="An item that can be read at any time: 4x1."),
     kind: str | None = typer.Option(None, "--class", metavar="CLASS", help="tcp, basic or regular (of a serial line)."),
     only: str | None = typer.Option(None, "--only", metavar="LIST", help="Only these clauses or checks: A10,T28."),
     report: str | None = typer.Option(
@@ -70,11 +70,11 @@ def check(
         metavar="FILES",
         help="Client certificates that the device must refuse: expired=CERT:KEY,revoked=C:K,denied=C:K,no-role=C:K.",
     ),
-    timeout: str = typer.Option("1s", "--timeout", metavar="TIME", help="The longest wait for a reply."),
+    timeout: str = typer.Option("1s", "--timeout", metavar="TIME", help="The longest wait for a reply: 1s."),
     quiet_time: str = typer.Option(
-        "50ms", "--quiet-time", metavar="TIME", help="Silence behind a frame that is not answered."
+        "50ms", "--quiet-time", metavar="TIME", help="Silence behind a frame that may stay unanswered: 50ms."
     ),
-    idle: str = typer.Option("2s", "--idle", metavar="TIME", help="How long checks about idle connections wait."),
+    idle: str = typer.Option("2s", "--idle", metavar="TIME", help="How long checks of idle connections wait: 2s."),
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,
     quiet: bool = QUIET,

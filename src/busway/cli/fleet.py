@@ -85,7 +85,10 @@ def fleet(
     folder: str | None = typer.Option(None, "--store", metavar="FOLDER", help="run: the store; that of the file."),
     shards: str = typer.Option("256", "--shards", metavar="N", help="run: of the zone, the same for all: 256."),
     ttl: str | None = typer.Option(
-        None, "--ttl", metavar="TIME", help="apply: leases hold so long in the zone; all collectors ended: 15s."
+        None,
+        "--ttl",
+        metavar="TIME",
+        help="apply: leases of the zone hold for this time: 15s; refused while collectors run.",
     ),
     user: str | None = typer.Option(None, "--user", metavar="NAME", help="The account at the coordinator."),
     credentials: str | None = typer.Option(
@@ -100,7 +103,9 @@ def fleet(
     replicas: str = typer.Option("1", "--replicas", metavar="N", help="Servers that must keep each entry: 1."),
     stream: bool = typer.Option(False, "--stream", help="run: send samples into a stream, for sinks (NATS)."),
     key: str | None = typer.Option(None, "--key", metavar="KEY", help="write: sent once for each key; a new one."),
-    by: str | None = typer.Option(None, "--by", metavar="NAME", help="write: who writes; the account."),
+    by: str | None = typer.Option(
+        None, "--by", metavar="NAME", help="write: who writes, for the audit log; the account."
+    ),
     within: str = typer.Option("30s", "--within", metavar="TIME", help="write: send it by then, or never: 30s."),
     undo: bool = typer.Option(False, "--undo", help="drain: let the collector take part again."),
     lasts: str | None = typer.Option(None, "--for", metavar="TIME", help="demo: end after this time: 2m."),
@@ -123,7 +128,7 @@ def fleet(
     ),
     force: bool = typer.Option(False, "--force", help="server-config: write over what is there, seeds excepted."),
     status_every: str = typer.Option(
-        "60s", "--status-every", metavar="TIME", help="run, sink: print a status so often."
+        "60s", "--status-every", metavar="TIME", help="run, sink: print a status this often: 60s."
     ),
     as_json: bool = JSON,
     quiet: bool = QUIET,

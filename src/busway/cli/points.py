@@ -34,8 +34,12 @@ def points(
         None, "--out", metavar="FILE", help="Where the device file goes, instead of stdout."
     ),
     force: bool = typer.Option(False, "--force", help="With --out: write over a file that is there."),
-    address: str = typer.Option("40002", "--address", metavar="N", help="SunSpec: offset of the model's register ID."),
-    count: list[str] = typer.Option([], "--count", metavar="NAME=N", help="SunSpec: places of a group; several times."),
+    address: str = typer.Option(
+        "40002", "--address", metavar="N", help="SunSpec: offset of the model's register ID: 40002."
+    ),
+    count: list[str] = typer.Option(
+        [], "--count", metavar="NAME=N", help="SunSpec: how often a group is repeated; several times if need be."
+    ),
 ) -> int:
     """Convert device descriptions of other programs."""
     from ..apps.importers.formats import import_file

@@ -29,7 +29,7 @@ EXAMPLES = """\b
 Examples:
   busway policy check policy.toml
   busway policy test policy.toml --peer 10.0.0.7 --request "write 4x100 5"
-  busway policy test policy.toml --peer 10.0.0.7 --role operator --request "read 4x1 10" --request "write 0x1 on"
+  busway policy test policy.toml --peer 10.0.0.7 --role Operator --request "read 4x1 10" --request "write 0x1 on"
   busway policy test plant.toml --peer fe80::1 --unit 3 --request "08 00 01 00 00"
 
 A request is: read ADDRESS [COUNT], write ADDRESS VALUE..., mask ADDRESS AND OR, or a PDU in hexadecimal.

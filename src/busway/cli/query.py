@@ -43,7 +43,7 @@ def query(
     store: str = typer.Argument(..., metavar="STORE", help="The folder of the store."),
     patterns: list[str] | None = typer.Argument(None, metavar="POINT...", help="Which points: meter-7/*, meter-7."),
     points: list[str] | None = typer.Option(
-        None, "--points", metavar="POINT", help="Which points, likewise; several times if need be."
+        None, "--points", metavar="POINT", help="Which points, as the arguments; several times if need be."
     ),
     since: str | None = typer.Option(None, "--since", metavar="TIME", help="From this time on: 1h, 2026-11-22T14:00."),
     until: str | None = typer.Option(None, "--until", metavar="TIME", help="Up to this time, without it."),

@@ -51,8 +51,10 @@ def replay(
     framing: str | None = typer.Option(
         None, "--framing", metavar="NAME", help="mbap, rtu or ascii on these ports. mbap."
     ),
-    reply_window: str = typer.Option("3s", "--reply-window", metavar="TIME", help="A reply after this time is late."),
-    slow: str = typer.Option("1s", "--slow", metavar="TIME", help="A reply after this time is slow."),
+    reply_window: str = typer.Option(
+        "3s", "--reply-window", metavar="TIME", help="A reply after this time is late: 3s."
+    ),
+    slow: str = typer.Option("1s", "--slow", metavar="TIME", help="A reply after this time is slow: 1s."),
     simulate: str | None = typer.Option(
         None, "--simulate", metavar="FILE", help="Write a simulation file that answers as the devices did: plant.toml."
     ),

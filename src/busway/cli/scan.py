@@ -37,16 +37,22 @@ MANY = 10
 
 def scan(
     url: str = typer.Argument(..., metavar="URL", help="rtu:///dev/ttyUSB0, ascii:///dev/ttyS1, tcp://10.0.0.5."),
-    units: str | None = typer.Option(None, "--units", metavar="RANGE", help="1-247 by default; 1-10,20,30-40."),
+    units: str | None = typer.Option(
+        None, "--units", metavar="RANGE", help="1-10,20,30-40; 1-247 if left out, on TCP 255 too."
+    ),
     baud: str | None = typer.Option(None, "--baud", metavar="LIST", help="Try these rates: 9600,19200,38400."),
     parity: str | None = typer.Option(None, "--parity", metavar="LIST", help="Try these parities: even,none,odd."),
     timeout: str = typer.Option(
-        "1s", "--timeout", metavar="TIME", help="The longest wait for a unit; it is shortened by what is learnt."
+        "1s", "--timeout", metavar="TIME", help="The longest wait for a unit: 1s; it is shortened by what is learnt."
     ),
     patient: bool = typer.Option(False, "--patient", help="Never wait less than --timeout."),
-    listen: str = typer.Option(f"{LISTEN_SECONDS:g}s", "--listen", metavar="TIME", help="Listen so long at first."),
+    listen: str = typer.Option(
+        f"{LISTEN_SECONDS:g}s", "--listen", metavar="TIME", help="Listen this long at first: 2s."
+    ),
     force: bool = typer.Option(False, "--force", help="Do not listen, ask even where another master talks."),
-    names: bool = typer.Option(True, "--identify/--no-identify", help="Ask who answers what it is (43/14, 17)."),
+    names: bool = typer.Option(
+        True, "--identify/--no-identify", help="Ask each unit that answers what it is (43/14, 17)."
+    ),
     as_json: bool = JSON,
     capture: str | None = CAPTURE,
     verbose: int = VERBOSE,

@@ -113,7 +113,9 @@ def simulate(
     listen: list[str] | None = typer.Option(
         None, "--listen", metavar="URL", help="Listen here, and not where the file says; several times if need be."
     ),
-    seed: str | None = typer.Option(None, "--seed", metavar="N", help="Of noise and chance, instead of the file's."),
+    seed: str | None = typer.Option(
+        None, "--seed", metavar="N", help="Seed of all random values, instead of the file's."
+    ),
     speed: str = typer.Option("1", "--speed", metavar="X", help="Seconds of the simulation in a second: 60."),
     duration: str | None = typer.Option(None, "--for", metavar="TIME", help="End after this time: 10s, 5m."),
     fault: list[str] | None = typer.Option(
@@ -129,12 +131,17 @@ def simulate(
         is_eager=True,
         callback=_list_faults,
     ),
-    check: bool = typer.Option(False, "--check", help="Say what the file comes to, or what is wrong with it; no more."),
+    check: bool = typer.Option(
+        False, "--check", help="Print what the file contains, or what is wrong with it; serve nothing."
+    ),
     api: str | None = typer.Option(
         None, "--api", metavar="HOST:PORT", help="Offer the control API and its page here: 127.0.0.1:8502."
     ),
     api_token: str | None = typer.Option(
-        None, "--api-token", metavar="FILE", help="The token of the API, in a file; without, one is made where needed."
+        None,
+        "--api-token",
+        metavar="FILE",
+        help="File with the token of the API; without it, one is made if the network can reach the address.",
     ),
     no_standard_port: bool = NO_STANDARD_PORT,
     policy: str | None = POLICY,

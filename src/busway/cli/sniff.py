@@ -52,7 +52,10 @@ def sniff(
     ),
     duration: str | None = typer.Option(None, "--for", metavar="TIME", help="End after this time: 30s, 5m, 1h."),
     reply_window: str = typer.Option(
-        "1s", "--reply-window", metavar="TIME", help="A request without a reply within this time counts as unanswered."
+        "1s",
+        "--reply-window",
+        metavar="TIME",
+        help="A request without a reply within this time counts as unanswered: 1s.",
     ),
     raw: bool = typer.Option(False, "-x", "--hex", help="Show the bytes of each frame too."),
     capture: str | None = CAPTURE,

@@ -44,7 +44,10 @@ CLONE = typer.Option(
 OUT = typer.Option(None, "--out", metavar="FILE", help="With --clone: where the file goes, instead of stdout.")
 FORCE = typer.Option(False, "--force", help="With --out: write over a file that is there.")
 WATCH = typer.Option(
-    None, "--watch", metavar="TIME", help="With --clone and --map: watch so long how values change, and do likewise."
+    None,
+    "--watch",
+    metavar="TIME",
+    help="With --clone and --map: watch for this time how values change, and imitate it.",
 )
 RANGE = typer.Option(
     None, "--range", metavar="A-B,…", help="With --clone without a map: offsets to search, 0-9999,40000-40999."

@@ -41,7 +41,7 @@ _WHOLE = ("listener", "connection", "process", "page")
 
 def status(
     where: str | None = typer.Argument(
-        None, metavar="[PATH|URL|PID]", help="Whom to ask: a socket, a URL of loopback, a process."
+        None, metavar="[PATH|URL|PID]", help="What to ask: a socket, a URL on loopback, a process ID."
     ),
     as_json: bool = typer.Option(False, "--json", help="Print all that is told as one JSON object."),
     watch: str | None = typer.Option(None, "--watch", metavar="TIME", help="Ask again and again: 2s. Ends by Ctrl-C."),

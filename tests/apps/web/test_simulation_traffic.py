@@ -197,7 +197,7 @@ def test_the_numbers_of_frames_are_in_order_whichever_thread_records_them():
     assert [one.number for one in traffic.after(1, 10)] == [2]
 
 
-def test_whoever_watches_is_told_until_it_says_stop(traffic):
+def test_a_watcher_is_called_until_it_is_removed(traffic):
     told = []
     unwatch = traffic.watch(lambda: told.append(traffic.last))
     connection = traffic.connection(ENDS)

@@ -148,6 +148,17 @@ def test_fields_halves_and_overlaps_are_served_with_their_first_values() -> None
             'unit[0].point[1].formula: t is no point here; the point of that name is point("t")',
         ),
         (POINT + "write = { on = 1 }\n", "x.toml:6: unit[0].point[0].write.off: is missing: a switch has both"),
+        (POINT + "write = { function = 5 }\n", "point[0].write.function: function 5 does not write holding registers"),
+        (
+            POINT + "type = 'float32'\nwrite = { function = 6 }\n",
+            "write.function: float32 has 2 registers; 6 writes one",
+        ),
+        (
+            UNIT + "[[unit.point]]\nname='a'\naddress='0x1'\nwrite={ function = 16 }\n",
+            "unit[0].point[0].write.function: function 16 does not write coils",
+        ),
+        (POINT + "write = { on = 70000, off = 0 }\n", "unit[0].point[0].write.on: 70000 does not fit uint16"),
+        (POINT + "write = { on = 1, off = 1 }\n", "unit[0].point[0].write.off: is 1, as on"),
         (POINT + "write = { verify = 'x' }\n", "x.toml:6: unit[0].point[0].write.verify: "),
         (POINT + "access = 'read'\nwrite = { function = 6 }\n", "unit[0].point[0].write: 'a' is only read"),
         (POINT + "report = 'often'\n", "x.toml:6: unit[0].point[0].report.when: must be 'every', 'change' or"),

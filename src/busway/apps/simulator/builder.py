@@ -29,7 +29,7 @@ from .behaviours.builder import Surroundings, make_behaviour
 from .behaviours.replay import Recording, parse_recording
 from .engine import Driven
 from .includes import DeclaredUnit, Reader
-from .registers import begin_of, form_of, largest_of, limits_of
+from .registers import begin_of, form_of, goes_below_begin, largest_of, limits_of
 from .simulated import SimulatedPoint, SimulatedUnit
 
 
@@ -273,6 +273,7 @@ def _driven(
         *limits_of(section),
         begin_of(point.form),
         largest_of(point.form),
+        goes_below_begin(point.form),
         plan.expressions,
         plan.recording,
         source,

@@ -257,3 +257,8 @@ def begin_of(form: PointForm) -> float:
     scale, offset = form.factors
     low, high = _range_of_type(form.form)
     return offset if scale > 0 or low < 0 else offset + high * scale
+
+
+def goes_below_begin(form: PointForm) -> bool:
+    """Whether a counter in this point goes on below `begin_of`: its type has a sign, and the point no ``rollover``."""
+    return form.form is not None and isinstance(form.section.rollover, bool) and _range_of_type(form.form)[0] < 0

@@ -137,7 +137,8 @@ class CounterSection(BehaviourSection):
     rollover: Annotated[
         FiniteNumber | None,
         Range(0, math.inf, above=True),
-        "value at which it begins again from 0; None: where a whole-number type ends, from `offset` of the point.",
+        "value at which it begins again from 0; None: where a whole-number type ends, from `offset` of the point. A",
+        "type with a sign then goes on below 0.",
     ] = None
 
 

@@ -42,6 +42,8 @@ MOST_REPEATED: Final = 10_000
 """Most points that the groups of one unit can have together; each repetition of a group counts its points again."""
 
 _NUMBERS: Final = ("int", "uint", "float", "bcd", "field")
+_WRITTEN_BY: Final = {True: (5, 15), False: (6, 16, 22)}
+"""Codes of the functions that write a table, by whether it holds bits."""
 _FIELD: Final = re.compile(r"(?P<register>.+)\.(?P<low>\d{1,2})-(?P<high>\d{1,2})")
 _OF_A_READ: Final = (
     "address", "type", "order", "value", "scale", "offset", "scale_from", "linear", "invalid", "enumeration", "flags",
@@ -634,6 +636,7 @@ class PointSection(WholeSection):
         yield from faults
         if faults:
             return
+        yield from self._write_faults()
         yield from self._number_faults()
         yield from self._name_faults()
         yield from self._valid_faults()
@@ -687,6 +690,21 @@ class PointSection(WholeSection):
             yield ("access",), f"{self.address} can be written as its register can; give that a range in read_only"
         if self.write is not None and not self.is_writable:
             yield ("write",), f"{shown(self.name)} is only read"
+
+    def _write_faults(self) -> Iterator[tuple[KeyPath, str]]:
+        """Yield the errors of ``write`` that would only show when the point is written."""
+        if self.write is None:
+            return
+        function, form = self.write.function, self.form
+        if function is not None and function not in _WRITTEN_BY[self.table.holds_bits]:
+            yield ("write", "function"), f"function {function} does not write {self.table.label}s"
+        elif function in (6, 22) and self.size != 1:
+            yield ("write", "function"), f"{form.name if form else ''} has {self.size} registers; {function} writes one"
+        for key, held in (("on", self.write.on), ("off", self.write.off)):
+            if held is not None and form is not None and self.is_whole and not _can_be_read(form, held):
+                yield ("write", key), f"{held} does not fit {form.name}"
+        if self.write.on is not None and self.write.on == self.write.off:
+            yield ("write", "off"), f"is {self.write.off}, as on"
 
     def _number_faults(self) -> Iterator[tuple[KeyPath, str]]:
         for key in ("minimum", "maximum"):

@@ -19,6 +19,16 @@ def test_a_counter_begins_again_at_its_rollover() -> None:
     assert [SteadyCounter(3.0, 10.0, 8.0, -5.0).value(float(time)) for time in range(3)] == [8, -4, -1]
 
 
+def test_a_counter_of_a_type_with_a_sign_goes_on_below_zero() -> None:
+    down = SteadyCounter(-2.0, 32768.0, 1.0, goes_below=True)
+    assert [down.value(float(time)) for time in range(3)] == [1, -1, -3]
+    up = SteadyCounter(1.0, 3.0, -2.0, goes_below=True)
+    assert [up.value(float(time)) for time in range(7)] == [-2, -1, 0, 1, 2, 0, 1]
+    seen = Counter(lambda time: -3.0, 32768.0, 2.0, goes_below=True)
+    seen.observe(0.0)
+    assert seen.value(1.0) == -1.0
+
+
 def test_a_counter_goes_on_from_what_it_was_set_to() -> None:
     counter = SteadyCounter(2.0, None, 0.0)
     counter.resume(10.0, 0.0)

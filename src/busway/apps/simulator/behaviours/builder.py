@@ -39,6 +39,7 @@ class Surroundings:
         low, high: smallest and largest value of the point; None for no limit.
         begin, rollover: the value with which a counter of the point's type starts again, and the value at which it does
             so; None for never.
+        goes_below: whether a counter of the point's type goes on below ``begin``, because the type has a sign.
         expressions: the parsed expressions of the section, by key of the section.
         recording: the recording of a replay; None for other behaviours.
         source: takes the name of a point and returns a function that reads the point's present value.
@@ -51,6 +52,7 @@ class Surroundings:
     high: float | None
     begin: float
     rollover: float | None
+    goes_below: bool
     expressions: dict[str, Expression]
     recording: Recording | None
     source: Callable[[str], Callable[[], Number]]
@@ -92,9 +94,10 @@ def make_behaviour(section: BehaviourSection, around: Surroundings) -> Behaviour
 
 def _counter(section: CounterSection, around: Surroundings) -> Behaviour:
     begin, rollover = (around.begin, around.rollover) if section.rollover is None else (0.0, section.rollover)
+    below = around.goes_below and section.rollover is None
     if not isinstance(section.rate, str):
-        return SteadyCounter(section.rate, rollover, around.start, begin)
-    return Counter(around.expressions["rate"].bind(around.source), rollover, around.start, begin)
+        return SteadyCounter(section.rate, rollover, around.start, begin, goes_below=below)
+    return Counter(around.expressions["rate"].bind(around.source), rollover, around.start, begin, goes_below=below)
 
 
 def _lag(section: LagSection, around: Surroundings) -> Behaviour:

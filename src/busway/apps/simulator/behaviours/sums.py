@@ -13,7 +13,27 @@ import math
 from ....points.expression import BoundExpression
 
 
-class SteadyCounter:
+class _Rolling:
+    """Base class of counters, which start again at a value.
+
+    Subclasses set these: ``_rollover`` is None for never, otherwise the value at which the counter starts again from
+    ``_begin``; ``_goes_below`` says whether it goes on below that.
+    """
+
+    __slots__ = ()
+    _begin: float
+    _rollover: float | None
+    _goes_below: bool
+
+    def _rolled_over(self, value: float) -> float:
+        """Return a counter's value, where ``value`` is the count without starting again."""
+        begin, rollover = self._begin, self._rollover
+        if rollover is None or (self._goes_below and value < begin):
+            return value
+        return begin + (value - begin) % (rollover - begin)
+
+
+class SteadyCounter(_Rolling):
     """Behaviour ``counter`` with a constant rate: the value grows by the rate each second of the simulation.
 
     Args:
@@ -21,11 +41,16 @@ class SteadyCounter:
         rollover: the value at which the counter starts from ``begin`` again; None for never.
         start: the value at time 0.
         begin: the value with which it starts again.
+        goes_below: whether it goes on below ``begin``; else it comes from below to the rollover, as a number without a
+            sign does.
     """
 
-    __slots__ = ("_begin", "_rate", "_rollover", "_since", "_start")
+    __slots__ = ("_begin", "_goes_below", "_rate", "_rollover", "_since", "_start")
 
-    def __init__(self, rate: float, rollover: float | None, start: float, begin: float = 0.0) -> None:
+    def __init__(
+        self, rate: float, rollover: float | None, start: float, begin: float = 0.0, *, goes_below: bool = False
+    ) -> None:
+        self._goes_below = goes_below
         self._rate = rate
         self._rollover = rollover
         self._begin = begin
@@ -35,7 +60,7 @@ class SteadyCounter:
     def value(self, time: float) -> float:
         """Return the value of the counter at a time, in seconds of the simulation."""
         value = self._start + self._rate * max(time - self._since, 0.0)
-        return value if self._rollover is None else _rolled_over(value, self._begin, self._rollover)
+        return self._rolled_over(value)
 
     def resume(self, time: float, value: float) -> None:
         """Let the counter continue from a value at a time, in seconds of the simulation."""
@@ -47,7 +72,7 @@ class SteadyCounter:
         return self.value(time)
 
 
-class Counter:
+class Counter(_Rolling):
     """Behaviour ``counter`` whose rate is a formula: from moment to moment the value grows by rate × seconds.
 
     Args:
@@ -55,11 +80,21 @@ class Counter:
         rollover: the value at which the counter starts from ``begin`` again; None for never.
         start: the value at time 0.
         begin: the value with which it starts again.
+        goes_below: as of `SteadyCounter`.
     """
 
-    __slots__ = ("_begin", "_rate", "_rollover", "_seen", "_time", "_value")
+    __slots__ = ("_begin", "_goes_below", "_rate", "_rollover", "_seen", "_time", "_value")
 
-    def __init__(self, rate: BoundExpression, rollover: float | None, start: float, begin: float = 0.0) -> None:
+    def __init__(
+        self,
+        rate: BoundExpression,
+        rollover: float | None,
+        start: float,
+        begin: float = 0.0,
+        *,
+        goes_below: bool = False,
+    ) -> None:
+        self._goes_below = goes_below
         self._rate = rate
         self._rollover = rollover
         self._begin = begin
@@ -74,7 +109,7 @@ class Counter:
         computed. If that call was for a later time, the value is returned unchanged.
         """
         value = self._value + self._seen * max(time - self._time, 0.0)
-        self._value = value if self._rollover is None else _rolled_over(value, self._begin, self._rollover)
+        self._value = self._rolled_over(value)
         self._time = max(time, self._time)
         return self._value
 
@@ -91,14 +126,6 @@ class Counter:
     def state(self, time: float) -> float | None:
         """Return the current value of the counter, to continue from after a restart; ``time`` is ignored."""
         return self._value
-
-
-def _rolled_over(value: float, begin: float, rollover: float) -> float:
-    """Return a counter's value within ``begin`` ≤ x < ``rollover``, if it starts from ``begin`` again at ``rollover``.
-
-    ``value`` is the count without starting again.
-    """
-    return begin + (value - begin) % (rollover - begin)
 
 
 class SteadyLag:
