@@ -9,7 +9,7 @@ from client_kinds import CLIENT_KINDS, ClientKind
 
 import busway
 from busway import InvalidRequest
-from busway.server.views import TableView
+from busway.server.table_view import TableView
 
 NO_STATES = ["off", "on", "", "0", "1", 2, -1, 0xFF00, None, 1.0, 0.0, b"\x00", object(), [False]]
 

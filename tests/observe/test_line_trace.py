@@ -12,8 +12,10 @@ from busway.framing.ascii import encode_ascii
 from busway.framing.received import Damaged, Direction, FrameOrDamage, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
-from busway.observe.line_trace import LineTrace, trace_for
-from busway.observe.trace import TRACE, StreamTrace, TraceLevel
+from busway.observe.connection_trace import trace_for
+from busway.observe.line_trace import LineTrace
+from busway.observe.mbap_trace import MbapTrace
+from busway.observe.trace import TRACE, TraceLevel
 
 REQUEST = bytes.fromhex("03 00 00 00 02")
 REPLY = bytes.fromhex("03 04 00 01 00 02")
@@ -54,7 +56,7 @@ def test_damaged_chunks_are_shown(caplog: pytest.LogCaptureFixture) -> None:
 
 
 def test_stream_of_tcp_has_its_own() -> None:
-    assert isinstance(trace_for("mbap", "x", is_server=True), StreamTrace)
+    assert isinstance(trace_for("mbap", "x", is_server=True), MbapTrace)
     assert isinstance(trace_for("rtu", "x", is_server=True), LineTrace)
 
 

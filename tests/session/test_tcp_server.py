@@ -19,9 +19,9 @@ from busway.pdu.functions import STANDARD, AnyRequest
 from busway.pdu.message import Message
 from busway.pdu.read_items import ReadHoldingRegisters
 from busway.pdu.unknown_functions import OpaqueReply
-from busway.server.cells import Cells
 from busway.server.device import Device
 from busway.server.device_responder import DeviceResponder
+from busway.server.table_declaration import Cells
 from busway.session.diagnostic_counters import LineDiagnostics
 from busway.session.pipeline import RequestPipeline
 from busway.session.responder import (

@@ -11,7 +11,7 @@ from busway.framing.mbap import encode_mbap
 from busway.framing.received import Damage, Damaged, Direction, SerialFrame
 from busway.framing.rtu import encode_rtu
 from busway.observe.capture import Capture
-from busway.observe.line_trace import trace_for
+from busway.observe.connection_trace import trace_for
 from busway.observe.socket_addresses import SocketAddresses
 from busway.observe.trace import TRACE
 

@@ -26,8 +26,8 @@ from busway.config.files.system import (
     SystemFile,
 )
 from busway.errors import ConfigError
+from busway.options.accepted_options import options_for
 from busway.options.endpoints import SCHEMES, parse_endpoint
-from busway.options.offer import options_for
 from busway.options.server import ListenerParameters, ServerParameters
 from busway.options.sockets import SocketParameters
 from busway.options.tls import TlsParameters
